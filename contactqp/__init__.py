@@ -1,0 +1,72 @@
+"""contactqp: contact problems as energy minimisation with inequality constraints, every answer certified.
+
+The public names are loaded when they are first used, so that a scene imports only what it needs.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contactqp.analysis.load_path import History as History
+    from contactqp.analysis.load_path import follow_path as follow_path
+    from contactqp.certificate import Certificate as Certificate
+    from contactqp.certificate import certify as certify
+    from contactqp.elements.pairing import pair as pair
+    from contactqp.errors import BackendFailed as BackendFailed
+    from contactqp.errors import BackendMissing as BackendMissing
+    from contactqp.errors import ContactQPError as ContactQPError
+    from contactqp.errors import InvalidProblem as InvalidProblem
+    from contactqp.errors import NoEquilibrium as NoEquilibrium
+    from contactqp.errors import NotCertified as NotCertified
+    from contactqp.errors import NotConverged as NotConverged
+    from contactqp.errors import SceneError as SceneError
+    from contactqp.errors import Unsupported as Unsupported
+    from contactqp.methods import methods as methods
+    from contactqp.problem import ContactProblem as ContactProblem
+    from contactqp.problem import Units as Units
+    from contactqp.scene.loading import load_scene as load_scene
+    from contactqp.scene.running import run as run
+    from contactqp.solution import Solution as Solution
+    from contactqp.solving import solve as solve
+    from contactqp.study.comparison import compare as compare
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "BackendFailed": "errors",
+    "BackendMissing": "errors",
+    "Certificate": "certificate",
+    "ContactProblem": "problem",
+    "ContactQPError": "errors",
+    "History": "analysis.load_path",
+    "InvalidProblem": "errors",
+    "NoEquilibrium": "errors",
+    "NotCertified": "errors",
+    "NotConverged": "errors",
+    "SceneError": "errors",
+    "Solution": "solution",
+    "Units": "problem",
+    "Unsupported": "errors",
+    "certify": "certificate",
+    "compare": "study.comparison",
+    "follow_path": "analysis.load_path",
+    "load_scene": "scene.loading",
+    "methods": "methods",
+    "pair": "elements.pairing",
+    "run": "scene.running",
+    "solve": "solving",
+}
+__all__ = ["__version__", *sorted(_HOME)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'contactqp' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,57 @@
+"""The exception tree. Every message names what came, what was expected, and where."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contactqp.solution import Candidate, Solution
+
+
+class ContactQPError(Exception):
+    """Every error that contactqp raises on purpose."""
+
+
+class InvalidProblem(ContactQPError, ValueError):
+    """The data are no contact problem: wrong shape, NaN, asymmetric or indefinite stiffness, negative friction."""
+
+
+class SceneError(ContactQPError, ValueError):
+    """A case file or a scene is wrong; the message names file, key and what was expected."""
+
+
+class NoEquilibrium(ContactQPError):
+    """No displacement satisfies the constraints, or the load drives a motion that nothing holds back."""
+
+
+class NotConverged(ContactQPError):
+    """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any."""
+
+    def __init__(self, message: str, history: tuple[Any, ...] = (), solution: Solution | None = None) -> None:
+        super().__init__(message)
+        self.history = history
+        self.solution = solution
+
+
+class NotCertified(ContactQPError):
+    """A method that promises the exact answer returned one that the certificate refuses; `solution` is that answer."""
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class BackendMissing(ContactQPError, ImportError):
+    """An optional package is not installed; the message gives the pip command."""
+
+
+class BackendFailed(ContactQPError):
+    """A backend raised an exception of its own (chained as the cause), or returned nothing usable."""
+
+    def __init__(self, message: str, candidate: Candidate | None = None) -> None:
+        super().__init__(message)
+        self.candidate = candidate
+
+
+class Unsupported(ContactQPError):
+    """The method exists and cannot do this: the message names the method and the feature."""

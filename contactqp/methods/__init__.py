@@ -1,0 +1,75 @@
+"""The registry of methods: one file an idea, one table for all."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from types import ModuleType
+
+from contactqp.errors import BackendMissing, Unsupported
+from contactqp.methods import (
+    active_set,
+    augmented_lagrangian,
+    complementarity,
+    lagrange_multiplier,
+    master_slave,
+    modelled,
+    penalty,
+    perturbed_lagrangian,
+    quadratic_program,
+)
+from contactqp.methods.method import Method, Settings
+
+__all__ = ["Method", "Settings", "find", "methods"]
+
+_MODULES = (
+    active_set,
+    quadratic_program,
+    modelled,
+    complementarity,
+    master_slave,
+    lagrange_multiplier,
+    penalty,
+    perturbed_lagrangian,
+    augmented_lagrangian,
+)
+_REGISTRY: dict[str, Method] = {method.name: method for module in _MODULES for method in module.METHODS}
+
+
+def methods() -> tuple[Method, ...]:
+    """Every method, installed or not.
+
+    >>> "active-set" in [method.name for method in methods()]
+    True
+    """
+    return tuple(_REGISTRY.values())
+
+
+def find(name: str) -> Method:
+    """The installed method of that name.
+
+    Raises
+    ------
+    Unsupported
+        There is no such method; the nearest names are given.
+    BackendMissing
+        It exists and its package is not installed; the pip command is given.
+    """
+    if name not in _REGISTRY:
+        near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
+        raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")
+    method = _REGISTRY[name]
+    if not method.installed:
+        raise BackendMissing(f"method {name!r} needs {', '.join(method.packages)}: {method.install}")
+    return method
+
+
+class _CallablePackage(ModuleType):
+    """Importing a package's submodule binds its name in the package, so `contactqp.methods` is this module whatever
+    `contactqp/__init__.py` says; being callable, it is the public function `cq.methods()` as well."""
+
+    def __call__(self) -> tuple[Method, ...]:
+        return methods()
+
+
+sys.modules[__name__].__class__ = _CallablePackage

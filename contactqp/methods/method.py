@@ -1,0 +1,47 @@
+"""What every method is: a name, what it promises, and a function from a ContactProblem to a Candidate."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from contactqp.problem import ContactProblem
+from contactqp.solution import Candidate
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the caller asks of a method; a method reads what concerns it."""
+
+    tolerance: float = 1e-9  # relative, on the nondimensional problem
+    max_iter: int | None = None
+    time_limit: float | None = None  # seconds
+    warm_start: Candidate | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)  # those that `Method.options` names
+
+
+@dataclass(frozen=True)
+class Method:
+    """One entry of the registry: capabilities are declared here and read by `solve`, never tested for by name."""
+
+    name: str
+    kind: str  # "active set", "quadratic program", "modelling language", "complementarity", "classical enforcement"
+    solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
+    exact: bool = True  # promises the exact answer; otherwise approximate by design
+    polish: bool = False  # its answer is polished on the contact set that it finds
+    scale: bool = False  # wants a nondimensional problem
+    semidefinite: bool = True  # accepts a singular stiffness (bodies held by contact alone)
+    sparse: bool = True  # works on sparse matrices without making them dense
+    options: tuple[str, ...] = ()  # keyword arguments of its own
+    required: tuple[str, ...] = ()  # those that have no default
+    knob: str | None = None  # what trades error for time: "tolerance", "penalty", "perturbation"
+    packages: tuple[str, ...] = ()  # importable modules it needs
+    install: str = ""  # the pip command that brings them
+    note: str = ""
+
+    @property
+    def installed(self) -> bool:
+        """Whether every package it needs can be found (nothing is imported to find out)."""
+        return all(importlib.util.find_spec(package) is not None for package in self.packages)

@@ -1,0 +1,102 @@
+"""What a method hands over (`Candidate`) and what a user gets (`Solution`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.problem import ContactProblem, Vector
+
+if TYPE_CHECKING:
+    from contactqp.certificate import Certificate
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One method's answer to one ContactProblem, in that problem's own unknowns, believed by nobody yet."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,) l_N, positive in compression
+    tie_force: Vector  # (k,) nu
+    iterations: int = 0
+    claimed: bool = True  # does the method itself call this solved?
+    status: str = ""  # the backend's own words
+    history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a solution cost."""
+
+    factorisations: int = 0  # of the stiffness
+    back_substitutions: int = 0  # right-hand sides solved with them
+    iterations: int = 0  # of the method
+    retained: int = 0  # unknowns of the problem that the method saw
+    polish_corrections: int = 0  # changes of the method's contact set while polishing
+
+
+@dataclass(frozen=True, eq=False)
+class Raw:
+    """A method's answer before polish, and what the certificate says of it."""
+
+    displacement: Vector
+    normal_force: Vector
+    tie_force: Vector
+    claimed: bool
+    status: str
+    certificate: Certificate
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A rigid motion that no load drives and no contact or tie resists."""
+
+    direction: Vector  # (n,), largest component 1
+    description: str
+
+    def __str__(self) -> str:
+        return self.description
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Displacement and forces of one ContactProblem, with the certificate that judged them.
+
+    Forces are positive in compression (`normal_force` is l_N of K u + E_N' l_N + E_T' l_T + A' nu = f); gaps are
+    positive when open.
+    """
+
+    problem: ContactProblem = field(repr=False)
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    tie_force: Vector  # (k,)
+    contact_status: NDArray[np.str_]  # (m,) of open, closed, grazing, stick, slip
+    free_motions: tuple[FreeMotion, ...]
+    certificate: Certificate
+    method: str
+    seconds: float
+    work: Work
+    raw: Raw | None = field(default=None, repr=False)  # before polish, where the answer was polished
+    history: tuple[float, ...] = field(default=(), repr=False)  # of an iterative method, one number an iteration
+
+    @property
+    def gap(self) -> Vector:
+        """g - E_N u, positive when open [length]."""
+        return np.asarray(self.problem.gap - self.problem.normal @ self.displacement)
+
+    @property
+    def slip(self) -> NDArray[np.float64] | None:
+        """E_T u - slip_origin, (m, d-1) [length], or None without tangential rows."""
+        problem = self.problem
+        if problem.tangent is None or problem.slip_origin is None:
+            return None
+        return np.asarray((problem.tangent @ self.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin)
+
+    @property
+    def energy(self) -> float:
+        """1/2 u'Ku - f'u."""
+        return self.problem.energy(self.displacement)
