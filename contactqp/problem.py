@@ -11,7 +11,7 @@ FORCE, positive in compression. With friction, |l_T| <= mu l_N and l_T points al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -90,7 +90,8 @@ class ContactProblem:
     dof_names: tuple[str, ...] | None
     contact_names: tuple[str, ...] | None
     units: Units
-    asymmetry: float = field(default=0.0)
+    asymmetry: float
+    _shared: dict[str, Any]
 
     def __init__(
         self,
@@ -137,6 +138,28 @@ class ContactProblem:
         # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
         object.__setattr__(self, "_shared", {})
 
+    @classmethod
+    def _of_checked(cls, values: Mapping[str, Any], shared: dict[str, Any]) -> ContactProblem:
+        """A problem of values that need no further check, with what it shares with the problem they come from."""
+        problem = object.__new__(cls)
+        for name, value in values.items():
+            object.__setattr__(problem, name, value)
+        object.__setattr__(problem, "_shared", shared)
+        return problem
+
+    def transformed(
+        self, stiffness: Matrix, load: Vector, normal: Any, gap: Vector, tie: Any, tie_value: Vector
+    ) -> ContactProblem:
+        """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
+
+        Rounding may leave a transformed stiffness indefinite by a few digits of what it was before; it still is this problem.
+        """
+        kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0)
+        frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None)
+        data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
+        rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
+        return ContactProblem._of_checked(kept | frictionless | data | rows, {})
+
     @property
     def dimension(self) -> int:
         """Number of unknowns n."""
@@ -164,7 +187,7 @@ class ContactProblem:
         >>> float(problem.replace(load=[3.0]).load[0])
         3.0
         """
-        known = {f.name for f in fields(self)} - {"asymmetry"}
+        known = {f.name for f in fields(self)} - {"asymmetry", "_shared"}
         unknown = set(changes) - known
         if unknown:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
@@ -184,11 +207,7 @@ class ContactProblem:
                 checked[name] = _names(name, changes[name], size)
         if "units" in changes:
             checked["units"] = _units(changes["units"])
-        twin = object.__new__(ContactProblem)
-        for name, value in checked.items():
-            object.__setattr__(twin, name, value)
-        object.__setattr__(twin, "_shared", self._shared)  # type: ignore[attr-defined]
-        return twin
+        return ContactProblem._of_checked(checked, self._shared)
 
     def energy(self, displacement: ArrayLike) -> float:
         """1/2 u'Ku - f'u."""

@@ -1,0 +1,307 @@
+"""How far an answer is from the truth: proven bounds for frictionless problems.
+
+Let a(v, w) = v'Kw, |v|_K^2 = a(v, v), u* the solution and l*, nu* its forces. For any v that satisfies E v <= g, A v = b and any forces
+l >= 0, nu with balanced resultants, let w solve K w = f - E'l - A'nu. With J the energy and D the dual energy,
+
+    J(v) - J(u*)    = 1/2 |v - u*|^2 + l*'(g - E v)        (l* and u* are complementary, A v = b)
+    J(u*) - D(l,nu) = 1/2 |w - u*|^2 + l'(g - E u*)        (D is the minimum over all w of the Lagrangian)
+    J(v) - D(l,nu)  = 1/2 |v - w|^2  + l'(g - E v)         (insert f = K w + E'l + A'nu)
+
+and adding the first two, whose last terms are not negative,
+
+    |v - u*|^2 + |w - u*|^2 <= G^2 := |v - w|^2 + 2 l'(g - E v).                                           (1)
+
+By the parallelogram identity the midpoint c = (v + w)/2 is nearer: |c - u*|^2 <= |v - w|^2/4 + l'(g - E v).      (2)
+Since w - u* = -K^+ (E'(l - l*) + A'(nu - nu*)), |l - l*|_W <= |w - u*|_K with |d|_W the energy norm of the response of the tied
+bodies to the contact forces d.                                                                                  (3)
+From the first two lines also l_i* <= G^2 / (2 (g - E v)_i) where v is open; and with v_i, mu_i from
+K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A v_i = 0 on independent rows B,
+
+    |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                        (4)
+
+The pair (v, l) is got from the candidate's own set of closed contacts, with the refined answer on it (its forces, if none pulls,
+and its displacement, if it penetrates nowhere, make G a matter of rounding); where the candidate's set is wrong, from the candidate
+repaired: v closes its contacts, l loses its tensions. The bound of the candidate is its distance to the pair and the pair's own.
+
+Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of large
+numbers. The refinement that computes them contracts by a measured factor q; the error that its last step d leaves is at most
+|d|_K q/(1-q), and |d|_K itself is added. Where q >= 1/2 nothing is proven and the reason is given. This is an a-posteriori estimate of
+rounding, not an interval enclosure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.condensation import Condensation
+from contactqp.extended import EPS, Extended, extend, extended_rows
+from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import SaddlePoint
+from contactqp.violations import Answer
+
+# The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its energies.
+REPAIRS = 3
+# Refinement that contracts less than this proves nothing.
+CONTRACTION = 0.5
+# Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
+LARGEST = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Proven bounds; None where one could not be had, with the reason."""
+
+    energy_error: float | None = None
+    force_error: float | None = None
+    force_bound: Vector | None = None
+    energy_scale: float = 0.0  # |u*|_K or what is known of it
+    force_scale: float = 0.0  # |l*|_W likewise
+    relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units, no row scale
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """A feasible displacement v and admissible forces l with the distance between v and w, all seen from the candidate."""
+
+    to_middle: Extended  # (n,) c - u
+    radius: float  # (2): |c - u*|_K
+    dual_radius: float  # (1): |w - u*|_K
+    force: Extended  # (m,) l
+    open_gap: Vector  # (m,) g - E v
+    saddle: SaddlePoint
+
+
+class Unproven(Exception):
+    """Why no bound could be had."""
+
+
+def bounds(problem: ContactProblem, answer: Answer, condensation: Condensation) -> Bounds:
+    """The bounds of an answer, or the reasons why there are none."""
+    if problem.frictional:
+        return _none("Coulomb friction is no minimisation: its energy bounds nothing")
+    if len(condensation.retained) > LARGEST:
+        return _none(f"{len(condensation.retained)} condensed unknowns: too many for the dense systems of the bounds")
+    try:
+        pair = _pair(problem, answer, condensation)
+        return _from_pair(problem, answer, condensation, pair)
+    except Unproven as reason:
+        return _none(str(reason))
+
+
+def _none(reason: str) -> Bounds:
+    return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
+
+
+def _pair(problem: ContactProblem, answer: Answer, condensation: Condensation) -> _Pair:
+    closed = closed_contacts(problem, condensation, answer.displacement, answer.normal_force)
+    on_set, _, holds = polish(problem, condensation, closed, REPAIRS)
+    if on_set.contraction >= CONTRACTION:
+        raise Unproven(
+            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
+        )
+    if holds:
+        return _from_set(problem, answer, condensation, on_set)
+    return _from_repair(problem, answer, condensation, closed)
+
+
+def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> _Pair:
+    """The refined answer on a set whose signs hold is the solution, to its last correction."""
+    distance = on_set.displacement - extend(answer.displacement)
+    allowance = 2 * _energy_norm(problem, condensation, extend(on_set.last_step))
+    allowance += _noise(problem, condensation, on_set.displacement)
+    force = np.maximum(on_set.normal_force, 0)
+    gap = np.maximum(np.asarray(on_set.gap, dtype=float), 0.0)
+    return _Pair(distance, allowance, allowance, force, gap, on_set.saddle)
+
+
+def _from_repair(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+) -> _Pair:
+    """v: the candidate with its contacts closed; l: its forces without tension, balanced."""
+    rows = extended_rows(problem)
+    to_feasible, saddle = _close(problem, answer, condensation, closed)
+    force, tie = _admissible_forces(problem, answer, condensation)
+    residual = extend(problem.load) - rows.internal_force(extend(answer.displacement)) - rows.contact_force(force, tie)
+    to_dual, last = _response(problem, condensation, residual, tied=False)
+    gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
+    gap = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0, np.maximum(gap, 0))
+    allowance = last + _noise(problem, condensation, extend(answer.displacement))
+    apart = _energy_norm(problem, condensation, to_feasible - to_dual) + allowance
+    slack = float(force @ gap)
+    return _Pair(
+        to_middle=(to_feasible + to_dual) / 2,
+        radius=float(np.sqrt(apart**2 / 4 + slack)) + allowance,
+        dual_radius=float(np.sqrt(apart**2 + 2 * slack)) + allowance,
+        force=force,
+        open_gap=np.asarray(gap, dtype=float),
+        saddle=saddle,
+    )
+
+
+def _close(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+) -> tuple[Extended, SaddlePoint]:
+    """The nearest displacement (in energy) on which the set is closed, the set growing by what this penetrates."""
+    rows = extended_rows(problem)
+    start = extend(answer.displacement)
+    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
+    for _ in range(problem.contacts + 1):
+        saddle = SaddlePoint(condensation, closed)
+        step = extend(np.zeros(problem.dimension))
+        for _ in range(4):
+            gap = extend(problem.gap) - rows.normal @ (start + step)
+            open_tie = extend(problem.tie_value) - rows.tie @ (start + step)
+            step = step + correction(condensation, saddle, extend(np.zeros(len(start))), gap[closed], open_tie)[0]
+        gap = extend(problem.gap) - rows.normal @ (start + step)
+        penetrated = np.flatnonzero(-gap > ROUNDING * length)
+        if not penetrated.size:
+            return step, saddle
+        larger = np.union1d(closed, penetrated).astype(np.intp)
+        if len(larger) == len(closed):
+            break
+        closed = larger
+    raise Unproven("the candidate could not be repaired to a displacement that penetrates nowhere")
+
+
+def _admissible_forces(
+    problem: ContactProblem, answer: Answer, condensation: Condensation
+) -> tuple[Extended, Extended]:
+    """The candidate's forces without tension, changed least so that they balance the load on every rigid motion."""
+    force, tie = np.maximum(answer.normal_force, 0.0), answer.tie_force
+    Z = condensation.rigid.basis
+    if not Z.shape[1]:
+        return extend(force), extend(tie)
+    acting = np.flatnonzero(force > 0)
+    rows = np.vstack([problem.normal[acting] @ Z, problem.tie @ Z])
+    missing = Z.T @ (problem.load - problem.normal.T @ force - problem.tie.T @ tie)
+    change, *_ = np.linalg.lstsq(rows.T, missing, rcond=None)
+    force = force.copy()
+    force[acting] += change[: len(acting)]
+    tie = tie + change[len(acting) :]
+    left = Z.T @ (problem.load - problem.normal.T @ force - problem.tie.T @ tie)
+    size = abs(Z).T @ (abs(problem.load) + abs(problem.normal).T @ force + abs(problem.tie).T @ abs(tie))
+    if np.any(force < 0) or np.any(abs(left) > 1e-12 * size):
+        raise Unproven("no forces near the candidate's balance the load on every rigid motion")
+    return extend(force), extend(tie)
+
+
+def _response(
+    problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool
+) -> tuple[Extended, float]:
+    """The response u of the bodies to a force, contacts open, with a bound on its error in the energy norm.
+
+    K u + A'eta = P force and A u = 0 where tied, K u = P force where not; P leaves the rigid part of the force out.
+    """
+    rows = extended_rows(problem)
+    saddle = SaddlePoint(condensation, np.zeros(0, dtype=np.intp), tied)
+    force = _without_rigid_part(condensation, force)
+    u, eta = extend(np.zeros(problem.dimension)), extend(np.zeros(problem.ties))
+    last = np.inf
+    for _ in range(8):
+        residual = force - rows.internal_force(u) - rows.tie.T @ eta
+        open_tie = -(rows.tie @ u) if tied else extend(np.zeros(0))
+        du, _, dn = correction(condensation, saddle, residual, extend(np.zeros(0)), open_tie)
+        u = u + du
+        eta = eta + dn if tied else eta
+        size = _energy_norm(problem, condensation, extend(du))
+        if size == 0 or size > CONTRACTION * last:
+            break
+        last = size
+    return u, 2 * size
+
+
+def _without_rigid_part(condensation: Condensation, vector: Extended) -> Extended:
+    if not condensation.rigid.count:
+        return vector
+    Z = extend(condensation.rigid.basis)
+    return np.asarray(vector - Z @ (Z.T @ vector))
+
+
+def _energy_norm(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
+    """|v|_K; rigid motions cost nothing and are taken out, lest they cancel badly."""
+    elastic = _without_rigid_part(condensation, displacement)
+    square = elastic @ extended_rows(problem).internal_force(elastic)
+    return float(np.sqrt(max(square, 0)))
+
+
+def _noise(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
+    """What the rounding of an extended residual may hide in an energy norm."""
+    size = abs(np.asarray(_without_rigid_part(condensation, displacement), dtype=float))
+    return float(EPS * np.sqrt(size @ (abs(problem.stiffness) @ size)))
+
+
+def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair) -> Bounds:
+    middle = extend(answer.displacement) + pair.to_middle
+    energy_scale = _energy_scale(problem, condensation, middle)
+    energy = _energy_norm(problem, condensation, pair.to_middle) + pair.radius
+    force_scale = _force_norm(problem, condensation, pair.force)
+    force_change = _force_norm(problem, condensation, extend(answer.normal_force) - pair.force)
+    force = force_change + pair.dual_radius
+    bound, reason = _force_bound(problem, answer, condensation, pair)
+    return Bounds(
+        energy_error=_relative(energy, energy_scale, pair.radius),
+        force_error=_relative(force, force_scale, pair.dual_radius),
+        force_bound=bound,
+        relative_force_bound=None if bound is None or force_scale == 0 else bound * _row_size(problem) / force_scale,
+        energy_scale=energy_scale,
+        force_scale=force_scale,
+        reasons=() if reason is None else (f"force_bound: {reason}",),
+    )
+
+
+def _energy_scale(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
+    """|u|_K, zero where it is no more than the rounding of a rigid motion."""
+    norm = _energy_norm(problem, condensation, displacement)
+    size = abs(np.asarray(displacement, dtype=float))
+    rounding = 64 * np.finfo(float).eps * np.sqrt(float(size @ (abs(problem.stiffness) @ size)))
+    return norm if norm > rounding or not condensation.rigid.count else 0.0
+
+
+def _relative(error: float, scale: float, uncertainty: float) -> float:
+    """error over the least that the true scale can be; absolute where the scale vanishes."""
+    if scale == 0:
+        return error
+    return error / (scale - uncertainty) if scale > uncertainty else float("inf")
+
+
+def _force_norm(problem: ContactProblem, condensation: Condensation, force: Extended) -> float:
+    """|d|_W: the energy norm of the tied bodies' response to contact forces d."""
+    if not np.any(force):
+        return 0.0
+    u, error = _response(problem, condensation, extended_rows(problem).normal.T @ force, tied=True)
+    return _energy_norm(problem, condensation, u) + error
+
+
+def _row_size(problem: ContactProblem) -> Vector:
+    """|E_i D|: the square root of the compliance that contact i finds at its own unknowns."""
+    squares = problem.normal.multiply(problem.normal)
+    diagonal = problem.stiffness.diagonal()
+    compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
+    return np.asarray(np.sqrt(squares @ compliance))
+
+
+def _force_bound(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair
+) -> tuple[Vector | None, str | None]:
+    """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
+    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
+    active = np.flatnonzero(pair.open_gap <= ROUNDING * length)
+    saddle = SaddlePoint(condensation, active)
+    if saddle.redundant:
+        return None, "the closed contacts and ties are redundant: their forces are not unique"
+    m, count = problem.contacts, len(active)
+    bound = np.zeros(m)
+    outside = np.setdiff1d(np.arange(m), active)
+    bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
+    if count:
+        unit = np.eye(count)
+        nothing = np.zeros((len(condensation.retained), count))
+        motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
+        stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
+        bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+    return bound + np.asarray(abs(extend(answer.normal_force) - pair.force), dtype=float), None

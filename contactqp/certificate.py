@@ -1,0 +1,278 @@
+"""The certificate: one truth-teller for every method and every foreign code. It imports no method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.bounds import Bounds, bounds
+from contactqp.condensation import Condensation, condense
+from contactqp.errors import InvalidProblem
+from contactqp.problem import ContactProblem, Vector
+from contactqp.violations import Answer, Violations, balance, violations
+
+FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
+
+    `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
+    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded.
+    """
+
+    equilibrium: float  # componentwise backward error
+    balance: float  # of the forces on every rigid motion of the bodies
+    penetration: float
+    tension: float
+    complementarity: float
+    cone: float
+    slip_direction: float
+    tie: float
+    energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
+    force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
+    force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]
+    reasons: tuple[str, ...]  # why a bound is None
+    grazing: tuple[int, ...]  # contacts whose gap and force both vanish
+    failures: tuple[str, ...]  # what failed, where, by how much
+    notes: tuple[str, ...]
+    tolerance: float
+    error_tolerance: float
+    passed: bool
+    proven: bool
+    violations: Violations | None = field(repr=False, default=None)  # contact by contact; None where the answer is not finite
+
+    def __str__(self) -> str:
+        verdict = "passed" if self.passed else "REFUSED"
+        lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
+        lines += [f"  {failure}" for failure in self.failures]
+        lines += [f"  no bound: {reason}" for reason in self.reasons]
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+
+def certify(
+    problem: ContactProblem,
+    displacement: ArrayLike,
+    normal_force: ArrayLike,
+    friction_force: ArrayLike | None = None,
+    tie_force: ArrayLike | None = None,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+) -> Certificate:
+    """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
+
+    Parameters
+    ----------
+    displacement : (n,) array [length]
+    normal_force : (m,) array [force], positive in compression
+    friction_force : (m, d-1) or flat array [force], needed where the problem has tangential rows and friction
+    tie_force : (k,) array [force], needed where the problem has ties
+    tolerance : float
+        Largest figure that passes.
+    error_tolerance : float
+        Largest bound on the relative error that passes.
+    factorization : Condensation, optional
+        Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, missing forces, or an indefinite stiffness. NaN is no error here: it fails.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> cq.certify(wall, displacement=[1e-3], normal_force=[142.5]).passed
+    True
+    >>> cq.certify(wall, displacement=[1e-3], normal_force=[-142.5]).failures[1]
+    'tension: contact 0 is held with a force of -142.5 (1 of the forces that meet there, tolerance 1e-09)'
+    """
+    answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
+    if not answer.finite():
+        return _not_finite(problem, answer, tolerance, error_tolerance)
+    condensation = condense(problem) if factorization is None else _matching(problem, factorization)
+    found = violations(problem, answer)
+    known = bounds(problem, answer, condensation)
+    figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
+    figures["balance"] = balance(problem, answer, condensation.rigid)
+    failures = list(_failed_figures(problem, answer, found, figures, tolerance))
+    failures += _failed_bounds(problem, answer, known, error_tolerance)
+    grazing = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
+    return Certificate(
+        **figures,
+        energy_error=known.energy_error,
+        force_error=known.force_error,
+        force_bound=known.force_bound,
+        reasons=known.reasons,
+        grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
+        failures=tuple(failures),
+        notes=_notes(problem, grazing),
+        tolerance=tolerance,
+        error_tolerance=error_tolerance,
+        passed=not failures,
+        proven=known.energy_error is not None and known.force_error is not None,
+        violations=found,
+    )
+
+
+def contact_status(problem: ContactProblem, certificate: Certificate, answer_slip: NDArray[np.float64] | None) -> Any:
+    """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
+    found = certificate.violations
+    if found is None:
+        return np.full(problem.contacts, "unknown")
+    status = np.where(found.gap_measure > found.force_measure, "open", "closed").astype("<U8")
+    if problem.friction is not None and answer_slip is not None:
+        frictional = (problem.friction > 0) & (status == "closed")
+        size = np.linalg.norm(answer_slip, axis=1)
+        status[frictional] = np.where(size[frictional] > certificate.tolerance * np.max(size, initial=0.0), "slip", "stick")
+    status[list(certificate.grazing)] = "grazing"
+    return status
+
+
+def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
+    n, m, k = problem.dimension, problem.contacts, problem.ties
+    if tie is None and k:
+        raise InvalidProblem(f"tie_force: the problem has {k} ties; expected their forces, shape ({k},), got None")
+    tangential = None
+    if problem.slip_origin is not None:
+        if friction is None and problem.frictional:
+            raise InvalidProblem("friction_force: the problem has friction; expected one force a contact, got None")
+        shape = problem.slip_origin.shape
+        tangential = _shaped("friction_force", np.zeros(shape) if friction is None else friction, shape)
+    elif friction is not None and np.size(friction):
+        raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
+    return Answer(
+        _shaped("displacement", u, (n,)),
+        _shaped("normal_force", force, (m,)),
+        tangential,
+        _shaped("tie_force", np.zeros(0) if tie is None else tie, (k,)),
+    )
+
+
+def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
+    flat = (int(np.prod(shape)),)
+    if array.shape not in (shape, flat):
+        raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
+    return array.reshape(shape)
+
+
+def _matching(problem: ContactProblem, factorization: Condensation) -> Condensation:
+    if not factorization.fits(problem):
+        raise InvalidProblem("factorization: it was made for another stiffness or other rows than this problem's")
+    return factorization
+
+
+def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error_tolerance: float) -> Certificate:
+    return Certificate(
+        **dict.fromkeys(FIGURES, float("inf")),
+        energy_error=None,
+        force_error=None,
+        force_bound=None,
+        reasons=tuple(f"{name}: the answer is not finite" for name in ("energy_error", "force_error", "force_bound")),
+        grazing=(),
+        failures=tuple(_not_finite_parts(problem, answer)),
+        notes=(),
+        tolerance=tolerance,
+        error_tolerance=error_tolerance,
+        passed=False,
+        proven=False,
+    )
+
+
+def _not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
+    called = {"displacement": problem.dof_name, "normal_force": problem.contact_name, "friction_force": problem.contact_name}
+    for name in ("displacement", "normal_force", "friction_force", "tie_force"):
+        values = getattr(answer, name)
+        if values is not None and not np.all(np.isfinite(values)):
+            at = np.argwhere(~np.isfinite(values))[0]
+            where = called.get(name, lambda i: f"tie {i}")(int(at[0]))
+            yield f"{name}: {values[tuple(at)]} at {where}"
+
+
+def _failed_figures(
+    problem: ContactProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
+) -> Iterator[str]:
+    def where(name: str) -> int:
+        return int(np.argmax(getattr(found, name)))
+
+    def said(name: str, text: str, of: str) -> str:
+        return f"{name}: {text} ({figures[name]:.3g} of the {of}, tolerance {tolerance:g})"
+
+    force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
+    failed = [name for name in FIGURES if not figures[name] <= tolerance]
+    for name in failed:
+        if name == "balance":
+            yield said(name, "the forces on a body do not balance over a rigid motion", "forces that act on it")
+            continue
+        i = where(name)
+        if name == "equilibrium":
+            missing = found.residual[i]
+            yield said(name, f"{problem.dof_name(i)} is out of balance by {missing:.6g}{force}", "forces that meet there")
+        elif name == "penetration":
+            text = f"{problem.contact_name(i)} is penetrated by {-found.gap[i]:.6g}{length}"
+            yield said(name, text, "lengths that meet there")
+        elif name == "tension":
+            text = f"{problem.contact_name(i)} is held with a force of {answer.normal_force[i]:.6g}{force}"
+            yield said(name, text, "forces that meet there")
+        elif name == "complementarity":
+            text = (
+                f"{problem.contact_name(i)} is open by {found.gap[i]:.6g}{length} "
+                f"and pushes with {answer.normal_force[i]:.6g}{force}"
+            )
+            yield said(name, text, "sizes that meet there")
+        elif name == "cone":
+            yield said(name, f"the friction of {problem.contact_name(i)} exceeds its bound", "forces that meet there")
+        elif name == "slip_direction":
+            text = f"{problem.contact_name(i)} slips and its friction does not oppose the slip at its bound"
+            yield said(name, text, "sizes that meet there")
+        else:
+            yield said(name, f"tie {i} is not met", "lengths that meet there")
+
+
+def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
+    pairs = (
+        ("energy_error", "displacement", known.energy_error, known.energy_scale, known.energy_scale),
+        ("force_error", "contact forces", known.force_error, known.force_scale, known.energy_scale),
+    )
+    for name, what, value, scale, substitute in pairs:
+        if value is None:
+            continue
+        # An error that is absolute, because the true size vanishes, is judged against the energy of the answer.
+        limit = tolerance if scale > 0 else tolerance * substitute
+        if not value <= limit:
+            kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
+            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+    relative = known.relative_force_bound
+    if relative is not None and known.force_bound is not None and not np.all(relative <= tolerance):
+        i = int(np.argmax(relative))
+        yield (
+            f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
+            f"{_with_unit(problem.units.force)}, may be off by {known.force_bound[i]:.3g}{_with_unit(problem.units.force)} "
+            f"({relative[i]:.3g} of the contact forces, tolerance {tolerance:g})"
+        )
+
+
+def _with_unit(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _notes(problem: ContactProblem, grazing: NDArray[np.bool_]) -> tuple[str, ...]:
+    notes = []
+    if np.any(grazing):
+        names = ", ".join(problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:8])
+        notes.append(f"grazing (gap and force both vanish): {names}")
+    if problem.asymmetry > 0:
+        notes.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+    return tuple(notes)

@@ -1,0 +1,179 @@
+"""Static condensation onto the contact unknowns.
+
+With c the retained unknowns (those that contacts or ties touch, and those that fix what would float without them) and
+i the interior,
+
+    S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c),
+
+and min 1/2 x'Sx - f_S'x subject to E_c x <= g, A_c x = b has the forces of the full problem as its own. K_ii is
+factorised once, for every load, gap, method and certificate that follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.factorization import (
+    SUSPICIOUS_PIVOT,
+    Array,
+    Factorization,
+    RigidMotions,
+    factorise,
+    null_space,
+)
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Candidate
+
+# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
+BLOCK = 64
+# A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
+NOTHING_LEFT = 1e-8
+
+
+class Condensation:
+    """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.delassus: Any = None  # made by `delassus.delassus` when first asked for
+        self.factorisations = 0
+        self.back_substitutions = 0
+        self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        self._sparse = sp.csr_matrix(problem.stiffness)
+        touched = _touched_unknowns(problem)
+        motions: Array | None = None
+        self._partition(touched)
+        if self._factor is not None and self._factor.smallest_pivot < SUSPICIOUS_PIVOT:
+            motions = null_space(self._sparse)
+            fixing = _fixing_unknowns(motions, touched)
+            if fixing.size:
+                self._partition(np.union1d(touched, fixing))
+        self.schur = self._schur_complement()
+        self.scale = self._scale()
+        if motions is None and self._schur_is_suspicious():
+            motions = null_space(self._sparse)
+        if motions is None:
+            motions = np.zeros((problem.dimension, 0))
+        self.rigid = RigidMotions(np.linalg.qr(motions)[0] if motions.shape[1] else motions)
+        self._clear_rigid_motions()
+        self.normal = problem.normal[:, self.retained].toarray()
+        self.tie = problem.tie[:, self.retained].toarray()
+        self.tangent = None if problem.tangent is None else problem.tangent[:, self.retained]
+
+    def fits(self, problem: ContactProblem) -> bool:
+        """Whether a problem has the stiffness and the rows that were condensed."""
+        theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
+
+    def _partition(self, retained: NDArray[np.intp]) -> None:
+        n = self._sparse.shape[0]
+        self.retained = retained
+        self.interior = np.setdiff1d(np.arange(n), retained)
+        self._factor: Factorization | None = None
+        self._coupling = self._sparse[self.interior][:, self.retained]
+        if self.interior.size:
+            self._factor = factorise(self._sparse[self.interior][:, self.interior])
+            self.factorisations += 1
+
+    def _schur_complement(self) -> Array:
+        S = self._sparse[self.retained][:, self.retained].toarray()
+        for start in range(0, len(self.retained), BLOCK):
+            columns = slice(start, start + BLOCK)
+            right = self._coupling[:, columns].toarray()
+            S[:, columns] -= self._coupling.T @ self._interior_solve(right)
+        return np.asarray((S + S.T) / 2)
+
+    def _scale(self) -> Array:
+        """1/sqrt(S_jj), or 1/sqrt(K_jj) where condensation left next to nothing of the diagonal."""
+        before = self._sparse.diagonal()[self.retained]
+        left = self.schur.diagonal()
+        return 1.0 / np.sqrt(np.where(left > NOTHING_LEFT * before, left, np.where(before > 0, before, 1.0)))
+
+    def _schur_is_suspicious(self) -> bool:
+        if not len(self.schur):
+            return False
+        try:
+            lower = np.linalg.cholesky(self.schur * np.outer(self.scale, self.scale))
+        except np.linalg.LinAlgError:
+            return True
+        return bool(np.min(np.diag(lower)) ** 2 < SUSPICIOUS_PIVOT)
+
+    def _clear_rigid_motions(self) -> None:
+        """Take the rounding of S along rigid motions away: there S is zero."""
+        if not self.rigid.count or not len(self.schur):
+            return
+        Q, _ = np.linalg.qr(self.rigid.basis[self.retained] / self.scale[:, None])
+        clear = np.eye(len(Q)) - Q @ Q.T
+        cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
+        self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
+
+    def _interior_solve(self, right: Array) -> Array:
+        if self._factor is None:
+            return np.zeros_like(right)
+        self.back_substitutions += 1 if right.ndim == 1 else right.shape[1]
+        return self._factor.solve(right)
+
+    def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
+        """f_S, and K_ii^-1 f_i for `expand`."""
+        inner = self._interior_solve(load[self.interior])
+        return load[self.retained] - self._coupling.T @ inner, inner
+
+    def expand(self, retained: Vector, inner: Vector) -> Vector:
+        """The full displacement from that of the retained unknowns; `inner` is K_ii^-1 f_i."""
+        u = np.empty(self._sparse.shape[0])
+        u[self.retained] = retained
+        u[self.interior] = inner - self._interior_solve(self._coupling @ retained)
+        return u
+
+    def reduced_problem(self, problem: ContactProblem, reduced_load: Vector) -> ContactProblem:
+        """The condensed problem, itself a ContactProblem."""
+        return problem.transformed(self.schur, reduced_load, self.normal, problem.gap, self.tie, problem.tie_value)
+
+    def expand_candidate(self, candidate: Candidate, inner: Vector) -> Candidate:
+        return replace(candidate, displacement=self.expand(candidate.displacement, inner))
+
+    def restrict_candidate(self, candidate: Candidate) -> Candidate:
+        return replace(candidate, displacement=candidate.displacement[self.retained])
+
+
+def condense(problem: ContactProblem) -> Condensation:
+    """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
+    shared: dict[str, Any] = problem._shared
+    if "condensation" not in shared:
+        shared["condensation"] = Condensation(problem)
+    condensation: Condensation = shared["condensation"]
+    return condensation
+
+
+def _same_matrix(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    if one is None or other is None or one.shape != other.shape:
+        return False
+    return abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0
+
+
+def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
+    rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
+    return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+
+
+def _fixing_unknowns(motions: Array, retained: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Unknowns that, held with the retained ones, leave no rigid motion to the interior."""
+    from scipy.linalg import null_space as dense_null_space
+    from scipy.linalg import qr
+
+    if not motions.shape[1]:
+        return np.zeros(0, dtype=np.intp)
+    scaled = motions / np.max(abs(motions), axis=0)
+    free = scaled
+    if retained.size:
+        free = scaled @ dense_null_space(scaled[retained], rcond=1e-10)
+    if not free.shape[1]:
+        return np.zeros(0, dtype=np.intp)
+    _, _, pivots = qr(free.T, mode="economic", pivoting=True)
+    return np.asarray(pivots[: free.shape[1]], dtype=np.intp)

@@ -1,0 +1,72 @@
+"""The Delassus operator: what the contacts and ties feel of each other through the bodies.
+
+    W = [E; A] S_e^-1 [E; A]',    S_e = S + e Z Z'
+
+on the condensed unknowns, in the scale that gives S a unit diagonal and W too. Where bodies float, W would be infinite along
+their rigid motions Z: the springs e anchor them, and a proximal iteration (Rockafellar 1976) takes the anchors' force away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.condensation import Condensation
+from contactqp.factorization import Array
+from contactqp.problem import Vector
+
+# Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
+ANCHOR = 1e-6
+
+
+class Delassus:
+    """W and the free response, for one condensation and all of its loads."""
+
+    def __init__(self, condensation: Condensation) -> None:
+        from scipy.linalg import cho_factor
+
+        self.scale = condensation.scale
+        S = condensation.schur * np.outer(self.scale, self.scale)
+        motions = condensation.rigid.basis[condensation.retained] / self.scale[:, None]
+        self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
+        self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
+        anchored = S + ANCHOR * self.motions @ self.motions.T
+        try:
+            self._factor = cho_factor(anchored, lower=True, check_finite=False) if len(S) else None
+        except np.linalg.LinAlgError:  # rounding of S made its softest motion negative; the answer is refined later
+            lift = 8 * len(S) * np.finfo(float).eps * np.trace(anchored)
+            self._factor = cho_factor(anchored + lift * np.eye(len(S)), lower=True, check_finite=False)
+        response = self._solve(self.rows.T)
+        W = self.rows @ response
+        self.row_scale = 1.0 / np.sqrt(np.diag(W))
+        self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
+        self._response = response * self.row_scale
+
+    def _solve(self, right: Array) -> Array:
+        from scipy.linalg import cho_solve
+
+        return right if self._factor is None else np.asarray(cho_solve(self._factor, right, check_finite=False))
+
+    @property
+    def compliance(self) -> Vector:
+        """W_ii of every contact and tie [length / force]."""
+        return np.asarray(1.0 / self.row_scale**2)
+
+    def free_response(self, load: Vector, anchor: Vector) -> Vector:
+        """Scaled displacement without contact forces, the rigid motions anchored at the scaled displacement `anchor`."""
+        return self._solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
+
+    def excess(self, displacement: Vector, limit: Vector) -> Vector:
+        """Scaled [E; A] x - (g; b) of a scaled displacement: positive where a contact is penetrated."""
+        return np.asarray(self.row_scale * (self.rows @ displacement - limit))
+
+    def displaced(self, free: Vector, force: Vector) -> Vector:
+        """The scaled displacement under scaled contact and tie forces."""
+        return np.asarray(free - self._response @ force)
+
+
+def delassus(condensation: Condensation) -> Delassus:
+    """Made once for a condensation."""
+    if condensation.delassus is None:
+        condensation.delassus = Delassus(condensation)
+    operator: Delassus = condensation.delassus
+    return operator

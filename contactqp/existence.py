@@ -1,0 +1,111 @@
+"""Why a problem has no equilibrium, in words: conflicting constraints, or a rigid motion that the load drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.condensation import Condensation
+from contactqp.errors import NoEquilibrium
+from contactqp.factorization import Array
+from contactqp.problem import ContactProblem, Vector
+
+# The work of a load on a rigid motion below this part of the forces that take part is rounding of a balanced load.
+BALANCED = 1e-11
+# Constraints that can be met to this part of their own lengths are not called conflicting.
+COMPATIBLE = 1e-9
+NAMES_IN_A_MESSAGE = 8
+
+
+def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) -> None:
+    """Raise if some rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it.
+
+    max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
+    constraints' recession cone (Frank and Wolfe 1956).
+    """
+    Z = condensation.rigid.basis
+    if not Z.shape[1] or not np.any(problem.load):
+        return
+    Z = Z / np.max(abs(Z), axis=0)
+    drive = problem.load @ Z
+    if np.all(abs(drive) <= BALANCED * (abs(problem.load) @ abs(Z))):
+        return
+    motion = Z @ _steepest(drive, _unit(problem.normal @ Z, Z), _unit(problem.tie @ Z, Z))
+    size = np.max(abs(motion), initial=0.0)
+    if size == 0:
+        return
+    motion = motion / size
+    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)):
+        raise NoEquilibrium(
+            f"the load drives a rigid motion that no contact or tie holds back: {describe_motion(problem, motion)}"
+        )
+
+
+def _unit(rows: Array, Z: Array) -> Array:
+    """Rows on rigid motions, of unit size where they are not rounding."""
+    size = np.max(abs(rows), axis=1, keepdims=True, initial=0.0)
+    return np.where(size > BALANCED, rows / np.where(size > 0, size, 1.0), 0.0) if rows.size else np.zeros((0, Z.shape[1]))
+
+
+def _steepest(drive: Array, normal: Array, tie: Array) -> Array:
+    from scipy.optimize import linprog
+
+    answer = linprog(
+        -drive / np.max(abs(drive)),
+        A_ub=normal if len(normal) else None,
+        b_ub=np.zeros(len(normal)) if len(normal) else None,
+        A_eq=tie if len(tie) else None,
+        b_eq=np.zeros(len(tie)) if len(tie) else None,
+        bounds=(-1, 1),
+        method="highs",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if answer.x is None:
+        raise NoEquilibrium(f"whether the load drives a rigid motion could not be decided: {answer.message}")
+    direction = np.where(abs(answer.x) > 1e-9, answer.x, 0.0)
+    return np.asarray(direction)
+
+
+def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
+    """Raise if no displacement satisfies E u <= g, A u = b; the message names rows that conflict.
+
+    The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict, and
+    its multipliers are Farkas' proof: a combination of the named rows that reads 0 <= -t.
+    """
+    from scipy.optimize import linprog
+
+    rows = np.vstack([condensation.normal, condensation.tie, -condensation.tie]) * condensation.scale
+    right = np.concatenate([problem.gap, problem.tie_value, -problem.tie_value])
+    if not len(rows):
+        return
+    length = np.linalg.norm(rows, axis=1)
+    rows, right = rows / length[:, None], right / length
+    size = np.max(abs(right), initial=0.0)
+    if size == 0:
+        return
+    count = rows.shape[1]
+    answer = linprog(
+        np.append(np.zeros(count), 1.0),
+        A_ub=np.column_stack([rows, -np.ones(len(rows))]),
+        b_ub=right / size,
+        bounds=[(None, None)] * count + [(0, None)],
+        method="highs",
+    )
+    if answer.x is None or answer.x[-1] <= COMPATIBLE:
+        return
+    m, k = problem.contacts, problem.ties
+    taking_part = np.flatnonzero(abs(answer.ineqlin.marginals) > 1e-9)
+    names = [problem.contact_name(i) if i < m else f"tie {(i - m) % k}" for i in taking_part]
+    raise NoEquilibrium(f"no displacement satisfies these constraints together: {_listed(names)}")
+
+
+def describe_motion(problem: ContactProblem, motion: Vector) -> str:
+    """A motion in words: the unknowns that move, and how far relative to the largest."""
+    moving = np.flatnonzero(abs(motion) > 1e-9 * np.max(abs(motion)))
+    order = moving[np.argsort(-abs(motion[moving]), kind="stable")]
+    return _listed([f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order])
+
+
+def _listed(names: list[str]) -> str:
+    shown = names[:NAMES_IN_A_MESSAGE]
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")

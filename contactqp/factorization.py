@@ -1,0 +1,178 @@
+"""Sparse direct solvers behind one small interface, and the motions that a singular stiffness lets through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+
+Array = NDArray[np.float64]
+
+# Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
+DENSE_SIZE = 300
+# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked for.
+SUSPICIOUS_PIVOT = 1e-10
+# Rounding of the data leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown; a spring 1e-13 times
+# softer than what it holds stays above this.
+RIGID_TOLERANCE = 128 * np.finfo(float).eps
+
+
+class Factorization(Protocol):
+    """A factorised symmetric positive definite matrix."""
+
+    smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
+
+    def solve(self, right: Array) -> Array:
+        """K^-1 right, for one right-hand side (n,) or several (n, q)."""
+
+
+class DenseCholesky:
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal."""
+
+    def __init__(self, matrix: Array) -> None:
+        from scipy.linalg import cho_factor
+
+        self._scale = unit_diagonal_scale(matrix)
+        try:
+            self._factor = cho_factor(matrix * np.outer(self._scale, self._scale), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            self.smallest_pivot = 0.0
+            return
+        self.smallest_pivot = float(np.min(np.diag(self._factor[0])) ** 2) if len(matrix) else 1.0
+
+    def solve(self, right: Array) -> Array:
+        from scipy.linalg import cho_solve
+
+        return (cho_solve(self._factor, right.T * self._scale.T if right.ndim == 1 else right * self._scale[:, None],
+                          check_finite=False).T * self._scale).T  # fmt: skip
+
+
+class SuperLU:
+    """SuperLU in symmetric mode with diagonal pivots, so that its pivots are those of L D L'."""
+
+    def __init__(self, matrix: Any) -> None:
+        from scipy.sparse.linalg import splu
+
+        self._scale = unit_diagonal_scale(matrix)
+        scaling = sp.diags(self._scale)
+        scaled = sp.csc_matrix(scaling @ matrix @ scaling)
+        try:
+            self._factor = splu(
+                scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        except RuntimeError:  # SuperLU's word for an exactly zero pivot
+            self.smallest_pivot = 0.0
+            return
+        self.smallest_pivot = float(np.min(self._factor.U.diagonal()))
+
+    def solve(self, right: Array) -> Array:
+        return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
+
+
+def unit_diagonal_scale(matrix: Any) -> Array:
+    """1/sqrt(K_jj), and 1 where the diagonal is zero."""
+    diagonal = np.asarray(matrix.diagonal(), dtype=float)
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def factorise(matrix: Any) -> Factorization:
+    """Factorise a symmetric positive semidefinite matrix; look at `smallest_pivot` before solving.
+
+    Raises
+    ------
+    InvalidProblem
+        A pivot is negative beyond rounding: the matrix is indefinite.
+    """
+    size = matrix.shape[0]
+    factor: Factorization
+    if size <= DENSE_SIZE:
+        factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
+    else:
+        factor = SuperLU(matrix)
+    if factor.smallest_pivot < -SUSPICIOUS_PIVOT:
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got a pivot of {factor.smallest_pivot:.3g} "
+            "after scaling its diagonal to one"
+        )
+    return factor
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotions:
+    """An orthonormal basis of the null space of K."""
+
+    basis: Array  # (n, r)
+
+    @property
+    def count(self) -> int:
+        return int(self.basis.shape[1])
+
+
+def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
+    """Which columns z satisfy K z = 0 to rounding: |K z|_j <= RIGID_TOLERANCE (|K||z|)_j at every unknown j."""
+    forces = abs(matrix @ motions)
+    scale = abs(matrix) @ abs(motions)
+    # An unknown at rest among unknowns at rest up to rounding has a scale of rounding itself: weigh it by its diagonal.
+    diagonal = np.asarray(matrix.diagonal(), dtype=float)
+    width = np.sqrt(diagonal)[:, None] * np.max(np.sqrt(diagonal)[:, None] * abs(motions), axis=0, initial=0.0)
+    return np.asarray(np.all(forces <= RIGID_TOLERANCE * np.maximum(scale, width), axis=0))
+
+
+def null_space(matrix: Any) -> Array:
+    """A basis (n, r) of the null space of a positive semidefinite matrix, component by component of its graph."""
+    from scipy.sparse.csgraph import connected_components
+
+    graph = sp.csr_matrix(matrix)
+    count, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    bounds = np.searchsorted(label[order], np.arange(count + 1))
+    columns, rows, values, found = [], [], [], 0
+    for c in range(count):
+        members = order[bounds[c] : bounds[c + 1]]
+        local = _null_space_of_component(graph[members][:, members])
+        for column in local.T:
+            rows.append(members)
+            columns.append(np.full(len(members), found))
+            values.append(column)
+            found += 1
+    if not found:
+        return np.zeros((graph.shape[0], 0))
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray())
+
+
+def _null_space_of_component(component: Any) -> Array:
+    size = component.shape[0]
+    scale = unit_diagonal_scale(component)
+    if size == 1:
+        return np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0))
+    scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
+    lowest = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
+    return np.asarray(scale[:, None] * lowest[:, is_rigid(scaled, lowest)])
+
+
+def _lowest_dense(scaled: Array) -> Array:
+    from scipy.linalg import eigh
+
+    values, vectors = eigh(scaled)
+    return np.asarray(vectors[:, values <= SUSPICIOUS_PIVOT])
+
+
+def _lowest_sparse(scaled: Any) -> Array:
+    """Inverse subspace iteration on K + shift: the block doubles until it holds a vector that is not rigid."""
+    shifted = SuperLU(sp.csr_matrix(scaled + SUSPICIOUS_PIVOT * sp.identity(scaled.shape[0])))
+    random = np.random.default_rng(0)
+    width = 8
+    while True:
+        block, _ = np.linalg.qr(random.standard_normal((scaled.shape[0], width)))
+        for _ in range(4):
+            block, _ = np.linalg.qr(shifted.solve(block))
+        values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
+        if values[-1] > SUSPICIOUS_PIVOT or width >= scaled.shape[0]:
+            return np.asarray(block @ rotation[:, values <= SUSPICIOUS_PIVOT])
+        width = min(2 * width, scaled.shape[0])

@@ -1,0 +1,153 @@
+"""Our own method: the primal-dual active set on the Delassus operator, safeguarded by a finite dual active-set method.
+
+The primal-dual active set (Hintermueller, Ito and Kunisch 2003) takes the contacts with W_ii l_i > gap_i as closed, solves, and
+repeats; few steps, and many contacts change in each. Where it comes back to a set it has seen, Goldfarb and Idnani's method, which ends
+after finitely many steps, takes over. Bodies held by contact alone are anchored by soft springs whose force a
+proximal iteration removes; every pass ends with a look at the true equilibrium on the set that it found.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.condensation import Condensation, condense
+from contactqp.delassus import Delassus, delassus
+from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.existence import refuse_conflict
+from contactqp.methods.method import Method, Settings
+from contactqp.nonnegative import Infeasible, dual_active_set
+from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import SaddlePoint
+from contactqp.solution import Candidate
+
+# Relative excess or tension that a double-precision Delassus operator cannot tell from zero.
+ROUNDING = 1e-12
+# More steps than this mean that the sets alternate; the safeguard is cheaper.
+PRIMAL_DUAL_STEPS = 40
+PROXIMAL_STEPS = 60
+
+
+def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
+    """The contact set of the solution, and the answer on it.
+
+    Raises
+    ------
+    NoEquilibrium
+        The constraints conflict; the message names them.
+    NotConverged
+        `max_iter` steps did not suffice (by default 50 for each contact and 200 more).
+    """
+    condensation = condense(problem)
+    operator = delassus(condensation)
+    load, inner = condensation.reduce_load(problem.load)
+    m = problem.contacts
+    limit = settings.max_iter or 50 * m + 200
+    anchor = np.zeros(len(load))
+    force = _warm(settings, operator, m)
+    steps = 0
+    for _ in range(PROXIMAL_STEPS):
+        free = operator.free_response(load, anchor)
+        try:
+            force, taken = _closed_by(operator, problem, free, force, limit - steps)
+        except Infeasible:
+            refuse_conflict(problem, condensation)
+            raise NoEquilibrium("the constraints conflict to rounding: no displacement satisfies all of them") from None
+        steps += taken
+        displaced = operator.displaced(free, force)
+        closed = np.flatnonzero(force[:m] > 0)
+        answer = _equilibrium_on(problem, condensation, operator, load, closed)
+        if answer is not None:
+            x, normal_force, tie_force = answer
+            return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+        if steps >= limit:
+            break
+        anchor = displaced
+    raise NotConverged(f"active-set: no contact set was found in {steps} steps")
+
+
+def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
+    force = np.zeros(len(operator.W))
+    if settings.warm_start is not None:
+        force[:m] = settings.warm_start.normal_force / operator.row_scale[:m]
+    return force
+
+
+def _closed_by(
+    operator: Delassus, problem: ContactProblem, free: Vector, force: Vector, limit: int
+) -> tuple[Vector, int]:
+    """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back."""
+    bound = np.concatenate([problem.gap, problem.tie_value])
+    excess = operator.excess(free, bound)
+    tolerance = ROUNDING * operator.row_scale * (abs(operator.rows) @ abs(free) + abs(bound))
+    tied = np.arange(len(bound)) >= problem.contacts
+    force, steps, done = _primal_dual(operator.W, excess, tied, tolerance, force, min(limit, PRIMAL_DUAL_STEPS))
+    if done:
+        return force, steps
+    force, more, done = dual_active_set(operator.W, excess, tied, tolerance, limit - steps)
+    if not done:
+        raise NotConverged(f"active-set: the contact set still changed after {limit} steps")
+    return force, steps + more
+
+
+def _primal_dual(
+    W: NDArray[np.float64],
+    excess: Vector,
+    tied: NDArray[np.bool_],
+    tolerance: Vector,
+    force: Vector,
+    limit: int,
+) -> tuple[Vector, int, bool]:
+    """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
+    seen: set[bytes] = set()
+    for step in range(1, limit + 1):
+        closed = tied | (force + (excess - W @ force) > tolerance)
+        if closed.tobytes() in seen:
+            return force, step, False
+        seen.add(closed.tobytes())
+        B = np.flatnonzero(closed)
+        force = np.zeros(len(W))
+        try:
+            lower = np.linalg.cholesky(W[np.ix_(B, B)])
+        except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
+            return force, step, False
+        if B.size and np.min(np.diag(lower)) ** 2 < ROUNDING:
+            return force, step, False
+        force[B] = np.linalg.solve(lower.T, np.linalg.solve(lower, excess[B]))
+        penetrated = np.where(closed, 0.0, excess - W @ force)
+        if np.all(penetrated <= tolerance) and np.all(force[~tied] >= 0):
+            return force, step, True
+    return force, limit, False
+
+
+def _equilibrium_on(
+    problem: ContactProblem, condensation: Condensation, operator: Delassus, load: Vector, closed: NDArray[np.intp]
+) -> tuple[Vector, Vector, Vector] | None:
+    """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
+    saddle = SaddlePoint(condensation, closed)
+    if saddle.unbalanced(load) > ROUNDING:
+        return None
+    x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
+    force = np.zeros(problem.contacts)
+    force[closed] = on_set
+    length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
+    rigid = condensation.rigid.count > 0
+    push = force / operator.row_scale[: problem.contacts]
+    if np.any(push < -ROUNDING * np.max(abs(push), initial=0.0)):
+        return None
+    penetrated = condensation.normal @ x - problem.gap > ROUNDING * length
+    if np.any(penetrated[np.setdiff1d(np.arange(len(force)), closed)]) and rigid:
+        return None
+    return x, np.maximum(force, 0.0), tie_force
+
+
+METHODS = (
+    Method(
+        name="active-set",
+        kind="active set",
+        solve=solve_active_set,
+        polish=True,
+        corrections=50,
+        note="finite: primal-dual steps, safeguarded by a dual active-set method",
+    ),
+)

@@ -1,0 +1,80 @@
+"""The perturbed Lagrangian method of the course chapter (eqs 2.27-2.29), with the sign of its perturbation corrected."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.methods.method import Method, Settings
+from contactqp.methods.textbook_loop import (
+    Indices,
+    Mask,
+    Step,
+    active_set_loop,
+    binding_rows,
+    contact_stiffness,
+    solve_bordered,
+    spread,
+)
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Candidate
+
+NAME = "perturbed-lagrangian"
+
+
+def solve_perturbed_lagrangian(problem: ContactProblem, settings: Settings) -> Candidate:
+    """The multiplier's energy is perturbed by lambda^2 / (2 kappa), which regularises the multiplier system:
+
+        [ K    E_N'     ] {u     }   {f}
+        [ E_N  -1/kappa ] {lambda} = {g}
+
+    (the course chapter, eq. 2.29, which prints +1/kappa: that is a contact spring of negative stiffness, and singular at
+    kappa = K). Eliminating lambda gives the penalty method with beta = kappa; in floating point this form does not
+    multiply a difference of lengths by kappa, and stays right at kappa = 1e20. Ties are rows with a zero on the diagonal.
+
+    Options
+    -------
+    perturbation : float or (m,) array
+        kappa [force / length], positive.
+
+    Raises
+    ------
+    InvalidProblem
+        kappa is not positive and finite.
+    NotConverged
+        The closed contacts do not hold the bodies.
+    """
+    kappa = contact_stiffness(NAME, "perturbation", settings.options["perturbation"], problem.contacts)
+    return active_set_loop(NAME, problem, settings, partial(_enforce, problem, kappa), stiffness=0.0)
+
+
+def _enforce(problem: ContactProblem, kappa: Vector, closed: Mask, preference: Indices) -> Step:
+    # Perturbed contact rows may depend on each other; ties may not.
+    rows, values, ties, _ = binding_rows(NAME, problem, np.zeros_like(closed), preference)
+    contacts = np.flatnonzero(closed)
+    rows = sp.csr_array(sp.vstack([rows, problem.normal[contacts]], format="csr"))
+    values = np.concatenate([values, problem.gap[contacts]])
+    corner = np.concatenate([np.zeros(ties.size), -1.0 / kappa[contacts]])
+    displacement, force = solve_bordered(NAME, problem.stiffness, problem.load, rows, values, corner)
+    return Step(
+        displacement,
+        normal_force=spread(force[ties.size :], contacts, problem.contacts),
+        tie_force=spread(force[: ties.size], ties, problem.ties),
+        bound=closed,
+    )
+
+
+METHODS = (
+    Method(
+        name=NAME,
+        kind="classical enforcement",
+        solve=solve_perturbed_lagrangian,
+        exact=False,
+        options=("perturbation",),
+        required=("perturbation",),
+        knob="perturbation",
+        note="multipliers with a compliance 1/kappa (course chapter, eq. 2.29, sign corrected); equals penalty at beta = kappa",
+    ),
+)

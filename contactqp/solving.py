@@ -1,0 +1,242 @@
+"""solve(): condense, run a method, expand, polish, certify."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from contactqp.certificate import certify, contact_status
+from contactqp.condensation import Condensation
+from contactqp.condensation import condense as condensation_of
+from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, Unsupported
+from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
+from contactqp.methods import Method, Settings, find
+from contactqp.polishing import closed_contacts, least_displacement
+from contactqp.polishing import polish as polish_set
+from contactqp.problem import ContactProblem, Vector
+from contactqp.scaling import nondimensional
+from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
+
+
+@dataclass(frozen=True, eq=False)
+class _Polished:
+    displacement: Vector
+    normal_force: Vector
+    tie_force: Vector
+    free_motions: tuple[FreeMotion, ...]
+    corrections: int
+
+
+def solve(
+    problem: ContactProblem,
+    method: str = "active-set",
+    *,
+    tolerance: float = 1e-9,
+    condense: bool | str = "auto",
+    polish: bool = True,
+    time_limit: float | None = None,
+    max_iter: int | None = None,
+    warm_start: Solution | None = None,
+    algorithm: str | None = None,
+    **options: Any,
+) -> Solution:
+    """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate.
+
+    Parameters
+    ----------
+    method : str
+        A name of `contactqp.methods()`.
+    tolerance : float
+        Of the method, relative, on the nondimensional problem.
+    condense : bool or "auto"
+        Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is smaller.
+    polish : bool
+        Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their set corrected twice.
+        `solution.raw` is the answer before it.
+    time_limit : float, optional
+        Seconds, for methods that can stop.
+    max_iter : int, optional
+        Iterations of the method.
+    warm_start : Solution, optional
+        Of a problem with the same contacts.
+    algorithm : str, optional
+        The outer law of friction.
+    **options
+        What the method names in its `options`: `penalty` [force / length], `perturbation` [force / length], `update`, `solver`.
+
+    Raises
+    ------
+    NoEquilibrium
+        The constraints conflict, or the load drives a rigid motion that nothing holds.
+    NotConverged, BackendFailed
+        The method gave up; a last iterate, if any, is in `solution`.
+    NotCertified
+        The method promises the exact answer and the certificate refuses what it returned.
+    BackendMissing, Unsupported, InvalidProblem
+        The method is not installed, cannot do this, or an argument is wrong.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> bars = cq.ContactProblem(stiffness=[[157500.0, 0.0], [0.0, 315000.0]], load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3])
+    >>> solution = cq.solve(bars)
+    >>> solution.normal_force.round(9), solution.certificate.proven
+    (array([95.]), True)
+    """
+    started = time.perf_counter()
+    chosen = find(method)
+    settings = Settings(tolerance, max_iter, time_limit, _start(problem, warm_start), options)
+    _refuse_unsupported(problem, chosen, settings, algorithm)
+    meter = _Meter(problem)
+    way = condensation_of(problem)
+    refuse_driven_motion(problem, way)
+    if way.rigid.count and not chosen.semidefinite:
+        raise Unsupported(f"{method}: bodies held by contact alone (the stiffness is singular); try active-set")
+    try:
+        candidate = _run(problem, chosen, settings, way, condense)
+    except (NotConverged, BackendFailed):
+        refuse_conflict(problem, way)
+        raise
+    polished = _polish(problem, way, chosen, candidate) if polish and chosen.polish else None
+    solution = _solution(problem, chosen, candidate, polished, meter, started)
+    if polished is None and not candidate.claimed:
+        refuse_conflict(problem, way)
+        reason = candidate.status or "it stopped before it had an answer"
+        raise NotConverged(f"{method}: {reason} (after {candidate.iterations} iterations)", candidate.history, solution)
+    if chosen.exact and not solution.certificate.passed:
+        refuse_conflict(problem, way)
+        failures = "; ".join(solution.certificate.failures)
+        raise NotCertified(f"{method}: the certificate refuses the answer: {failures}", solution)
+    return solution
+
+
+class _Meter:
+    """Counts what one call costs, the condensation included where this call makes it."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        known: Condensation | None = problem._shared.get("condensation")
+        self._problem = problem
+        self._before = (known.factorisations, known.back_substitutions) if known else (0, 0)
+
+    def read(self, iterations: int, corrections: int) -> Work:
+        way = condensation_of(self._problem)
+        return Work(
+            factorisations=way.factorisations - self._before[0],
+            back_substitutions=way.back_substitutions - self._before[1],
+            iterations=iterations,
+            retained=len(way.retained),
+            polish_corrections=corrections,
+        )
+
+
+def _start(problem: ContactProblem, warm_start: Solution | None) -> Candidate | None:
+    if warm_start is None:
+        return None
+    shapes = ((problem.dimension,), (problem.contacts,), (problem.ties,))
+    values = (warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
+    if tuple(value.shape for value in values) != shapes:
+        raise InvalidProblem(f"warm_start: expected a solution of {problem!r}, got one of {warm_start.problem!r}")
+    return Candidate(*values)
+
+
+def _refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:
+    unknown = sorted(set(settings.options) - set(method.options))
+    if unknown:
+        known = ", ".join(method.options) or "none"
+        raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}; its own options: {known}")
+    missing = [name for name in method.required if settings.options.get(name) is None]
+    if missing:
+        raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
+    if not settings.tolerance > 0:
+        raise InvalidProblem(f"tolerance: expected a positive number, got {settings.tolerance}")
+    if problem.frictional:
+        raise Unsupported(f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)")
+    if algorithm is not None:
+        raise Unsupported(f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none")
+
+
+def _run(
+    problem: ContactProblem, method: Method, settings: Settings, way: Condensation, wanted: bool | str
+) -> Candidate:
+    """The method's candidate in the unknowns of the problem, whatever it was shown."""
+    if wanted not in (True, False, "auto"):
+        raise InvalidProblem(f"condense: expected True, False or 'auto', got {wanted!r}")
+    condensed = len(way.retained) < problem.dimension if wanted == "auto" else bool(wanted)
+    if not condensed:
+        return _run_scaled(problem, method, settings)
+    load, inner = way.reduce_load(problem.load)
+    start = settings.warm_start
+    if start is not None:
+        settings = replace(settings, warm_start=way.restrict_candidate(start))
+    return way.expand_candidate(_run_scaled(way.reduced_problem(problem, load), method, settings), inner)
+
+
+def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> Candidate:
+    if not method.scale:
+        return method.solve(problem, settings)
+    twin, scaling = nondimensional(problem)
+    if settings.warm_start is not None:
+        settings = replace(settings, warm_start=scaling.scale(settings.warm_start))
+    return scaling.unscale(method.solve(twin, settings))
+
+
+def _polish(problem: ContactProblem, way: Condensation, method: Method, candidate: Candidate) -> _Polished | None:
+    """The refined answer on the candidate's contact set, or None where its signs do not hold."""
+    if not (np.all(np.isfinite(candidate.displacement)) and np.all(np.isfinite(candidate.normal_force))):
+        return None
+    closed = closed_contacts(problem, way, candidate.displacement, candidate.normal_force)
+    answer, corrections, holds = polish_set(problem, way, closed, method.corrections)
+    if not holds:
+        return None
+    displacement, free = least_displacement(problem, way, answer)
+    motions = tuple(_free_motion(problem, direction) for direction in free.T)
+    force = np.maximum(np.asarray(answer.normal_force, dtype=float), 0.0)
+    return _Polished(displacement, force, np.asarray(answer.tie_force, dtype=float), motions, corrections)
+
+
+def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:
+    direction = direction / direction[np.argmax(abs(direction))]
+    return FreeMotion(direction, describe_motion(problem, direction))
+
+
+def _solution(
+    problem: ContactProblem,
+    method: Method,
+    candidate: Candidate,
+    polished: _Polished | None,
+    meter: _Meter,
+    started: float,
+) -> Solution:
+    raw = None
+    final: Candidate | _Polished = candidate
+    if polished is not None:
+        final = polished
+        # The active-set method's own answer is the set; what came before its refinement is no other method's answer.
+        raw = None if method.kind == "active set" else _raw(problem, candidate)
+    no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
+    certificate = certify(problem, final.displacement, final.normal_force, no_friction, final.tie_force)
+    return Solution(
+        problem=problem,
+        displacement=final.displacement,
+        normal_force=final.normal_force,
+        friction_force=no_friction,
+        tie_force=final.tie_force,
+        contact_status=contact_status(problem, certificate, None),
+        free_motions=polished.free_motions if polished else (),
+        certificate=certificate,
+        method=method.name,
+        seconds=time.perf_counter() - started,
+        work=meter.read(candidate.iterations, polished.corrections if polished else 0),
+        raw=raw,
+        history=candidate.history,
+    )
+
+
+def _raw(problem: ContactProblem, candidate: Candidate) -> Raw:
+    no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
+    values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
+    certificate = certify(problem, values[0], values[1], no_friction, values[2])
+    return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)

@@ -1,0 +1,209 @@
+"""What an answer violates: the worst contact or unknown, dimensionless, whatever the units and the scale of rows and unknowns.
+
+With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j and
+L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i, a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
+as its size over L_i; 0/0 is 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.extended import extend, extended_rows
+from contactqp.factorization import Array, RigidMotions
+from contactqp.problem import ContactProblem, Vector
+
+# Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
+NO_RESULTANT = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Somebody's displacement and forces, of the right shapes."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    tie_force: Vector  # (k,)
+
+    def finite(self) -> bool:
+        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
+        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Violations:
+    """Every figure for every unknown, contact, tie, so that the worst can be named; all at least 0."""
+
+    equilibrium: Vector  # (n,) |residual_j| / F_j (Oettli and Prager 1964)
+    residual: Vector  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu [force]
+    penetration: Vector  # (m,) (E_N u - g)+ as a gap
+    tension: Vector  # (m,) (-l_N)+ as a force
+    complementarity: Vector  # (m,) min(gap, l_N), each in its own measure
+    cone: Vector  # (m,) (|l_T| - mu l_N)+ as a force
+    slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
+    tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
+    gap: Vector  # (m,) g - E_N u [length]
+    gap_measure: Vector  # (m,) |gap| / L
+    force_measure: Vector  # (m,) |l_N| as a force
+    meeting: Vector  # (n,) F [force]
+
+
+def violations(problem: ContactProblem, answer: Answer) -> Violations:
+    """Every figure of an answer, its residuals formed in extended precision."""
+    rows = extended_rows(problem)
+    u, force, tie = extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force)
+    residual = extend(problem.load) - rows.internal_force(u) - rows.contact_force(force, tie)
+    if rows.tangent is not None and answer.friction_force is not None:
+        residual = residual - rows.tangent.T @ extend(answer.friction_force).ravel()
+    gap = extend(problem.gap) - rows.normal @ u
+    tie_error = abs(rows.tie @ u - extend(problem.tie_value))
+    F = forces_that_meet(problem, answer)
+    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
+    gap_measure = ratio(abs(gap), length)
+    push = force_measure(problem.normal, answer.normal_force, F)
+    cone, direction = _friction(problem, answer, F)
+    return Violations(
+        equilibrium=ratio(abs(residual), F),
+        residual=np.asarray(residual, dtype=float),
+        penetration=np.where(gap < 0, gap_measure, 0.0),
+        tension=np.where(answer.normal_force < 0, push, 0.0),
+        complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
+        cone=cone,
+        slip_direction=direction,
+        tie=ratio(tie_error, abs(problem.tie) @ abs(answer.displacement) + abs(problem.tie_value)),
+        gap=np.asarray(gap, dtype=float),
+        gap_measure=gap_measure,
+        force_measure=push,
+        meeting=F,
+    )
+
+
+def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
+    """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
+    return abs(problem.stiffness) @ abs(answer.displacement) + _outer_forces(problem, answer)
+
+
+def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
+    """F without |K||u|: what acts on the bodies from outside."""
+    outer = abs(problem.load) + abs(problem.normal).T @ abs(answer.normal_force)
+    outer = outer + abs(problem.tie).T @ abs(answer.tie_force)
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + abs(problem.tangent).T @ abs(answer.friction_force).ravel()
+    return np.asarray(outer)
+
+
+def ratio(size: Any, scale: Vector) -> Vector:
+    """size / scale with 0/0 = 0."""
+    size = np.asarray(size, dtype=float)
+    return np.divide(size, scale, out=np.where(size > 0, np.inf, 0.0), where=scale > 0)
+
+
+def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
+    """max_j |E_ij l_i| / F_j for every row i."""
+    entries = abs(rows).tocoo()
+    part = ratio(entries.data * abs(force)[entries.row], meeting[entries.col])
+    measure = np.zeros(rows.shape[0])
+    np.maximum.at(measure, entries.row, part)
+    return measure
+
+
+def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vector, Vector]:
+    """Coulomb's law, contact by contact: how far outside the cone, and how far from opposing the slip."""
+    none = np.zeros(problem.contacts)
+    if problem.tangent is None or problem.friction is None or problem.slip_origin is None or answer.friction_force is None:
+        return none, none
+    force = answer.friction_force
+    slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
+    size, slipped = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=1)
+    bound = problem.friction * np.maximum(answer.normal_force, 0.0)
+    beyond = np.maximum(size - bound, 0.0)[:, None] * _direction(force)
+    wrong = force - bound[:, None] * _direction(slip)
+    lengths = (abs(problem.tangent) @ abs(answer.displacement)).reshape(force.shape) + abs(problem.slip_origin)
+    slipping = np.minimum(ratio(slipped, np.linalg.norm(lengths, axis=1)), _tangential(problem, wrong, F))
+    return _tangential(problem, beyond, F), slipping
+
+
+def _direction(vectors: Array) -> Array:
+    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+
+
+def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:
+    """max_j |E_T' v|_j / F_j of one tangential force vector v a contact."""
+    width = force.shape[1]
+    blocks = sp.csr_matrix(
+        (force.ravel(), (np.repeat(np.arange(len(force)), width), np.arange(force.size))), shape=(len(force), force.size)
+    )
+    spread = abs(blocks @ sp.csr_matrix(problem.tangent)).tocoo()
+    measure = np.zeros(len(force))
+    np.maximum.at(measure, spread.row, ratio(spread.data, F[spread.col]))
+    return measure
+
+
+def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
+
+    By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
+    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer depends on no
+    choice of basis, unit or scale.
+    """
+    if not rigid.count:
+        return 0.0
+    from scipy.sparse.csgraph import connected_components
+
+    rows = extended_rows(problem)
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    if rows.tangent is not None and answer.friction_force is not None:
+        outer = outer - rows.tangent.T @ extend(answer.friction_force).ravel()
+    size = _outer_forces(problem, answer)
+    _, body = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
+    moving = np.any(rigid.basis != 0, axis=1)
+    worst = 0.0
+    for b in np.unique(body[moving]):
+        members = np.flatnonzero(body == b)
+        worst = max(worst, _worst_resultant(rigid.basis[members], np.asarray(outer[members]), size[members]))
+    return worst
+
+
+def _worst_resultant(motions: Array, force: Any, size: Vector) -> float:
+    """max over z in the span of the columns of |z'force| / |z|'size."""
+    loaded = size > 0
+    if not np.any(loaded):
+        return 0.0
+    # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
+    weighted = motions[loaded] * size[loaded, None]
+    left, values, _ = np.linalg.svd(weighted, full_matrices=False)
+    basis = left[:, values > 1e-10 * values[0]] if values[0] > 0 else left[:, :0]
+    share = extend(force[loaded]) / size[loaded]
+    resultant = np.asarray(share @ extend(basis), dtype=float)
+    spread = np.sum(abs(basis), axis=0)
+    single = abs(resultant) / spread
+    if basis.shape[1] <= 1 or np.max(single) <= NO_RESULTANT:
+        return float(np.max(single, initial=0.0))
+    direction = _worst_direction(basis, resultant / np.max(abs(resultant)))
+    return float(max(abs(resultant @ direction) / np.sum(abs(basis @ direction)), np.max(single)))
+
+
+def _worst_direction(basis: Array, weight: Vector) -> Vector:
+    """argmax weight'a subject to sum |basis a| <= 1."""
+    from scipy.optimize import linprog
+
+    count, width = basis.shape
+    unit, dense = sp.identity(count), sp.csr_matrix(basis)
+    answer = linprog(
+        np.concatenate([-weight, np.zeros(count)]),
+        A_ub=sp.bmat([[dense, -unit], [-dense, -unit], [None, np.ones((1, count))]], format="csr"),
+        b_ub=np.append(np.zeros(2 * count), 1.0),
+        bounds=[(None, None)] * width + [(0, None)] * count,
+        method="highs",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if answer.x is None:
+        raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
+    return np.asarray(answer.x[:width])
