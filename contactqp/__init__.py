@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from contactqp.analysis.load_path import History as History
+    from contactqp.analysis.history import History as History
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
@@ -40,7 +40,7 @@ _HOME = {
     "Certificate": "certificate",
     "ContactProblem": "problem",
     "ContactQPError": "errors",
-    "History": "analysis.load_path",
+    "History": "analysis.history",
     "InvalidProblem": "errors",
     "NoEquilibrium": "errors",
     "NotCertified": "errors",

@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
+from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
@@ -45,6 +46,8 @@ from contactqp.violations import Answer
 
 # The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its energies.
 REPAIRS = 3
+# A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering accuracy.
+TOUCHING = 1e-6
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
@@ -98,15 +101,26 @@ def _none(reason: str) -> Bounds:
 
 
 def _pair(problem: ContactProblem, answer: Answer, condensation: Condensation) -> _Pair:
-    closed = closed_contacts(problem, condensation, answer.displacement, answer.normal_force)
-    on_set, _, holds = polish(problem, condensation, closed, REPAIRS)
-    if on_set.contraction >= CONTRACTION:
-        raise Unproven(
-            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
-        )
-    if holds:
-        return _from_set(problem, answer, condensation, on_set)
-    return _from_repair(problem, answer, condensation, closed)
+    sets = _believed_sets(problem, answer, condensation)
+    for closed in sets:
+        on_set, _, holds = polish(problem, condensation, closed, REPAIRS)
+        if on_set.contraction >= CONTRACTION:
+            raise Unproven(
+                f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
+            )
+        if holds:
+            return _from_set(problem, answer, condensation, on_set)
+    return _from_repair(problem, answer, condensation, sets[0])
+
+
+def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Condensation) -> list[NDArray[np.intp]]:
+    """The contacts closed by gap and force together, and, should these disagree, by either alone."""
+    u, force = answer.displacement, answer.normal_force
+    length = abs(problem.normal) @ abs(u) + abs(problem.gap)
+    touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
+    size = force * np.sqrt(delassus(condensation).compliance[: problem.contacts])
+    pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
+    return [closed_contacts(problem, condensation, u, force), touching, pushing]
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> _Pair:
@@ -247,7 +261,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=_relative(energy, energy_scale, pair.radius),
         force_error=_relative(force, force_scale, pair.dual_radius),
         force_bound=bound,
-        relative_force_bound=None if bound is None or force_scale == 0 else bound * _row_size(problem) / force_scale,
+        relative_force_bound=None if bound is None or force_scale == 0 else bound * row_size(problem) / force_scale,
         energy_scale=energy_scale,
         force_scale=force_scale,
         reasons=() if reason is None else (f"force_bound: {reason}",),
@@ -277,7 +291,7 @@ def _force_norm(problem: ContactProblem, condensation: Condensation, force: Exte
     return _energy_norm(problem, condensation, u) + error
 
 
-def _row_size(problem: ContactProblem) -> Vector:
+def row_size(problem: ContactProblem) -> Vector:
     """|E_i D|: the square root of the compliance that contact i finds at its own unknowns."""
     squares = problem.normal.multiply(problem.normal)
     diagonal = problem.stiffness.diagonal()

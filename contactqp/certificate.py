@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.bounds import Bounds, bounds
+from contactqp.bounds import Bounds, bounds, row_size
 from contactqp.condensation import Condensation, condense
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Vector
@@ -105,7 +105,7 @@ def certify(
     figures["balance"] = balance(problem, answer, condensation.rigid)
     failures = list(_failed_figures(problem, answer, found, figures, tolerance))
     failures += _failed_bounds(problem, answer, known, error_tolerance)
-    grazing = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
+    grazing = _grazing(problem, answer, found, known, tolerance)
     return Certificate(
         **figures,
         energy_error=known.energy_error,
@@ -123,12 +123,27 @@ def certify(
     )
 
 
+def _grazing(
+    problem: ContactProblem, answer: Answer, found: Violations, known: Bounds, tolerance: float
+) -> NDArray[np.bool_]:
+    """Contacts whose gap and force both vanish.
+
+    Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where the energy of the
+    answer is known it must vanish against that too.
+    """
+    vanish = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
+    if known.energy_scale > 0:
+        vanish &= abs(answer.normal_force) * row_size(problem) <= tolerance * known.energy_scale
+    return vanish
+
+
 def contact_status(problem: ContactProblem, certificate: Certificate, answer_slip: NDArray[np.float64] | None) -> Any:
     """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
     found = certificate.violations
     if found is None:
         return np.full(problem.contacts, "unknown")
-    status = np.where(found.gap_measure > found.force_measure, "open", "closed").astype("<U8")
+    pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance))
+    status = np.where(pushes, "closed", "open").astype("<U8")
     if problem.friction is not None and answer_slip is not None:
         frictional = (problem.friction > 0) & (status == "closed")
         size = np.linalg.norm(answer_slip, axis=1)

@@ -58,7 +58,7 @@ class Condensation:
             motions = null_space(self._sparse)
         if motions is None:
             motions = np.zeros((problem.dimension, 0))
-        self.rigid = RigidMotions(np.linalg.qr(motions)[0] if motions.shape[1] else motions)
+        self.rigid = RigidMotions(motions)
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
         self.tie = problem.tie[:, self.retained].toarray()
@@ -106,7 +106,7 @@ class Condensation:
         """Take the rounding of S along rigid motions away: there S is zero."""
         if not self.rigid.count or not len(self.schur):
             return
-        Q, _ = np.linalg.qr(self.rigid.basis[self.retained] / self.scale[:, None])
+        Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
         clear = np.eye(len(Q)) - Q @ Q.T
         cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)

@@ -26,7 +26,7 @@ class Delassus:
 
         self.scale = condensation.scale
         S = condensation.schur * np.outer(self.scale, self.scale)
-        motions = condensation.rigid.basis[condensation.retained] / self.scale[:, None]
+        motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
         self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
         anchored = S + ANCHOR * self.motions @ self.motions.T

@@ -11,6 +11,8 @@ from contactqp.problem import ContactProblem, Vector
 
 # The work of a load on a rigid motion below this part of the forces that take part is rounding of a balanced load.
 BALANCED = 1e-11
+# The linear program meets its rows to 1e-10: a gain of this part of the largest drive is no artefact of that.
+DRIVEN = 1e-8
 # Constraints that can be met to this part of their own lengths are not called conflicting.
 COMPATIBLE = 1e-9
 NAMES_IN_A_MESSAGE = 8
@@ -22,19 +24,17 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
     constraints' recession cone (Frank and Wolfe 1956).
     """
-    Z = condensation.rigid.basis
+    Z = condensation.rigid.motions
     if not Z.shape[1] or not np.any(problem.load):
         return
     Z = Z / np.max(abs(Z), axis=0)
     drive = problem.load @ Z
     if np.all(abs(drive) <= BALANCED * (abs(problem.load) @ abs(Z))):
         return
-    motion = Z @ _steepest(drive, _unit(problem.normal @ Z, Z), _unit(problem.tie @ Z, Z))
-    size = np.max(abs(motion), initial=0.0)
-    if size == 0:
-        return
-    motion = motion / size
-    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)):
+    gain, coordinates = _steepest(drive, _unit(problem.normal @ Z, Z), _unit(problem.tie @ Z, Z))
+    motion = Z @ coordinates
+    if gain > DRIVEN:
+        motion = motion / np.max(abs(motion))
         raise NoEquilibrium(
             f"the load drives a rigid motion that no contact or tie holds back: {describe_motion(problem, motion)}"
         )
@@ -46,7 +46,8 @@ def _unit(rows: Array, Z: Array) -> Array:
     return np.where(size > BALANCED, rows / np.where(size > 0, size, 1.0), 0.0) if rows.size else np.zeros((0, Z.shape[1]))
 
 
-def _steepest(drive: Array, normal: Array, tie: Array) -> Array:
+def _steepest(drive: Array, normal: Array, tie: Array) -> tuple[float, Array]:
+    """The largest gain over unit coordinates that no row resists, relative to the largest single one, and where it is had."""
     from scipy.optimize import linprog
 
     answer = linprog(
@@ -61,8 +62,7 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array:
     )
     if answer.x is None:
         raise NoEquilibrium(f"whether the load drives a rigid motion could not be decided: {answer.message}")
-    direction = np.where(abs(answer.x) > 1e-9, answer.x, 0.0)
-    return np.asarray(direction)
+    return float(-answer.fun), np.where(abs(answer.x) > DRIVEN, answer.x, 0.0)
 
 
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:

@@ -31,6 +31,7 @@ class ExtendedRows:
         self.normal = _csr(problem.normal)
         self.tie = _csr(problem.tie)
         self.tangent = None if problem.tangent is None else _csr(problem.tangent)
+        self._normal_transposed, self._tie_transposed = self.normal.T.tocsr(), self.tie.T.tocsr()
 
     def internal_force(self, displacement: Extended) -> Extended:
         """K u."""
@@ -38,7 +39,7 @@ class ExtendedRows:
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """E_N' l_N + A' nu."""
-        return np.asarray(self.normal.T @ normal_force + self.tie.T @ tie_force)
+        return np.asarray(self._normal_transposed @ normal_force + self._tie_transposed @ tie_force)
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -104,13 +105,18 @@ def factorise(matrix: Any) -> Factorization:
 
 @dataclass(frozen=True, eq=False)
 class RigidMotions:
-    """An orthonormal basis of the null space of K."""
+    """The null space of K."""
 
-    basis: Array  # (n, r)
+    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown, whatever its unit
 
     @property
     def count(self) -> int:
-        return int(self.basis.shape[1])
+        return int(self.motions.shape[1])
+
+    @cached_property
+    def basis(self) -> Array:
+        """An orthonormal basis (n, r)."""
+        return np.linalg.qr(self.motions)[0] if self.count else self.motions
 
 
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:

@@ -52,7 +52,7 @@ class SaddlePoint:
 
     def _unresisted(self, condensation: Condensation, rows: Array) -> Array:
         """An orthonormal basis (p, q) of the scaled motions that neither S nor a row resists."""
-        motions = condensation.rigid.basis[condensation.retained] / self._scale[:, None]
+        motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
         if not motions.shape[1]:
             return motions
         motions, _ = np.linalg.qr(motions)

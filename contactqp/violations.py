@@ -163,11 +163,11 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
         outer = outer - rows.tangent.T @ extend(answer.friction_force).ravel()
     size = _outer_forces(problem, answer)
     _, body = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
-    moving = np.any(rigid.basis != 0, axis=1)
+    moving = np.any(rigid.motions != 0, axis=1)
     worst = 0.0
     for b in np.unique(body[moving]):
         members = np.flatnonzero(body == b)
-        worst = max(worst, _worst_resultant(rigid.basis[members], np.asarray(outer[members]), size[members]))
+        worst = max(worst, _worst_resultant(rigid.motions[members], np.asarray(outer[members]), size[members]))
     return worst
 
 

@@ -1,0 +1,148 @@
+"""The command line: arguments only."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+import contactqp
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(contactqp.__version__, prog_name="contactqp")
+def command() -> None:
+    """Contact problems as energy minimisation with inequality constraints, every answer certified."""
+
+
+@command.command("run")
+@click.argument("cases", nargs=-1, required=True, metavar="CASE...")
+@click.option("--method", "methods", multiple=True, metavar="M", help="A name of `contactqp methods`; may be repeated.")
+@click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
+@click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
+@click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def run_command(
+    cases: tuple[str, ...],
+    methods: tuple[str, ...],
+    penalty: str | None,
+    perturbation: str | None,
+    options: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Solve each CASE (a file, or a folder of them) and compare with what it expects.
+
+    Without --method: by active-set, and by every method that the case itself says something about.
+    """
+    from contactqp.scene.arguments import case_files, read_knobs
+    from contactqp.scene.judging import Failure, judge_all
+    from contactqp.scene.loading import load_scene
+    from contactqp.scene.printing import judgement_data, print_judgement
+
+    scenes = [load_scene(file) for file in case_files(cases)]
+    knobs = read_knobs(penalty, perturbation, options)
+    console, met, data = _console(), True, []
+    for outcome in judge_all(scenes, methods, knobs):
+        met = met and outcome.met
+        if isinstance(outcome, Failure):
+            _complain(outcome.message)
+        elif not as_json:
+            print_judgement(console, outcome)
+        data.append(judgement_data(outcome))
+    if as_json:
+        _print_json(data)
+    sys.exit(0 if met else NOT_MET)
+
+
+@command.command("explain")
+@click.argument("case")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def explain_command(case: str, as_json: bool) -> None:
+    """Print the unknowns and constraints of CASE, and which blocks it got and which not, with the reason."""
+    from dataclasses import asdict
+
+    from contactqp.scene.explaining import explain
+    from contactqp.scene.loading import load_scene
+
+    explanation = explain(load_scene(case))
+    if as_json:
+        _print_json(asdict(explanation))
+    else:
+        from contactqp.scene.printing import print_explanation
+
+        print_explanation(_console(), explanation)
+
+
+@command.command("methods")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+def methods_command(as_json: bool) -> None:
+    """List every method: what it can do, and whether it is installed or how to install it."""
+    from contactqp.methods import methods
+    from contactqp.scene.printing import method_data, print_methods
+
+    if as_json:
+        _print_json([method_data(method) for method in methods()])
+    else:
+        print_methods(_console(), methods())
+
+
+@command.command("report")
+@click.argument("cases", nargs=-1, metavar="[CASE...]")
+@click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
+def report_command(cases: tuple[str, ...], output: str) -> None:
+    """Run every case by every method and every value of its knob, and write errors and run times to DIR."""
+    from contactqp.study.report import report
+
+    sys.exit(report(cases, output))
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    # Into a pipe or a file there is no width to wrap at.
+    return Console(width=None if sys.stdout.isatty() else 200, highlight=False)
+
+
+def _print_json(data: Any) -> None:
+    click.echo(json.dumps(data, indent=2, default=str, allow_nan=False))
+
+
+def _complain(message: str) -> None:
+    click.echo(f"contactqp: {' '.join(message.split())}", err=True)
+
+
+def _exit_code(error: ContactQPError) -> int:
+    if isinstance(error, BackendMissing):
+        return NOT_INSTALLED
+    return BAD_INPUT if isinstance(error, SceneError | InvalidProblem | Unsupported) else NOT_MET
+
+
+def main() -> NoReturn:
+    """Run the command line; every error of contactqp is one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
+            stream.reconfigure(errors="replace")
+    try:
+        command(standalone_mode=False)
+    except ContactQPError as error:
+        _complain(str(error))
+        sys.exit(_exit_code(error))
+    except click.ClickException as error:
+        error.show()
+        sys.exit(BAD_INPUT)
+    except (click.Abort, KeyboardInterrupt):
+        _complain("interrupted")
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    sys.exit(0)
