@@ -39,13 +39,16 @@ from numpy.typing import NDArray
 from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
+from contactqp.factorization import RIGID_TOLERANCE, unit_diagonal_scale
 from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
-from contactqp.violations import Answer
+from contactqp.violations import Answer, forces_that_meet, own_compliance
 
 # The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its energies.
 REPAIRS = 3
+# Contact forces whose energy norm is this part of the displacement's are the rounding of loads and gaps.
+VANISHING = 1e-13
 # A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering accuracy.
 TOUCHING = 1e-6
 # Refinement that contracts less than this proves nothing.
@@ -64,6 +67,7 @@ class Bounds:
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
     relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units, no row scale
+    rounding: float = 0.0  # what the refinement cannot tell from zero, in the square root of energy
     reasons: tuple[str, ...] = ()
 
 
@@ -126,11 +130,12 @@ def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Conden
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> _Pair:
     """The refined answer on a set whose signs hold is the solution, to its last correction."""
     distance = on_set.displacement - extend(answer.displacement)
-    allowance = 2 * _energy_norm(problem, condensation, extend(on_set.last_step))
-    allowance += _noise(problem, condensation, on_set.displacement)
-    force = np.maximum(on_set.normal_force, 0)
-    gap = np.maximum(np.asarray(on_set.gap, dtype=float), 0.0)
-    return _Pair(distance, allowance, allowance, force, gap, on_set.saddle)
+    du, dl, _ = on_set.last_step
+    step = extend(np.zeros(problem.contacts)).added_at(on_set.saddle.closed, dl)
+    allowance = 2 * _energy_norm(problem, condensation, extend(du)) + 2 * _force_norm(problem, condensation, step)
+    allowance += _noise(problem, answer)
+    gap = np.maximum(on_set.gap.double(), 0.0)
+    return _Pair(distance, allowance, allowance, on_set.normal_force.positive_part(), gap, on_set.saddle)
 
 
 def _from_repair(
@@ -140,19 +145,19 @@ def _from_repair(
     rows = extended_rows(problem)
     to_feasible, saddle = _close(problem, answer, condensation, closed)
     force, tie = _admissible_forces(problem, answer, condensation)
-    residual = extend(problem.load) - rows.internal_force(extend(answer.displacement)) - rows.contact_force(force, tie)
+    residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement) - rows.contact_force(force, tie)
     to_dual, last = _response(problem, condensation, residual, tied=False)
     gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
-    gap = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0, np.maximum(gap, 0))
-    allowance = last + _noise(problem, condensation, extend(answer.displacement))
+    room = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0.0, np.maximum(gap.double(), 0.0))
+    allowance = last + _noise(problem, answer)
     apart = _energy_norm(problem, condensation, to_feasible - to_dual) + allowance
-    slack = float(force @ gap)
+    slack = float(force.double() @ room)
     return _Pair(
-        to_middle=(to_feasible + to_dual) / 2,
+        to_middle=(to_feasible + to_dual).half(),
         radius=float(np.sqrt(apart**2 / 4 + slack)) + allowance,
         dual_radius=float(np.sqrt(apart**2 + 2 * slack)) + allowance,
         force=force,
-        open_gap=np.asarray(gap, dtype=float),
+        open_gap=room,
         saddle=saddle,
     )
 
@@ -172,7 +177,7 @@ def _close(
             open_tie = extend(problem.tie_value) - rows.tie @ (start + step)
             step = step + correction(condensation, saddle, extend(np.zeros(len(start))), gap[closed], open_tie)[0]
         gap = extend(problem.gap) - rows.normal @ (start + step)
-        penetrated = np.flatnonzero(-gap > ROUNDING * length)
+        penetrated = np.flatnonzero(-gap.double() > ROUNDING * length)
         if not penetrated.size:
             return step, saddle
         larger = np.union1d(closed, penetrated).astype(np.intp)
@@ -214,12 +219,12 @@ def _response(
     rows = extended_rows(problem)
     saddle = SaddlePoint(condensation, np.zeros(0, dtype=np.intp), tied)
     force = _without_rigid_part(condensation, force)
-    u, eta = extend(np.zeros(problem.dimension)), extend(np.zeros(problem.ties))
+    u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
     last = np.inf
     for _ in range(8):
-        residual = force - rows.internal_force(u) - rows.tie.T @ eta
-        open_tie = -(rows.tie @ u) if tied else extend(np.zeros(0))
-        du, _, dn = correction(condensation, saddle, residual, extend(np.zeros(0)), open_tie)
+        residual = force - rows.stiffness @ u - rows.contact_force(no_contact, eta)
+        none = extend(np.zeros(0))
+        du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
         u = u + du
         eta = eta + dn if tied else eta
         size = _energy_norm(problem, condensation, extend(du))
@@ -232,21 +237,20 @@ def _response(
 def _without_rigid_part(condensation: Condensation, vector: Extended) -> Extended:
     if not condensation.rigid.count:
         return vector
-    Z = extend(condensation.rigid.basis)
-    return np.asarray(vector - Z @ (Z.T @ vector))
+    Z = condensation.rigid.basis
+    return vector - Z @ (Z.T @ vector.double())
 
 
 def _energy_norm(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
-    """|v|_K; rigid motions cost nothing and are taken out, lest they cancel badly."""
+    """|v|_K; rigid motions cost nothing, and what rounding of K makes them cost is taken out."""
     elastic = _without_rigid_part(condensation, displacement)
-    square = elastic @ extended_rows(problem).internal_force(elastic)
-    return float(np.sqrt(max(square, 0)))
+    return float(np.sqrt(max(elastic.dot(extended_rows(problem).stiffness @ elastic), 0.0)))
 
 
-def _noise(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
-    """What the rounding of an extended residual may hide in an energy norm."""
-    size = abs(np.asarray(_without_rigid_part(condensation, displacement), dtype=float))
-    return float(EPS * np.sqrt(size @ (abs(problem.stiffness) @ size)))
+def _noise(problem: ContactProblem, answer: Answer) -> float:
+    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |K^+ d|_K <= |D d| / sqrt(lowest eigenvalue of DKD)."""
+    scale = unit_diagonal_scale(problem.stiffness)
+    return float(EPS / np.sqrt(RIGID_TOLERANCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair) -> Bounds:
@@ -254,6 +258,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     energy_scale = _energy_scale(problem, condensation, middle)
     energy = _energy_norm(problem, condensation, pair.to_middle) + pair.radius
     force_scale = _force_norm(problem, condensation, pair.force)
+    if force_scale <= VANISHING * energy_scale:
+        force_scale = 0.0
     force_change = _force_norm(problem, condensation, extend(answer.normal_force) - pair.force)
     force = force_change + pair.dual_radius
     bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -261,9 +267,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=_relative(energy, energy_scale, pair.radius),
         force_error=_relative(force, force_scale, pair.dual_radius),
         force_bound=bound,
-        relative_force_bound=None if bound is None or force_scale == 0 else bound * row_size(problem) / force_scale,
+        relative_force_bound=None if bound is None or force_scale == 0 else bound * np.sqrt(own_compliance(problem, problem.normal)) / force_scale,
         energy_scale=energy_scale,
         force_scale=force_scale,
+        rounding=4 * _noise(problem, answer) + EPS**0.75 * energy_scale,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
 
@@ -271,7 +278,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
 def _energy_scale(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
     """|u|_K, zero where it is no more than the rounding of a rigid motion."""
     norm = _energy_norm(problem, condensation, displacement)
-    size = abs(np.asarray(displacement, dtype=float))
+    size = abs(displacement.double())
     rounding = 64 * np.finfo(float).eps * np.sqrt(float(size @ (abs(problem.stiffness) @ size)))
     return norm if norm > rounding or not condensation.rigid.count else 0.0
 
@@ -285,18 +292,11 @@ def _relative(error: float, scale: float, uncertainty: float) -> float:
 
 def _force_norm(problem: ContactProblem, condensation: Condensation, force: Extended) -> float:
     """|d|_W: the energy norm of the tied bodies' response to contact forces d."""
-    if not np.any(force):
+    if not np.any(force.double()):
         return 0.0
-    u, error = _response(problem, condensation, extended_rows(problem).normal.T @ force, tied=True)
+    load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
+    u, error = _response(problem, condensation, load, tied=True)
     return _energy_norm(problem, condensation, u) + error
-
-
-def row_size(problem: ContactProblem) -> Vector:
-    """|E_i D|: the square root of the compliance that contact i finds at its own unknowns."""
-    squares = problem.normal.multiply(problem.normal)
-    diagonal = problem.stiffness.diagonal()
-    compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
-    return np.asarray(np.sqrt(squares @ compliance))
 
 
 def _force_bound(
@@ -318,4 +318,4 @@ def _force_bound(
         motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
         stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
         bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
-    return bound + np.asarray(abs(extend(answer.normal_force) - pair.force), dtype=float), None
+    return bound + abs((extend(answer.normal_force) - pair.force).double()), None

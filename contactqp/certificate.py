@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.bounds import Bounds, bounds, row_size
+from contactqp.bounds import Bounds, bounds
 from contactqp.condensation import Condensation, condense
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, Violations, balance, violations
+from contactqp.violations import Answer, Violations, balance, own_compliance, violations
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
@@ -133,7 +133,7 @@ def _grazing(
     """
     vanish = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
     if known.energy_scale > 0:
-        vanish &= abs(answer.normal_force) * row_size(problem) <= tolerance * known.energy_scale
+        vanish &= abs(answer.normal_force) * np.sqrt(own_compliance(problem, problem.normal)) <= tolerance * known.energy_scale
     return vanish
 
 
@@ -266,11 +266,13 @@ def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, toler
             continue
         # An error that is absolute, because the true size vanishes, is judged against the energy of the answer.
         limit = tolerance if scale > 0 else tolerance * substitute
-        if not value <= limit:
+        # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
+        if not (value <= limit or value * (scale or 1.0) <= known.rounding):
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
     relative = known.relative_force_bound
-    if relative is not None and known.force_bound is not None and not np.all(relative <= tolerance):
+    beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
+    if relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath)):
         i = int(np.argmax(relative))
         yield (
             f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"

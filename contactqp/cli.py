@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -44,23 +45,22 @@ def run_command(
     Without --method: by active-set, and by every method that the case itself says something about.
     """
     from contactqp.scene.arguments import case_files, read_knobs
-    from contactqp.scene.judging import Failure, judge_all
+    from contactqp.scene.judging import Failure, Judgement, judge_all
     from contactqp.scene.loading import load_scene
-    from contactqp.scene.printing import judgement_data, print_judgement
+    from contactqp.scene.printing import judgement_data, print_judgements
 
     scenes = [load_scene(file) for file in case_files(cases)]
     knobs = read_knobs(penalty, perturbation, options)
-    console, met, data = _console(), True, []
-    for outcome in judge_all(scenes, methods, knobs):
-        met = met and outcome.met
-        if isinstance(outcome, Failure):
-            _complain(outcome.message)
-        elif not as_json:
-            print_judgement(console, outcome)
-        data.append(judgement_data(outcome))
+    console, outcomes = _console(), []
+    for scene in scenes:
+        outcomes += (found := judge_all(scene, methods, knobs))
+        for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
+            _complain(failure.message)
+        if not as_json:
+            print_judgements(console, [outcome for outcome in found if isinstance(outcome, Judgement)])
     if as_json:
-        _print_json(data)
-    sys.exit(0 if met else NOT_MET)
+        _print_json([judgement_data(outcome) for outcome in outcomes])
+    sys.exit(0 if all(outcome.met for outcome in outcomes) else NOT_MET)
 
 
 @command.command("explain")
@@ -126,13 +126,13 @@ def _exit_code(error: ContactQPError) -> int:
     return BAD_INPUT if isinstance(error, SceneError | InvalidProblem | Unsupported) else NOT_MET
 
 
-def main() -> NoReturn:
-    """Run the command line; every error of contactqp is one line and an exit code."""
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line, on `sys.argv` by default; every error of contactqp is one line and an exit code."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
             stream.reconfigure(errors="replace")
     try:
-        command(standalone_mode=False)
+        command(arguments, prog_name="contactqp", standalone_mode=False)
     except ContactQPError as error:
         _complain(str(error))
         sys.exit(_exit_code(error))

@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.factorization import (
     SUSPICIOUS_PIVOT,
     Array,
@@ -25,6 +26,7 @@ from contactqp.factorization import (
     RigidMotions,
     factorise,
     null_space,
+    unit_diagonal_scale,
 )
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
@@ -33,13 +35,17 @@ from contactqp.solution import Candidate
 BLOCK = 64
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
+# Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
+CONDENSED_ROUNDING = 1e-6
+# A motion of unit length that rows of unit length resist by less than this is not resisted.
+UNRESISTED = 1e-11
 
 
 class Condensation:
     """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.delassus: Any = None  # made by `delassus.delassus` when first asked for
+        self.delassus: list[Any] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
         self.factorisations = 0
         self.back_substitutions = 0
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
@@ -53,8 +59,8 @@ class Condensation:
             if fixing.size:
                 self._partition(np.union1d(touched, fixing))
         self.schur = self._schur_complement()
-        self.scale = self._scale()
-        if motions is None and self._schur_is_suspicious():
+        self.scale = self._scale(unknown_scale(problem))
+        if motions is None and self._schur_smallest_pivot() < SUSPICIOUS_PIVOT:
             motions = null_space(self._sparse)
         if motions is None:
             motions = np.zeros((problem.dimension, 0))
@@ -87,20 +93,27 @@ class Condensation:
             S[:, columns] -= self._coupling.T @ self._interior_solve(right)
         return np.asarray((S + S.T) / 2)
 
-    def _scale(self) -> Array:
-        """1/sqrt(S_jj), or 1/sqrt(K_jj) where condensation left next to nothing of the diagonal."""
+    def _scale(self, of_stiffness: Array) -> Array:
+        """1/sqrt(S_jj), or the scale that the stiffness gives where condensation left next to nothing of its diagonal."""
         before = self._sparse.diagonal()[self.retained]
         left = self.schur.diagonal()
-        return 1.0 / np.sqrt(np.where(left > NOTHING_LEFT * before, left, np.where(before > 0, before, 1.0)))
+        alive = left > NOTHING_LEFT * before
+        return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
 
-    def _schur_is_suspicious(self) -> bool:
+    def _schur_smallest_pivot(self) -> float:
         if not len(self.schur):
-            return False
+            return 1.0
+        scaled = self.schur * np.outer(self.scale, self.scale)
         try:
-            lower = np.linalg.cholesky(self.schur * np.outer(self.scale, self.scale))
+            return float(np.min(np.diag(np.linalg.cholesky(scaled))) ** 2)
         except np.linalg.LinAlgError:
-            return True
-        return bool(np.min(np.diag(lower)) ** 2 < SUSPICIOUS_PIVOT)
+            lowest = float(np.linalg.eigvalsh(scaled)[0])
+        if lowest < -CONDENSED_ROUNDING:
+            raise InvalidProblem(
+                f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {lowest:.3g} on the "
+                "contact unknowns, after scaling its diagonal to one)"
+            )
+        return min(lowest, 0.0)
 
     def _clear_rigid_motions(self) -> None:
         """Take the rounding of S along rigid motions away: there S is zero."""
@@ -109,6 +122,7 @@ class Condensation:
         Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
         clear = np.eye(len(Q)) - Q @ Q.T
         cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
+        cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
 
     def _interior_solve(self, right: Array) -> Array:
@@ -129,15 +143,44 @@ class Condensation:
         u[self.interior] = inner - self._interior_solve(self._coupling @ retained)
         return u
 
-    def reduced_problem(self, problem: ContactProblem, reduced_load: Vector) -> ContactProblem:
-        """The condensed problem, itself a ContactProblem."""
-        return problem.transformed(self.schur, reduced_load, self.normal, problem.gap, self.tie, problem.tie_value)
+    def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
+        """The condensed problem, itself a ContactProblem, which knows its own condensation."""
+        size = problem.load_size[self.retained] + abs(self._coupling.T) @ abs(inner)
+        data = (self.schur, reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
+        reduced = problem.transformed(*data)
+        reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
+        return reduced
+
+    def _of_reduced(self, reduced: ContactProblem) -> Condensation:
+        """What condensing the condensed problem would give: itself, with nothing left to factorise."""
+        twin = object.__new__(Condensation)
+        twin.__dict__ |= self.__dict__
+        twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
+        twin._sparse = sp.csr_matrix(self.schur)
+        twin.rigid = RigidMotions(self.rigid.motions[self.retained])
+        twin._partition(np.arange(len(self.retained)))
+        return twin
 
     def expand_candidate(self, candidate: Candidate, inner: Vector) -> Candidate:
         return replace(candidate, displacement=self.expand(candidate.displacement, inner))
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
         return replace(candidate, displacement=candidate.displacement[self.retained])
+
+
+def unknown_scale(problem: ContactProblem) -> Array:
+    """D (n,): 1/sqrt(K_jj); an unknown without stiffness takes the scale that gives its largest row entry the size of the others'."""
+    if "unknown_scale" in problem._shared:
+        return np.asarray(problem._shared["unknown_scale"])
+    D = unit_diagonal_scale(problem.stiffness)
+    bare = problem.stiffness.diagonal() == 0
+    if np.any(bare):
+        rows = abs(sp.csc_matrix(sp.vstack([problem.normal, problem.tie])))
+        largest = rows.max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(len(D))
+        stiff = (largest * D)[~bare & (largest > 0)]
+        size = np.median(stiff) if stiff.size else 1.0
+        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
+    return D
 
 
 def condense(problem: ContactProblem) -> Condensation:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.condensation import Condensation
-from contactqp.factorization import Array
+from contactqp.factorization import Array, DenseCholesky
 from contactqp.problem import Vector
 
 # Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
@@ -22,19 +22,12 @@ class Delassus:
     """W and the free response, for one condensation and all of its loads."""
 
     def __init__(self, condensation: Condensation) -> None:
-        from scipy.linalg import cho_factor
-
         self.scale = condensation.scale
         S = condensation.schur * np.outer(self.scale, self.scale)
         motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
         self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
-        anchored = S + ANCHOR * self.motions @ self.motions.T
-        try:
-            self._factor = cho_factor(anchored, lower=True, check_finite=False) if len(S) else None
-        except np.linalg.LinAlgError:  # rounding of S made its softest motion negative; the answer is refined later
-            lift = 8 * len(S) * np.finfo(float).eps * np.trace(anchored)
-            self._factor = cho_factor(anchored + lift * np.eye(len(S)), lower=True, check_finite=False)
+        self._factor = DenseCholesky(S + ANCHOR * self.motions @ self.motions.T) if len(S) else None
         response = self._solve(self.rows.T)
         W = self.rows @ response
         self.row_scale = 1.0 / np.sqrt(np.diag(W))
@@ -42,9 +35,7 @@ class Delassus:
         self._response = response * self.row_scale
 
     def _solve(self, right: Array) -> Array:
-        from scipy.linalg import cho_solve
-
-        return right if self._factor is None else np.asarray(cho_solve(self._factor, right, check_finite=False))
+        return right if self._factor is None else self._factor.solve(right)
 
     @property
     def compliance(self) -> Vector:
@@ -66,7 +57,7 @@ class Delassus:
 
 def delassus(condensation: Condensation) -> Delassus:
     """Made once for a condensation."""
-    if condensation.delassus is None:
-        condensation.delassus = Delassus(condensation)
-    operator: Delassus = condensation.delassus
+    if not condensation.delassus:
+        condensation.delassus.append(Delassus(condensation))
+    operator: Delassus = condensation.delassus[0]
     return operator

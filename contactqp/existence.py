@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from contactqp.condensation import Condensation
 from contactqp.errors import NoEquilibrium
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import BALANCED
 
-# The work of a load on a rigid motion below this part of the forces that take part is rounding of a balanced load.
-BALANCED = 1e-11
-# The linear program meets its rows to 1e-10: a gain of this part of the largest drive is no artefact of that.
-DRIVEN = 1e-8
+LP_TOLERANCE = 1e-10
+# Coordinates and gains of this part of the largest are no artefact of that tolerance.
+DRIVEN = 1e-7
 # Constraints that can be met to this part of their own lengths are not called conflicting.
 COMPATIBLE = 1e-9
 NAMES_IN_A_MESSAGE = 8
@@ -31,23 +33,28 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     drive = problem.load @ Z
     if np.all(abs(drive) <= BALANCED * (abs(problem.load) @ abs(Z))):
         return
-    gain, coordinates = _steepest(drive, _unit(problem.normal @ Z, Z), _unit(problem.tie @ Z, Z))
+    normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
+    coordinates = _without_artefacts(_steepest(drive, normal, tie), normal, tie)
     motion = Z @ coordinates
-    if gain > DRIVEN:
-        motion = motion / np.max(abs(motion))
+    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)) and drive @ coordinates > DRIVEN * np.max(abs(drive)):
         raise NoEquilibrium(
-            f"the load drives a rigid motion that no contact or tie holds back: {describe_motion(problem, motion)}"
+            "the load drives a rigid motion that no contact or tie holds back: "
+            f"{describe_motion(problem, motion / np.max(abs(motion)))}"
         )
 
 
-def _unit(rows: Array, Z: Array) -> Array:
+def _unit(rows: Any, Z: Array) -> Array:
     """Rows on rigid motions, of unit size where they are not rounding."""
-    size = np.max(abs(rows), axis=1, keepdims=True, initial=0.0)
-    return np.where(size > BALANCED, rows / np.where(size > 0, size, 1.0), 0.0) if rows.size else np.zeros((0, Z.shape[1]))
+    values = rows @ Z
+    if not len(values):
+        return np.zeros((0, Z.shape[1]))
+    size = np.max(abs(values), axis=1, keepdims=True)
+    rounding = BALANCED * np.max(abs(rows) @ abs(Z), axis=1, keepdims=True)
+    return np.where(size > rounding, values / np.where(size > 0, size, 1.0), 0.0)
 
 
-def _steepest(drive: Array, normal: Array, tie: Array) -> tuple[float, Array]:
-    """The largest gain over unit coordinates that no row resists, relative to the largest single one, and where it is had."""
+def _steepest(drive: Array, normal: Array, tie: Array) -> Array:
+    """The coordinates, at most one each, that gain most energy and that no row resists."""
     from scipy.optimize import linprog
 
     answer = linprog(
@@ -58,11 +65,21 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> tuple[float, Array]:
         b_eq=np.zeros(len(tie)) if len(tie) else None,
         bounds=(-1, 1),
         method="highs",
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if answer.x is None:
         raise NoEquilibrium(f"whether the load drives a rigid motion could not be decided: {answer.message}")
-    return float(-answer.fun), np.where(abs(answer.x) > DRIVEN, answer.x, 0.0)
+    return np.asarray(answer.x)
+
+
+def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
+    """The linear program meets its rows to a tolerance: make those it meets exact, and what it then leaves is real."""
+    met = np.vstack([normal[abs(normal @ coordinates) <= DRIVEN], tie])
+    if len(met):
+        _, values, rotation = np.linalg.svd(met)
+        free = rotation[int(np.sum(values > DRIVEN)) :]
+        coordinates = free.T @ (free @ coordinates)
+    return np.where(abs(coordinates) > DRIVEN, coordinates, 0.0)
 
 
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:

@@ -1,8 +1,9 @@
-"""Residuals in extended precision, where the platform has it.
+"""Vectors of twice double precision, and residuals formed in it.
 
 The difference between an answer and the truth is K^-1 r; computed in double precision, r is rounding noise as soon as
-the answer is good. NumPy's long double carries 64 bits on x86 (eps 1e-19) and 113 on some others; where it is plain double,
-`EPS` says so and every rounding allowance grows with it.
+the answer is good. Here every number is an unevaluated sum hi + lo of two doubles (Dekker 1971), products with matrices of doubles are
+accumulated by the compensated dot product Dot2 (Ogita, Rump and Oishi 2005), and the relative error of a sum is about
+EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic, the same on every platform.
 """
 
 from __future__ import annotations
@@ -15,31 +16,152 @@ from numpy.typing import NDArray
 
 from contactqp.problem import ContactProblem
 
-Extended = NDArray[np.longdouble]
-EPS = float(np.finfo(np.longdouble).eps)
+EPS = 2.0**-104
+_SPLITTER = 2.0**27 + 1.0
+
+Array = NDArray[np.float64]
+
+
+class Extended:
+    """A vector hi + lo with |lo| at most half a unit in the last place of hi."""
+
+    __slots__ = ("hi", "lo")
+
+    def __init__(self, hi: Any, lo: Any = None) -> None:
+        self.hi: Array = np.array(hi, dtype=float)
+        self.lo: Array = np.zeros_like(self.hi) if lo is None else np.array(lo, dtype=float)
+
+    def __len__(self) -> int:
+        return len(self.hi)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        del copy  # a sum of two arrays is a new array
+        return np.asarray(self.hi + self.lo, dtype=dtype)
+
+    def __getitem__(self, index: Any) -> Extended:
+        return Extended(self.hi[index], self.lo[index])
+
+    def __neg__(self) -> Extended:
+        return Extended(-self.hi, -self.lo)
+
+    def __add__(self, other: Extended | Array) -> Extended:
+        other = extend(other)
+        total, error = two_sum(self.hi, other.hi)
+        return Extended(*two_sum(total, error + (self.lo + other.lo)))
+
+    def __sub__(self, other: Extended | Array) -> Extended:
+        return self + (-extend(other))
+
+    def half(self) -> Extended:
+        return Extended(self.hi / 2, self.lo / 2)
+
+    def added_at(self, index: Any, values: Array) -> Extended:
+        """A copy with doubles added to some entries."""
+        increment = np.zeros_like(self.hi)
+        increment[index] = values
+        return self + increment
+
+    def positive_part(self) -> Extended:
+        """max(x, 0) of every entry."""
+        positive = self.hi > 0
+        return Extended(np.where(positive, self.hi, 0.0), np.where(positive, self.lo, 0.0))
+
+    def double(self) -> Array:
+        """Rounded to double precision."""
+        return self.hi + self.lo
+
+    def dot(self, other: Extended) -> float:
+        """x'y, accumulated in extended precision, rounded."""
+        product, error = two_product(self.hi, other.hi)
+        error = error + (self.hi * other.lo + self.lo * other.hi)
+        total, carried = 0.0, 0.0
+        for term, rest in zip(product.tolist(), error.tolist(), strict=True):
+            partial = total + term
+            virtual = partial - total
+            carried += (total - (partial - virtual)) + (term - virtual) + rest
+            total = partial
+        return total + carried
 
 
 def extend(values: Any) -> Extended:
-    return np.asarray(values, dtype=np.longdouble)
+    """A vector of doubles (or one that is extended already) in extended precision."""
+    return values if isinstance(values, Extended) else Extended(values)
+
+
+def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """a + b exactly, as rounded sum and error (Knuth 1969)."""
+    total = a + b
+    virtual = total - a
+    return total, (a - (total - virtual)) + (b - virtual)
+
+
+def two_product(a: Array, b: Array) -> tuple[Array, Array]:
+    """a b exactly, as rounded product and error (Veltkamp's splitting, Dekker 1971)."""
+    product = a * b
+    a_high, a_low = _split(a)
+    b_high, b_low = _split(b)
+    return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def _split(a: Array) -> tuple[Array, Array]:
+    scaled = _SPLITTER * a
+    high = scaled - (scaled - a)
+    return high, a - high
+
+
+class _Rows:
+    """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
+
+    def __init__(self, matrix: Any) -> None:
+        rows = sp.csr_matrix(matrix)
+        self.shape: tuple[int, int] = rows.shape
+        lengths = np.diff(rows.indptr)
+        width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
+        self._blocks = []
+        for exponent in np.unique(width_class[lengths > 0]):
+            members = np.flatnonzero((width_class == exponent) & (lengths > 0))
+            width = int(lengths[members].max())
+            slots = rows.indptr[members][:, None] + np.arange(width)
+            filled = np.arange(width) < lengths[members][:, None]
+            slots = np.where(filled, slots, 0)
+            values = np.where(filled, rows.data[slots], 0.0)
+            # One slot after the other, each contiguous in memory.
+            columns = np.ascontiguousarray(np.where(filled, rows.indices[slots], 0).T)
+            self._blocks.append((members, np.ascontiguousarray(values.T), columns))
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
+        for members, values, columns in self._blocks:
+            total, rest = np.zeros(len(members)), np.zeros(len(members))
+            for value, column in zip(values, columns, strict=True):
+                product, error = two_product(value, vector.hi[column])
+                total, carried = two_sum(total, product)
+                rest += carried + (error + value * vector.lo[column])
+            hi[members], lo[members] = two_sum(total, rest)
+        return Extended(hi, lo)
 
 
 class ExtendedRows:
-    """The matrices of a problem in extended precision, and the products that residuals are made of."""
+    """The matrices of a problem, for products in extended precision."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.stiffness = _csr(problem.stiffness)
-        self.normal = _csr(problem.normal)
-        self.tie = _csr(problem.tie)
-        self.tangent = None if problem.tangent is None else _csr(problem.tangent)
-        self._normal_transposed, self._tie_transposed = self.normal.T.tocsr(), self.tie.T.tocsr()
-
-    def internal_force(self, displacement: Extended) -> Extended:
-        """K u."""
-        return np.asarray(self.stiffness @ displacement)
+        self.stiffness = _Rows(problem.stiffness)
+        self.normal = _Rows(problem.normal)
+        self.tie = _Rows(problem.tie)
+        self.tangent = None if problem.tangent is None else _Rows(problem.tangent)
+        self._outward = _Rows(sp.hstack([problem.normal.T, problem.tie.T]))
+        self._tangent_transposed = None if problem.tangent is None else _Rows(problem.tangent.T)
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """E_N' l_N + A' nu."""
-        return np.asarray(self._normal_transposed @ normal_force + self._tie_transposed @ tie_force)
+        hi = np.concatenate([normal_force.hi, tie_force.hi])
+        return self._outward @ Extended(hi, np.concatenate([normal_force.lo, tie_force.lo]))
+
+    def friction_force(self, force: NDArray[np.float64] | None) -> Extended:
+        """E_T' l_T."""
+        if self._tangent_transposed is None or force is None:
+            return Extended(np.zeros(self.stiffness.shape[0]))
+        return self._tangent_transposed @ Extended(force.ravel())
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
@@ -49,7 +171,3 @@ def extended_rows(problem: ContactProblem) -> ExtendedRows:
         shared["extended"] = ExtendedRows(problem)
     rows: ExtendedRows = shared["extended"]
     return rows
-
-
-def _csr(matrix: Any) -> Any:
-    return sp.csr_matrix(matrix).astype(np.longdouble)

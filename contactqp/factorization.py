@@ -18,9 +18,12 @@ Array = NDArray[np.float64]
 DENSE_SIZE = 300
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked for.
 SUSPICIOUS_PIVOT = 1e-10
+# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true matrix
+# then tells whether the factors are good enough.
+LIFT = 4 * np.finfo(float).eps
 # Rounding of the data leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown; a spring 1e-13 times
 # softer than what it holds stays above this.
-RIGID_TOLERANCE = 128 * np.finfo(float).eps
+RIGID_TOLERANCE = 32 * np.finfo(float).eps
 
 
 class Factorization(Protocol):
@@ -36,21 +39,23 @@ class DenseCholesky:
     """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal."""
 
     def __init__(self, matrix: Array) -> None:
-        from scipy.linalg import cho_factor
+        from scipy.linalg import cho_factor, eigvalsh
 
         self._scale = unit_diagonal_scale(matrix)
+        scaled = matrix * np.outer(self._scale, self._scale)
         try:
-            self._factor = cho_factor(matrix * np.outer(self._scale, self._scale), lower=True, check_finite=False)
+            self._factor = cho_factor(scaled, lower=True, check_finite=False)
+            self.smallest_pivot = float(np.min(np.diag(self._factor[0])) ** 2)
         except np.linalg.LinAlgError:
-            self.smallest_pivot = 0.0
-            return
-        self.smallest_pivot = float(np.min(np.diag(self._factor[0])) ** 2) if len(matrix) else 1.0
+            lowest = float(eigvalsh(scaled)[0])
+            self.smallest_pivot = min(lowest, 0.0)
+            lift = max(2 * -lowest, LIFT * len(scaled))
+            self._factor = cho_factor(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
         from scipy.linalg import cho_solve
 
-        return (cho_solve(self._factor, right.T * self._scale.T if right.ndim == 1 else right * self._scale[:, None],
-                          check_finite=False).T * self._scale).T  # fmt: skip
+        return np.asarray((cho_solve(self._factor, (right.T * self._scale).T, check_finite=False).T * self._scale).T)
 
 
 class SuperLU:
@@ -62,14 +67,13 @@ class SuperLU:
         self._scale = unit_diagonal_scale(matrix)
         scaling = sp.diags(self._scale)
         scaled = sp.csc_matrix(scaling @ matrix @ scaling)
+        options = dict(permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         try:
-            self._factor = splu(
-                scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
+            self._factor = splu(scaled, **options)
+            self.smallest_pivot = float(np.min(self._factor.U.diagonal()))
         except RuntimeError:  # SuperLU's word for an exactly zero pivot
+            self._factor = splu(scaled + LIFT * scaled.shape[0] * sp.identity(scaled.shape[0], format="csc"), **options)
             self.smallest_pivot = 0.0
-            return
-        self.smallest_pivot = float(np.min(self._factor.U.diagonal()))
 
     def solve(self, right: Array) -> Array:
         return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
@@ -82,7 +86,7 @@ def unit_diagonal_scale(matrix: Any) -> Array:
 
 
 def factorise(matrix: Any) -> Factorization:
-    """Factorise a symmetric positive semidefinite matrix; look at `smallest_pivot` before solving.
+    """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` says how near to singular it is.
 
     Raises
     ------
@@ -124,7 +128,7 @@ def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
     forces = abs(matrix @ motions)
     scale = abs(matrix) @ abs(motions)
     # An unknown at rest among unknowns at rest up to rounding has a scale of rounding itself: weigh it by its diagonal.
-    diagonal = np.asarray(matrix.diagonal(), dtype=float)
+    diagonal = np.maximum(np.asarray(matrix.diagonal(), dtype=float), 0.0)
     width = np.sqrt(diagonal)[:, None] * np.max(np.sqrt(diagonal)[:, None] * abs(motions), axis=0, initial=0.0)
     return np.asarray(np.all(forces <= RIGID_TOLERANCE * np.maximum(scale, width), axis=0))
 
@@ -166,7 +170,10 @@ def _lowest_dense(scaled: Array) -> Array:
     from scipy.linalg import eigh
 
     values, vectors = eigh(scaled)
-    return np.asarray(vectors[:, values <= SUSPICIOUS_PIVOT])
+    soft = values <= SUSPICIOUS_PIVOT
+    lowest, others = vectors[:, soft], vectors[:, ~soft]
+    # One step of refinement takes out what rounding mixed in of the stiff motions.
+    return np.asarray(lowest - others @ ((others.T @ (scaled @ lowest)) / values[~soft, None]))
 
 
 def _lowest_sparse(scaled: Any) -> Array:

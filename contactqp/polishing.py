@@ -12,17 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import Condensation
+from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import Extended, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.nonnegative import dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
-from contactqp.violations import Answer, force_measure, forces_that_meet
+from contactqp.violations import Answer, force_measure, forces_that_meet, own_compliance
 
 # Refinement stops when a sweep no longer halves the correction; good sets need three or four.
 MAX_SWEEPS = 12
+# Forces of this part of the largest are what refinement leaves of zero.
+INVISIBLE = 1e-22
+# Corrections of this part of the first are far below what any user of doubles can see.
+NEGLIGIBLE = 1e-24
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
 ROUNDING = 8 * np.finfo(float).eps
 
@@ -36,41 +40,52 @@ class OnSet:
     tie_force: Extended
     gap: Extended
     saddle: SaddlePoint
-    last_step: Vector  # (n,) of the refinement: what it still changed at its end
+    last_step: tuple[Vector, Vector, Vector]  # of the refinement: what it still changed in u, l_B, nu at its end
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
 
 
-def answer_on(problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> OnSet:
-    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined."""
+def answer_on(
+    problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], start: Vector | None = None
+) -> OnSet:
+    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined (from `start`, whose free motions stay)."""
     rows = extended_rows(problem)
     saddle = SaddlePoint(condensation, closed)
-    u, force, tie = (extend(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties))
-    weight = np.sqrt(np.maximum(problem.stiffness.diagonal(), 0.0))
-    row_weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    u = extend(np.zeros(problem.dimension) if start is None else start)
+    force, tie = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
+    size_of = _CorrectionSize(problem, condensation, closed)
     sizes: list[float] = []
-    for _ in range(MAX_SWEEPS):
-        residual = extend(problem.load) - rows.internal_force(u) - rows.contact_force(force, tie)
+    while len(sizes) < MAX_SWEEPS:
+        residual = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, tie)
         gap = extend(problem.gap) - rows.normal @ u
         open_tie = extend(problem.tie_value) - rows.tie @ u
         du, dl, dn = correction(condensation, saddle, residual, gap[closed], open_tie)
-        u = u + du
-        force[closed] += dl
-        tie = tie + dn
-        moved = np.max(weight * abs(du), initial=0.0)
-        pushed = np.max(abs(np.concatenate([dl / row_weight[closed], dn / row_weight[problem.contacts :]])), initial=0.0)
-        sizes.append(float(max(moved, pushed)))
-        if sizes[-1] == 0 or (len(sizes) > 2 and sizes[-1] > 0.5 * sizes[-2]):
+        u, force, tie = u + du, force.added_at(closed, dl), tie + dn
+        sizes.append(size_of(du, dl, dn))
+        if sizes[-1] <= NEGLIGIBLE * max(sizes) or (len(sizes) > 2 and sizes[-1] > 0.5 * sizes[-2]):
             break
     contraction = sizes[1] / sizes[0] if len(sizes) > 1 and sizes[0] else 0.0
-    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, du, contraction)
+    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, (du, dl, dn), contraction)
+
+
+class _CorrectionSize:
+    """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+        compliance = np.sqrt(delassus(condensation).compliance)
+        self._unknown = np.sqrt(np.maximum(problem.stiffness.diagonal(), 0.0))
+        self._row = np.concatenate([compliance[closed], compliance[problem.contacts :]])
+
+    def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
+        moved = np.max(self._unknown * abs(du), initial=0.0)
+        return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
 
 
 def correction(
     condensation: Condensation, saddle: SaddlePoint, residual: Extended, gap: Extended, open_tie: Extended
 ) -> tuple[Vector, Vector, Vector]:
     """One solve of the full saddle-point system with the condensed factors, in double precision."""
-    reduced, inner = condensation.reduce_load(np.asarray(residual, dtype=float))
-    dx, dl, dn = saddle.solve(reduced, np.asarray(gap, dtype=float), np.asarray(open_tie, dtype=float))
+    reduced, inner = condensation.reduce_load(residual.double())
+    dx, dl, dn = saddle.solve(reduced, gap.double(), open_tie.double())
     return condensation.expand(dx, inner), dl, dn
 
 
@@ -98,8 +113,10 @@ def polish(
                 closed = lean
                 answer = answer_on(problem, condensation, closed)
         tension, penetrated = _wrong(problem, answer, closed)
-        if not tension.size and not penetrated.size:
+        reached, driven = _reached_by_drive(problem, condensation, answer)
+        if not (tension.size or penetrated.size or driven):
             return answer, corrections, True
+        penetrated = np.union1d(penetrated, reached)
         seen.add(closed.tobytes())
         proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         if corrections >= max_corrections or proposal.tobytes() in seen:
@@ -110,12 +127,25 @@ def polish(
 
 def _wrong(problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts in tension and contacts penetrated, beyond rounding."""
-    u, force = np.asarray(answer.displacement, dtype=float), np.asarray(answer.normal_force, dtype=float)
-    length = abs(problem.normal) @ abs(u) + abs(problem.gap)
-    meeting = forces_that_meet(problem, Answer(u, force, None, np.asarray(answer.tie_force, dtype=float)))
-    pull = force_measure(problem.normal, np.maximum(-force, 0.0), meeting)
-    penetrated = np.flatnonzero(-answer.gap > ROUNDING * length)
-    return np.flatnonzero(pull > ROUNDING), np.setdiff1d(penetrated, closed)
+    length = abs(problem.normal) @ abs(answer.displacement.double()) + abs(problem.gap)
+    penetrated = np.flatnonzero(-answer.gap.double() > ROUNDING * length)
+    return np.flatnonzero(_push(problem, answer) < -ROUNDING), np.setdiff1d(penetrated, closed)
+
+
+def _reached_by_drive(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet
+) -> tuple[NDArray[np.intp], bool]:
+    """The contacts first reached by a motion that the set leaves free and the load drives, and whether there is one."""
+    load, inner = condensation.reduce_load(problem.load)
+    size = condensation.reduced_problem(problem, load, inner).load_size
+    drive = condensation.scale * answer.saddle.drive(load, size)
+    if not np.any(drive):
+        return np.zeros(0, dtype=np.intp), False
+    approach = condensation.normal @ drive
+    ahead = approach > UNRESISTED * (abs(condensation.normal) @ abs(drive))
+    travel = np.full(problem.contacts, np.inf)
+    travel[ahead] = np.maximum(answer.gap.double()[ahead], 0.0) / approach[ahead]
+    return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
@@ -123,7 +153,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     from scipy.optimize import nnls
 
     closed = answer.saddle.closed
-    force = np.asarray(answer.normal_force[closed], dtype=float)
+    force = answer.normal_force[closed].double()
     contacts = condensation.normal[closed] * condensation.scale
     ties = condensation.tie * condensation.scale
     resultant = contacts.T @ force
@@ -138,25 +168,45 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     return closed[share[: len(closed)] > 1e-12]
 
 
-def least_displacement(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Array]:
+def without_noise(condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector]:
+    """Contact and tie forces in double precision, those beneath the refinement's rounding set to zero."""
+    force = np.concatenate([answer.normal_force.positive_part().double(), answer.tie_force.double()])
+    size = np.sqrt(delassus(condensation).compliance) * abs(force)
+    force[size <= INVISIBLE * np.max(size, initial=0.0)] = 0.0
+    return force[: len(answer.normal_force)], force[len(answer.normal_force) :]
+
+
+def least_displacement(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[OnSet, Array]:
     """Among the displacements that differ by motions nothing drives and nothing resists, the one of least norm.
 
-    Returns the displacement and an orthonormal basis (n, q) of those motions.
+    Returns the answer there and an orthonormal basis (n, q) of those motions.
     """
-    u = np.asarray(answer.displacement, dtype=float)
-    Z = condensation.rigid.basis
-    scaled = answer.saddle.free
+    none = np.zeros((problem.dimension, 0))
+    if not condensation.rigid.count:
+        return answer, none
+    pushing = np.flatnonzero(_push(problem, answer) > ROUNDING)
+    scaled = SaddlePoint(condensation, pushing).free
     if not scaled.shape[1]:
-        return u, np.zeros((problem.dimension, 0))
+        return answer, none
+    motions = condensation.rigid.motions
     retained = condensation.scale[:, None] * scaled
-    coordinates, *_ = np.linalg.lstsq(Z[condensation.retained], retained, rcond=None)
-    free, _ = np.linalg.qr(Z @ coordinates)
-    shift = -(free.T @ u)
+    coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
+    free, _ = np.linalg.qr(motions @ coordinates)
+    shift = -(free.T @ answer.displacement.double())
     rows = problem.normal @ free
-    stays = np.linalg.norm(rows, axis=1) > ROUNDING * (abs(problem.normal) @ np.ones(problem.dimension))
+    motion_size = np.max(np.sqrt(problem.stiffness.diagonal())[:, None] * abs(free))
+    stays = np.linalg.norm(rows, axis=1) > UNRESISTED * np.sqrt(own_compliance(problem, problem.normal)) * motion_size
     if np.any(stays):
-        shift = _shift_within_gaps(rows[stays], np.asarray(answer.gap, dtype=float)[stays], shift)
-    return u + free @ shift, free
+        shift = _shift_within_gaps(rows[stays], answer.gap.double()[stays], shift)
+    # The shift is rigid to double precision only: refine again from where it leads.
+    return answer_on(problem, condensation, pushing, (answer.displacement + free @ shift).double()), free
+
+
+def _push(problem: ContactProblem, answer: OnSet) -> Vector:
+    """Every contact force in its measure."""
+    u, force = answer.displacement.double(), answer.normal_force.double()
+    meeting = forces_that_meet(problem, Answer(u, force, None, answer.tie_force.double()))
+    return force_measure(problem.normal, force, meeting) * np.sign(force)
 
 
 def _shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:

@@ -148,17 +148,24 @@ class ContactProblem:
         return problem
 
     def transformed(
-        self, stiffness: Matrix, load: Vector, normal: Any, gap: Vector, tie: Any, tie_value: Vector
+        self,
+        stiffness: Matrix,
+        load: Vector,
+        load_size: Vector,
+        normal: Any,
+        gap: Vector,
+        tie: Any,
+        tie_value: Vector,
     ) -> ContactProblem:
         """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
 
-        Rounding may leave a transformed stiffness indefinite by a few digits of what it was before; it still is this problem.
+        `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness indefinite by a few digits of what it was before; it still is this problem.
         """
         kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
-        return ContactProblem._of_checked(kept | frictionless | data | rows, {})
+        return ContactProblem._of_checked(kept | frictionless | data | rows, {"load_size": load_size})
 
     @property
     def dimension(self) -> int:
@@ -174,6 +181,11 @@ class ContactProblem:
     def ties(self) -> int:
         """Number of ties k."""
         return int(self.tie.shape[0])
+
+    @property
+    def load_size(self) -> Vector:
+        """(n,) sizes of the loads that add up to `load`: in a condensed problem more than |load|, where they cancel."""
+        return np.asarray(self._shared.get("load_size", abs(self.load)))
 
     @property
     def frictional(self) -> bool:

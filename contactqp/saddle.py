@@ -14,14 +14,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import Condensation
-from contactqp.factorization import Array
+from contactqp.condensation import UNRESISTED, Condensation
+from contactqp.factorization import Array, DenseCholesky
 from contactqp.problem import Vector
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
-# A motion of unit length that a row of unit length resists by less than this is not resisted.
-UNRESISTED = 1e-11
+# The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
+BALANCED = 1e-11
 
 
 class SaddlePoint:
@@ -62,32 +62,22 @@ class SaddlePoint:
         resisted = int(np.sum(values > UNRESISTED))
         return np.asarray(motions @ rotation[resisted:].T)
 
-    def _factorise_hessian(self) -> Array:
-        from scipy.linalg import cho_factor
-
+    def _factorise_hessian(self) -> DenseCholesky | None:
         motion = self._N.T @ self.free
         hessian = self._N.T @ self._S @ self._N + motion @ motion.T
-        if not len(hessian):
-            return hessian
-        try:
-            return np.asarray(cho_factor(hessian, lower=True, check_finite=False)[0])
-        except np.linalg.LinAlgError:
-            # Rounding made the softest motion negative: lift it by what rounding can do, refinement does the rest.
-            lift = 8 * len(hessian) * np.finfo(float).eps * np.trace(hessian)
-            return np.asarray(cho_factor(hessian + lift * np.eye(len(hessian)), lower=True, check_finite=False)[0])
+        return DenseCholesky(hessian) if len(hessian) else None
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
         """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
-        from scipy.linalg import cho_solve, solve_triangular
+        from scipy.linalg import solve_triangular
 
         r = (r.T * self._scale).T
         rows = (np.concatenate([e, a]).T * self._row_scale).T
         x = np.zeros_like(r)
         if self.independent.size:
             x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T")
-        if self._N.shape[1]:
-            v = cho_solve((self._hessian, True), self._N.T @ (r - self._S @ x))
-            step = self._N @ v
+        if self._hessian is not None:
+            step = self._N @ self._hessian.solve(self._N.T @ (r - self._S @ x))
             x = x + step - self.free @ (self.free.T @ step)
         force = np.zeros_like(rows)
         if self.independent.size:
@@ -95,8 +85,10 @@ class SaddlePoint:
         force = (force.T * self._row_scale).T
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
-    def unbalanced(self, r: Vector) -> float:
-        """How much of a condensed load drives the free motions, relative to the load."""
-        scaled = r * self._scale
-        size = float(np.linalg.norm(scaled))
-        return float(np.linalg.norm(self.free.T @ scaled)) / size if size else 0.0
+    def drive(self, load: Vector, size: Vector) -> Vector:
+        """The scaled motion (p,) along which a condensed load drives what is free, zero where that is rounding of `size`."""
+        if not self.free.shape[1]:
+            return np.zeros(len(load))
+        motion = self.free @ (self.free.T @ (load * self._scale))
+        work = float((load * self._scale) @ motion)
+        return motion if work > BALANCED * float((size * self._scale) @ abs(motion)) else np.zeros(len(load))

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.factorization import Array, unit_diagonal_scale
+from contactqp.condensation import unknown_scale
+from contactqp.factorization import Array
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
 
@@ -51,29 +52,24 @@ class Scaling:
 
 def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     """The nondimensional twin of a problem."""
-    D = _unknown_scale(problem)
+    D = unknown_scale(problem)
     normal, contacts = _unit_rows(problem.normal, D)
     tie, ties = _unit_rows(problem.tie, D)
-    load, gap, value = D * problem.load, problem.gap / contacts, problem.tie_value / ties
+    load, gap, value = D * _without_idle_part(problem), problem.gap / contacts, problem.tie_value / ties
     length = max(np.max(abs(load), initial=0.0), np.max(-gap, initial=0.0), np.max(abs(value), initial=0.0))
     if length == 0.0:
         length = 1.0
     K = problem.stiffness
     stiffness = sp.csc_array(sp.diags(D) @ K @ sp.diags(D)) if sp.issparse(K) else K * np.outer(D, D)
-    twin = problem.transformed(stiffness, load / length, normal, gap / length, tie, value / length)
+    twin = problem.transformed(stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length)
     return twin, Scaling(D, contacts, ties, float(length))
 
 
-def _unknown_scale(problem: ContactProblem) -> Array:
-    """1/sqrt(K_jj); an unknown without stiffness takes the scale that gives its largest row entry the size of the others."""
-    D = unit_diagonal_scale(problem.stiffness)
-    bare = np.flatnonzero(problem.stiffness.diagonal() == 0)
-    if bare.size:
-        rows = sp.csc_matrix(sp.vstack([problem.normal, problem.tie]))
-        stiff = np.median(np.delete(D, bare)) if bare.size < len(D) else 1.0
-        largest = abs(rows).max(axis=0).toarray().ravel()[bare]
-        D[bare] = stiff / np.where(largest > 0, largest, 1.0)
-    return D
+def _without_idle_part(problem: ContactProblem) -> Array:
+    """The load, zero where it is the rounding of larger loads: on an unknown without stiffness that alone would drive it away."""
+    rounding = 16 * np.finfo(float).eps * problem.load_size
+    bare = problem.stiffness.diagonal() == 0
+    return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)
 
 
 def _unit_rows(rows: Any, D: Array) -> tuple[Any, Array]:

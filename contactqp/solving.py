@@ -14,9 +14,10 @@ from contactqp.condensation import condense as condensation_of
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
 from contactqp.methods import Method, Settings, find
-from contactqp.polishing import closed_contacts, least_displacement
+from contactqp.polishing import closed_contacts, least_displacement, without_noise
 from contactqp.polishing import polish as polish_set
 from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import SaddlePoint
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
 
@@ -164,6 +165,8 @@ def _run(
     """The method's candidate in the unknowns of the problem, whatever it was shown."""
     if wanted not in (True, False, "auto"):
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {wanted!r}")
+    if not problem.contacts and not problem.ties:
+        return _linear(problem, way)
     condensed = len(way.retained) < problem.dimension if wanted == "auto" else bool(wanted)
     if not condensed:
         return _run_scaled(problem, method, settings)
@@ -171,7 +174,15 @@ def _run(
     start = settings.warm_start
     if start is not None:
         settings = replace(settings, warm_start=way.restrict_candidate(start))
-    return way.expand_candidate(_run_scaled(way.reduced_problem(problem, load), method, settings), inner)
+    return way.expand_candidate(_run_scaled(way.reduced_problem(problem, load, inner), method, settings), inner)
+
+
+def _linear(problem: ContactProblem, way: Condensation) -> Candidate:
+    """Without contacts and ties there is one linear system and nothing to choose."""
+    none = np.zeros(0)
+    load, inner = way.reduce_load(problem.load)
+    x, _, _ = SaddlePoint(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
+    return Candidate(way.expand(x, inner), none, none, status="a linear system")
 
 
 def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> Candidate:
@@ -191,10 +202,10 @@ def _polish(problem: ContactProblem, way: Condensation, method: Method, candidat
     answer, corrections, holds = polish_set(problem, way, closed, method.corrections)
     if not holds:
         return None
-    displacement, free = least_displacement(problem, way, answer)
+    answer, free = least_displacement(problem, way, answer)
     motions = tuple(_free_motion(problem, direction) for direction in free.T)
-    force = np.maximum(np.asarray(answer.normal_force, dtype=float), 0.0)
-    return _Polished(displacement, force, np.asarray(answer.tie_force, dtype=float), motions, corrections)
+    force, tie = without_noise(way, answer)
+    return _Polished(answer.displacement.double(), force, tie, motions, corrections)
 
 
 def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:

@@ -1,7 +1,7 @@
 """What an answer violates: the worst contact or unknown, dimensionless, whatever the units and the scale of rows and unknowns.
 
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j and
-L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i, a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
+L_i = (|E_N||u| + |g|)_i + |E_i D|^2 |l_i| the size of the lengths that meet at contact i (`lengths_that_meet`), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
 as its size over L_i; 0/0 is 0.
 """
 
@@ -58,26 +58,24 @@ def violations(problem: ContactProblem, answer: Answer) -> Violations:
     """Every figure of an answer, its residuals formed in extended precision."""
     rows = extended_rows(problem)
     u, force, tie = extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force)
-    residual = extend(problem.load) - rows.internal_force(u) - rows.contact_force(force, tie)
-    if rows.tangent is not None and answer.friction_force is not None:
-        residual = residual - rows.tangent.T @ extend(answer.friction_force).ravel()
-    gap = extend(problem.gap) - rows.normal @ u
-    tie_error = abs(rows.tie @ u - extend(problem.tie_value))
+    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
+    residual = (outer - rows.stiffness @ u).double()
+    gap = (extend(problem.gap) - rows.normal @ u).double()
+    tie_error = abs((rows.tie @ u - problem.tie_value).double())
     F = forces_that_meet(problem, answer)
-    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
-    gap_measure = ratio(abs(gap), length)
+    gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement, answer.normal_force))
     push = force_measure(problem.normal, answer.normal_force, F)
     cone, direction = _friction(problem, answer, F)
     return Violations(
         equilibrium=ratio(abs(residual), F),
-        residual=np.asarray(residual, dtype=float),
+        residual=residual,
         penetration=np.where(gap < 0, gap_measure, 0.0),
         tension=np.where(answer.normal_force < 0, push, 0.0),
         complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(tie_error, abs(problem.tie) @ abs(answer.displacement) + abs(problem.tie_value)),
-        gap=np.asarray(gap, dtype=float),
+        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement, answer.tie_force)),
+        gap=gap,
         gap_measure=gap_measure,
         force_measure=push,
         meeting=F,
@@ -98,9 +96,24 @@ def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
-def ratio(size: Any, scale: Vector) -> Vector:
+def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, force: Vector) -> Vector:
+    """L = |E||u| + |g| + |E D|^2 |l| with D = 1/sqrt(K_jj) [length].
+
+    The last term is the length by which a force moves its own unknowns. A support at zero (u_j = 0 as a row) holds its
+    unknown at rounding; without that term rounding would be measured against itself.
+    """
+    return abs(rows) @ abs(displacement) + abs(limit) + own_compliance(problem, rows) * abs(force)
+
+
+def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
+    """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest of the body at rest [length / force]."""
+    diagonal = problem.stiffness.diagonal()
+    compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
+    return np.asarray(rows.multiply(rows) @ compliance)
+
+
+def ratio(size: Vector, scale: Vector) -> Vector:
     """size / scale with 0/0 = 0."""
-    size = np.asarray(size, dtype=float)
     return np.divide(size, scale, out=np.where(size > 0, np.inf, 0.0), where=scale > 0)
 
 
@@ -158,36 +171,34 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     from scipy.sparse.csgraph import connected_components
 
     rows = extended_rows(problem)
-    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
-    if rows.tangent is not None and answer.friction_force is not None:
-        outer = outer - rows.tangent.T @ extend(answer.friction_force).ravel()
+    u, force, tie = extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force)
+    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
+    # K z is zero but for the rounding of K; under a large rigid displacement that rounding is part of the residual's work.
+    stray = np.array([(rows.stiffness @ extend(z)).dot(u) for z in rigid.motions.T])
     size = _outer_forces(problem, answer)
     _, body = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
-    moving = np.any(rigid.motions != 0, axis=1)
     worst = 0.0
-    for b in np.unique(body[moving]):
+    for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
         members = np.flatnonzero(body == b)
-        worst = max(worst, _worst_resultant(rigid.motions[members], np.asarray(outer[members]), size[members]))
+        moving = np.any(rigid.motions[members] != 0, axis=0)
+        motions = rigid.motions[np.ix_(members, moving)]
+        worst = max(worst, _worst_resultant(motions, motions.T @ outer.double()[members] - stray[moving], size[members]))
     return worst
 
 
-def _worst_resultant(motions: Array, force: Any, size: Vector) -> float:
-    """max over z in the span of the columns of |z'force| / |z|'size."""
-    loaded = size > 0
-    if not np.any(loaded):
-        return 0.0
+def _worst_resultant(motions: Array, work: Vector, size: Vector) -> float:
+    """max over coordinates a of |work'a| / |motions a|'size."""
     # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
-    weighted = motions[loaded] * size[loaded, None]
-    left, values, _ = np.linalg.svd(weighted, full_matrices=False)
-    basis = left[:, values > 1e-10 * values[0]] if values[0] > 0 else left[:, :0]
-    share = extend(force[loaded]) / size[loaded]
-    resultant = np.asarray(share @ extend(basis), dtype=float)
-    spread = np.sum(abs(basis), axis=0)
-    single = abs(resultant) / spread
-    if basis.shape[1] <= 1 or np.max(single) <= NO_RESULTANT:
-        return float(np.max(single, initial=0.0))
-    direction = _worst_direction(basis, resultant / np.max(abs(resultant)))
-    return float(max(abs(resultant @ direction) / np.sum(abs(basis @ direction)), np.max(single)))
+    left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
+    kept = values > 1e-10 * values[0]
+    if not np.any(kept):
+        return 0.0
+    basis, work = left[:, kept], (right[kept] @ work) / values[kept]
+    single = abs(work) / np.sum(abs(basis), axis=0)
+    if basis.shape[1] == 1 or np.max(single) <= NO_RESULTANT:
+        return float(np.max(single))
+    direction = _worst_direction(basis, work / np.max(abs(work)))
+    return float(max(abs(work @ direction) / np.sum(abs(basis @ direction)), np.max(single)))
 
 
 def _worst_direction(basis: Array, weight: Vector) -> Vector:

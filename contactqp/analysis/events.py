@@ -100,15 +100,15 @@ def _subsets(contacts: Indices) -> chain[tuple[int, ...]]:
 
 def _rates_on(direction: ContactProblem, way: Condensation, closed: Indices) -> OnSet:
     rates = answer_on(direction, way, closed)
-    reduced, _ = way.reduce_load(direction.load)
-    if rates.saddle.unbalanced(reduced) > STEADY:
+    load, inner = way.reduce_load(direction.load)
+    if np.any(rates.saddle.drive(load, way.reduced_problem(direction, load, inner).load_size)):
         raise Unsupported("follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead")
     return rates
 
 
 def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, Indices]:
     undecided = state.undecided
-    force, closing = np.asarray(rates.normal_force, dtype=float), -np.asarray(rates.gap, dtype=float)
+    force, closing = rates.normal_force.double(), -rates.gap.double()
     pulls = force < -STEADY * np.max(abs(force), initial=0.0)
     closes = closing > STEADY * np.max(abs(closing), initial=0.0)
     inside = np.isin(undecided, trial)
@@ -119,12 +119,12 @@ def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet) -> _S
     """The next fraction at which an open gap or a contact force reaches zero, and all contacts that do so there."""
     count = len(here.gap)
     is_closed = np.isin(np.arange(count), chosen)
-    value = np.where(is_closed, here.normal_force, here.gap)
-    rate = np.where(is_closed, rates.normal_force, rates.gap)
+    value = np.where(is_closed, here.normal_force.double(), here.gap.double())
+    rate = np.where(is_closed, rates.normal_force.double(), rates.gap.double())
     settled = ~np.isin(np.arange(count), state.undecided) | (value > 0)
     falls = settled & (rate < -STEADY * np.max(abs(rate), initial=0.0))
     ahead = np.full(count, np.inf)
-    ahead[falls] = np.asarray(np.maximum(value[falls], 0) / -rate[falls], dtype=float)
+    ahead[falls] = np.maximum(value[falls], 0.0) / -rate[falls]
     reach = state.fraction + np.min(ahead, initial=np.inf)
     if not reach < 1 - SIMULTANEOUS:
         return None

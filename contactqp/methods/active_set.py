@@ -41,9 +41,10 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     condensation = condense(problem)
     operator = delassus(condensation)
     load, inner = condensation.reduce_load(problem.load)
+    size = condensation.reduced_problem(problem, load, inner).load_size
     m = problem.contacts
     limit = settings.max_iter or 50 * m + 200
-    anchor = np.zeros(len(load))
+    anchor = _rigid_answer(problem, condensation, operator, load)
     force = _warm(settings, operator, m)
     steps = 0
     for _ in range(PROXIMAL_STEPS):
@@ -56,7 +57,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
         steps += taken
         displaced = operator.displaced(free, force)
         closed = np.flatnonzero(force[:m] > 0)
-        answer = _equilibrium_on(problem, condensation, operator, load, closed)
+        answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
             x, normal_force, tie_force = answer
             return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
@@ -64,6 +65,37 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
             break
         anchor = displaced
     raise NotConverged(f"active-set: no contact set was found in {steps} steps")
+
+
+def _rigid_answer(problem: ContactProblem, condensation: Condensation, operator: Delassus, load: Vector) -> Vector:
+    """Where the bodies would go if they were rigid: max f'Z a over E Z a <= g, scaled; the place to anchor them.
+
+    Under a light load a stiff body crosses a wide gap: far more than the anchors' springs would let it go in a step.
+    """
+    motions, scaled_load = operator.motions, load * operator.scale
+    drive = motions.T @ scaled_load
+    none = np.zeros(len(load))
+    if not motions.shape[1] or np.linalg.norm(drive) <= ROUNDING * np.linalg.norm(scaled_load):
+        return none
+    from scipy.optimize import linprog
+
+    rows, m = operator.rows, problem.contacts
+    length = np.linalg.norm(rows, axis=1)
+    limit = np.concatenate([problem.gap, problem.tie_value]) / length
+    reach = np.max(abs(limit), initial=0.0)
+    if reach == 0:
+        return none
+    rows = (rows / length[:, None]) @ motions
+    answer = linprog(
+        -drive / np.linalg.norm(drive),
+        A_ub=rows[:m],
+        b_ub=limit[:m] / reach,
+        A_eq=rows[m:] if problem.ties else None,
+        b_eq=limit[m:] / reach if problem.ties else None,
+        bounds=(None, None),
+        method="highs",
+    )
+    return none if answer.x is None else np.asarray(reach * (motions @ answer.x))
 
 
 def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
@@ -121,11 +153,16 @@ def _primal_dual(
 
 
 def _equilibrium_on(
-    problem: ContactProblem, condensation: Condensation, operator: Delassus, load: Vector, closed: NDArray[np.intp]
+    problem: ContactProblem,
+    condensation: Condensation,
+    operator: Delassus,
+    load: Vector,
+    size: Vector,
+    closed: NDArray[np.intp],
 ) -> tuple[Vector, Vector, Vector] | None:
     """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
     saddle = SaddlePoint(condensation, closed)
-    if saddle.unbalanced(load) > ROUNDING:
+    if np.any(saddle.drive(load, size)):
         return None
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
     force = np.zeros(problem.contacts)

@@ -11,25 +11,24 @@ import numpy as np
 from contactqp.errors import InvalidProblem
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.penalty import penalty_loop
-from contactqp.methods.textbook_loop import (
+from contactqp.methods.textbook_algebra import (
     Indices,
     Mask,
-    Step,
-    active_set_loop,
     binding_rows,
     contact_stiffness,
     solve_bordered,
     spread,
     springs,
 )
+from contactqp.methods.textbook_loop import Step, active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
 NAME = "augmented-lagrangian"
 
-# With beta at this many times the contact stiffness, an Uzawa iteration gains about one decimal digit; larger values gain
-# more and lose as many digits of the gap to rounding.
-UZAWA_STIFFENING = 10.0
+# With beta at this many times the contact stiffness, an Uzawa iteration gains about two decimal digits where contacts
+# do not feel each other; larger values gain more and lose as many digits of the gap to rounding.
+UZAWA_STIFFENING = 100.0
 
 
 def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> Candidate:
@@ -40,7 +39,7 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
         [ K + E_N' beta E_N  E_N' ] {u     }   {f + E_N' beta g}
         [ E_N                0    ] {lambda} = {g              }
 
-    which is exact for every beta >= 0, not only for beta -> 0 as the chapter says: E_N u = g makes the beta terms cancel.
+    which is exact for every beta >= 0, not only for beta -> 0 as the chapter says: E_N u = g cancels the beta terms.
 
     ``update="uzawa"`` keeps lambda fixed while u is found, and repeats
 
@@ -52,8 +51,8 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
     Options
     -------
     penalty : float or (m,) array, optional
-        beta [force / length]; by default ten times 1 / sum_j (E_ij^2 / K_jj), an upper estimate of the stiffness that
-        contact i feels which also exists for bodies that float.
+        beta [force / length]; by default 100 times 1 / sum_j (E_ij^2 / K_jj), which estimates the stiffness
+        that contact i feels from above, and exists for bodies that float as well.
     update : "simultaneous" or "uzawa"
 
     Returns
@@ -84,14 +83,15 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
 
 
 def default_penalty(problem: ContactProblem) -> Vector:
-    """beta_i = 10 / sum_j (E_ij^2 / K_jj), (m,) [force / length].
+    """beta_i = 100 / sum_j (E_ij^2 / K_jj), (m,) [force / length].
 
     An unknown without stiffness of its own counts with the largest stiffness of the problem; if nothing has any, every
     beta finds the answer in one iteration and 1 is taken.
     """
     diagonal = problem.stiffness.diagonal()
     stiffest = float(diagonal.max()) or 1.0
-    return UZAWA_STIFFENING / (problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest)))
+    softness = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
+    return np.asarray(UZAWA_STIFFENING / softness)
 
 
 def _enforce(problem: ContactProblem, beta: Vector, closed: Mask, preference: Indices) -> Step:
@@ -110,7 +110,8 @@ def _enforce(problem: ContactProblem, beta: Vector, closed: Mask, preference: In
 def _uzawa(problem: ContactProblem, settings: Settings, beta: Vector) -> Candidate:
     started, history = time.perf_counter(), list[float]()
     limit = settings.max_iter or 1000
-    force = np.zeros(problem.contacts) if settings.warm_start is None else np.maximum(settings.warm_start.normal_force, 0.0)
+    warm = settings.warm_start
+    force = np.zeros(problem.contacts) if warm is None else np.maximum(warm.normal_force, 0.0)
     status, inner = "", dataclasses.replace(settings, max_iter=None)
     while not status:
         step = penalty_loop(NAME, problem.replace(gap=problem.gap - force / beta), inner, beta)
@@ -150,6 +151,6 @@ METHODS = (
         solve=solve_augmented_lagrangian,
         options=("penalty", "update"),
         knob="penalty",
-        note="multipliers and penalty together (course chapter, eq. 2.32), exact for every penalty; or Uzawa's iteration",
+        note="multipliers and penalty together (course chapter, eq. 2.32), exact for every penalty; or by Uzawa",
     ),
 )

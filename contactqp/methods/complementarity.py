@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotConverged, Unsupported
+from contactqp.factorization import null_space
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_loop import ROUNDING, Indices, Mask, independent_rows, solve_linear, spread
+from contactqp.methods.textbook_algebra import ROUNDING, Indices, Mask, independent_rows, solve_linear, spread
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
 # A unit motion that approaches every contact by less than this is felt by none: an arm shorter than rounding makes.
 RESISTED = 1e-10
-# Load on a motion that nothing holds, relative to the size of its terms: a model's loads balance to this or are meant to drive it.
+# Load on a unit motion that nothing holds, relative to all load: it balances to this or is meant to drive it. (Not
+# relative to the load on the unknowns that move: those at rest move by rounding.)
 BALANCED = 1e-9
 
 Dense = NDArray[np.float64]
@@ -56,7 +59,7 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
     K = problem.stiffness.toarray() if sp.issparse(problem.stiffness) else problem.stiffness
     ties = independent_rows(problem.tie)
     A, E = problem.tie[ties].toarray(), problem.normal.toarray()
-    rigid = rigid_motions(K, problem.tie.toarray())
+    rigid = _rigid_motions(problem)
     n, k = problem.dimension, ties.size
     # Rigid motions are measured in the stiffness's own numbers, so that they are pivots as large as the others.
     Z = rigid * (float(np.max(K.diagonal())) or 1.0)
@@ -69,38 +72,31 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
     tie_solved = np.zeros((problem.ties, 1 + len(E)))
     tie_solved[ties] = solved[n : n + k]
     _refuse_contradicting_ties(name, problem, solved[:n, 0])
-    motions = _resisted(name, problem, rigid, E)
+    motions = _resisted(name, problem, rigid)
     return Compliance(solved[:n, 0], solved[:n, 1:], motions, tie_solved[:, 0], tie_solved[:, 1:])
 
 
-def rigid_motions(K: Dense, A: Dense) -> Dense:
-    """Orthonormal basis (n, r) of the motions that neither stiffness nor ties feel: K Z = 0 and A Z = 0.
-
-    K is judged with its diagonal scaled to one, so that soft parts are not taken for missing ones.
-    """
-    from scipy.linalg import eigh
-
-    diagonal = np.diag(K)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    rows = A * scale
-    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True) if len(rows) else rows
-    values, vectors = eigh(scale[:, None] * K * scale + rows.T @ rows)
-    null = values <= 64 * max(len(K), 10) * np.finfo(float).eps * max(float(values[-1]), 1.0)
-    return np.asarray(np.linalg.qr(scale[:, None] * vectors[:, null])[0])
+def _rigid_motions(problem: ContactProblem) -> Dense:
+    """Orthonormal basis (n, r) of the motions that neither stiffness nor ties feel: K Z = 0 and A Z = 0."""
+    return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness))[0])[1]
 
 
-def _resisted(name: str, problem: ContactProblem, rigid: Dense, E: Dense) -> Dense:
-    """The rigid motions that some contact feels; the others stay at rest, if no load drives them."""
-    if rigid.shape[1] == 0:
-        return rigid
-    unit = E / np.linalg.norm(E, axis=1, keepdims=True)
-    _, felt, directions = np.linalg.svd(unit @ rigid)
+def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
+    """Orthonormal motions, split into those that some row feels and those that none does."""
+    if motions.shape[1] == 0 or rows.shape[0] == 0:
+        return motions[:, :0], motions
+    unit = rows.toarray() / np.sqrt(rows.power(2).sum(axis=1))[:, None]
+    _, felt, directions = np.linalg.svd(unit @ motions)
     count = int(np.count_nonzero(felt > RESISTED))
-    unresisted = rigid @ directions[count:].T
-    driven = np.abs(unresisted.T @ problem.load)
-    if np.any(driven > BALANCED * np.abs(unresisted.T) @ np.abs(problem.load)):
+    return motions @ directions[:count].T, motions @ directions[count:].T
+
+
+def _resisted(name: str, problem: ContactProblem, rigid: Dense) -> Dense:
+    """The rigid motions that some contact feels; the others stay at rest, if no load drives them."""
+    resisted, unresisted = _split(problem.normal, rigid)
+    if np.any(np.abs(unresisted.T @ problem.load) > BALANCED * np.linalg.norm(problem.load)):
         raise NoEquilibrium(f"{name}: the load drives a rigid motion that no contact and no tie resists")
-    return np.asarray(rigid @ directions[:count].T)
+    return resisted
 
 
 def _refuse_contradicting_ties(name: str, problem: ContactProblem, u: Vector) -> None:
@@ -127,8 +123,8 @@ class Complementarity:
 def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Complementarity:
     """The linear complementarity problem of the contacts.
 
-    Without rigid motions q = g - E_N u_free, M = E_N response. With them, w = q + W l - N a and N'l = Z'f (N = E_N Z): as
-    many contacts B as there are motions, with N_B regular, give l_B and a from these equations.
+    Without rigid motions q = g - E_N u_free, M = E_N response. With them, w = q + W l - N a and N'l = Z'f (N = E_N Z):
+    as many contacts B as there are motions, with N_B regular, give l_B and a from these equations.
     """
     E, m = problem.normal, problem.contacts
     W = E @ reduced.response
@@ -139,7 +135,8 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
         return Complementarity(q, W, np.zeros(0, dtype=np.intp))
     from scipy.linalg import qr
 
-    B = qr((N / np.linalg.norm(E.toarray(), axis=1, keepdims=True)).T, mode="r", pivoting=True)[1][: N.shape[1]]
+    unit = N / np.sqrt(E.power(2).sum(axis=1))[:, None]
+    B = qr(unit.T, mode="r", pivoting=True)[1][: N.shape[1]]
     R = np.setdiff1d(np.arange(m), B)
     # l = T y + l0 with y the forces of R; l_B = N_B'^-1 (Z'f - N_R' y).
     T = np.zeros((m, R.size))
@@ -155,8 +152,10 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
     return Complementarity(offset, matrix, B)
 
 
-def expand(problem: ContactProblem, reduced: Compliance, lcp: Complementarity, force: Vector, gap: Vector) -> tuple[Vector, Vector]:
-    """Displacements and tie forces of given contact forces; the gaps of the exchanged contacts place the rigid motions."""
+def expand(
+    problem: ContactProblem, reduced: Compliance, lcp: Complementarity, force: Vector, gap: Vector
+) -> tuple[Vector, Vector]:
+    """Displacements and tie forces of given contact forces; the gaps of the exchanged contacts place rigid motions."""
     displacement = reduced.free - reduced.response @ force
     B = lcp.exchanged
     if B.size:
@@ -168,9 +167,9 @@ def expand(problem: ContactProblem, reduced: Compliance, lcp: Complementarity, f
 def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
     """Lemke's complementary pivoting (Cottle, Pang, Stone, The Linear Complementarity Problem, 1992, section 4.4).
 
-    An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0 leaves.
-    Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that the method either solves the problem
-    or ends on a ray, which proves that there is no solution; floating bodies included.
+    An artificial variable z0 makes the start feasible, w = q + M z + d z0; pivots follow complementarity until z0
+    leaves. Lexicographic ratio tests exclude cycling. M is positive semidefinite, so that the method either solves the
+    problem or ends on a ray, which proves that there is no solution; floating bodies included.
 
     Raises
     ------
@@ -202,7 +201,7 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
     """
     m, started = q.size, time.perf_counter()
     scale = 1.0 / np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))
-    # Columns: w, z, z0, right-hand side; rows are the equations w - M z - d z0 = q, scaled so that M has ones on its diagonal.
+    # Columns w, z, z0, right-hand side of w - M z - d z0 = q, scaled so that M has ones on its diagonal.
     tableau = np.hstack([np.eye(m), -scale[:, None] * M * scale, -np.ones((m, 1)), (scale * q)[:, None]])
     basic = np.arange(m)
     if np.all(q >= 0):
@@ -220,7 +219,7 @@ def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None
         entering = leaving + m if leaving < m else leaving - m
         row = _leaving_row(tableau, basic, entering)
         if row < 0:
-            raise NotConverged(f"lemke: the path ends on a ray after {pivots} pivots: no contact forces satisfy the conditions")
+            raise NotConverged(f"lemke: a ray after {pivots} pivots: no contact forces satisfy the conditions")
     return _in_z(basic), limit, f"stopped after {limit} pivots"
 
 
@@ -283,8 +282,8 @@ def solve_projected_gauss_seidel(problem: ContactProblem, settings: Settings) ->
     Returns
     -------
     Candidate
-        `history` is max over i of |min(w_i, W_ii l_i)| / (|q_i| + sum_j |W_ij| l_j), one number a sweep; the method ends
-        when it is at most `settings.tolerance`, and does not claim an answer after `settings.max_iter` (20000) sweeps.
+        `history` is max over i of |min(w_i, W_ii l_i)| / (|q_i| + sum_j |W_ij| l_j), one number a sweep; the method
+        ends when it is at most `settings.tolerance`, and claims no answer after `settings.max_iter` (20000) sweeps.
 
     Raises
     ------

@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_loop import Indices, Mask, Step, active_set_loop, binding_rows, solve_bordered, spread
+from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered, spread
+from contactqp.methods.textbook_loop import Step, active_set_loop
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
 
@@ -20,9 +21,9 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
         [ K  C' ] {u     }   {f  }
         [ C  0  ] {lambda} = {q  }        C = [A; E_N], q = [b; g] over ties and closed contacts
 
-    (the course chapter, eq. 2.23). The matrix is indefinite and, contrary to what the chapter says of its zero diagonal,
-    regular as long as the rows of C are independent and K is positive definite on the motions that C leaves free. Rows
-    that depend on others are left out. The multiplier is the contact force, positive in compression.
+    (the course chapter, eq. 2.23). The matrix is indefinite and, contrary to what the chapter says of its zero
+    diagonal, regular as long as the rows of C are independent and K is positive definite on the motions that C leaves
+    free. Rows that depend on others are left out. The multiplier is the contact force, positive in compression.
 
     Raises
     ------

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_loop import Indices, Mask, Step, active_set_loop, binding_rows, solve_linear, spread
+from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_linear, spread
+from contactqp.methods.textbook_loop import Step, active_set_loop
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,8 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
     BackendFailed
         cvxpy or the solver raised, or found no values.
     """
-    import cvxpy as cp
-
-    solver = _solver(settings.options.get("solver", "CLARABEL"))
+    cp = _cvxpy()
+    solver = _solver(cp, settings.options.get("solver", "CLARABEL"))
     u = cp.Variable(problem.dimension)
     # K is positive semidefinite by construction; cvxpy's own test can fail by rounding.
     energy = 0.5 * cp.quad_form(u, cp.psd_wrap(problem.stiffness)) - problem.load @ u
@@ -62,18 +62,20 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
     )
 
 
-def _solver(name: Any) -> str:
-    import cvxpy as cp
-    from cvxpy.settings import SOLVERS
+def _cvxpy() -> Any:
+    """The module, untyped: half of its functions carry no annotations."""
+    return importlib.import_module("cvxpy")
 
+
+def _solver(cp: Any, name: Any) -> str:
     if not isinstance(name, str):
         raise InvalidProblem(f"{NAME}: solver: expected a name such as 'CLARABEL', got {name!r}")
-    solver = name.upper()
-    if solver in cp.installed_solvers():
+    solver, installed = name.upper(), cp.installed_solvers()
+    if solver in installed:
         return solver
-    if solver in SOLVERS:
-        raise BackendMissing(f"{NAME}: solver {name!r} is not installed; installed are {', '.join(cp.installed_solvers())}")
-    raise Unsupported(f"{NAME}: no solver is called {name!r}; installed are {', '.join(cp.installed_solvers())}")
+    if solver in cp.settings.SOLVERS:
+        raise BackendMissing(f"{NAME}: solver {name!r} is not installed; installed are {', '.join(installed)}")
+    raise Unsupported(f"{NAME}: no solver is called {name!r}; installed are {', '.join(installed)}")
 
 
 def _options(solver: str, settings: Settings) -> dict[str, Any]:

@@ -7,17 +7,16 @@ from functools import partial
 import numpy as np
 
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_loop import (
+from contactqp.methods.textbook_algebra import (
     Indices,
     Mask,
-    Step,
-    active_set_loop,
     binding_rows,
     contact_stiffness,
     solve_bordered,
     spread,
     springs,
 )
+from contactqp.methods.textbook_loop import Step, active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 

@@ -1,4 +1,4 @@
-"""The perturbed Lagrangian method of the course chapter (eqs 2.27-2.29), with the sign of its perturbation corrected."""
+"""The perturbed Lagrangian method of the course chapter (eqs 2.27-2.29), with its sign corrected."""
 
 from __future__ import annotations
 
@@ -8,16 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_loop import (
-    Indices,
-    Mask,
-    Step,
-    active_set_loop,
-    binding_rows,
-    contact_stiffness,
-    solve_bordered,
-    spread,
-)
+from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, contact_stiffness, solve_bordered, spread
+from contactqp.methods.textbook_loop import Step, active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
@@ -30,9 +22,9 @@ def solve_perturbed_lagrangian(problem: ContactProblem, settings: Settings) -> C
         [ K    E_N'     ] {u     }   {f}
         [ E_N  -1/kappa ] {lambda} = {g}
 
-    (the course chapter, eq. 2.29, which prints +1/kappa: that is a contact spring of negative stiffness, and singular at
-    kappa = K). Eliminating lambda gives the penalty method with beta = kappa; in floating point this form does not
-    multiply a difference of lengths by kappa, and stays right at kappa = 1e20. Ties are rows with a zero on the diagonal.
+    (the course chapter, eq. 2.29, which prints +1/kappa: that is a contact spring of negative stiffness, and singular
+    at kappa = K). Eliminating lambda gives the penalty method with beta = kappa; in floating point this form does not
+    multiply a difference of lengths by kappa, and stays right at kappa = 1e20. Ties have a zero on the diagonal.
 
     Options
     -------
@@ -75,6 +67,6 @@ METHODS = (
         options=("perturbation",),
         required=("perturbation",),
         knob="perturbation",
-        note="multipliers with a compliance 1/kappa (course chapter, eq. 2.29, sign corrected); equals penalty at beta = kappa",
+        note="multipliers with a compliance 1/kappa (course chapter, eq. 2.29, sign corrected); equals penalty",
     ),
 )

@@ -1,13 +1,13 @@
 """Every quadratic programming backend of qpsolvers, by one function and one table of capabilities.
 
-The contact problem is a quadratic program as it stands: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its dual
-z >= 0 is the contact force l_N and y the tie force nu; no sign is flipped. Backends differ in their tolerances, limits
-and matrix formats, and `BACKENDS` is where that is written down.
+The contact problem is a quadratic program as it stands: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its
+dual z >= 0 is the contact force l_N and y the tie force nu; no sign is flipped. Backends differ in their tolerances,
+limits and matrix formats, and `BACKENDS` is where that is written down.
 
-Left out: quadprog, ECOS, CVXOPT and KVXOPT (GPL; the first two also refuse semidefinite stiffness), MOSEK (qpsolvers
+Left out: quadprog, ECOS, CVXOPT and KVXOPT (GPL; the first two also refuse a semidefinite stiffness), MOSEK (qpsolvers
 reaches it through CVXOPT only), COPT (prints its licence search to the terminal at every call, and calls unbounded
-problems solved), qpax and jaxopt (single precision unless the whole process is switched), PDHCG, HPIPM, qpSWIFT, qpOASES
-and NPPro (no wheels to install).
+problems solved), qpax and jaxopt (single precision unless the whole process is switched), PDHCG, HPIPM, qpSWIFT,
+qpOASES and NPPro (no wheels to install).
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from contactqp.errors import BackendFailed, Unsupported
 from contactqp.methods.method import Method, Settings
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
-
 
 DEVELOPERS_WARNINGS = (DeprecationWarning, PendingDeprecationWarning, FutureWarning)
 
@@ -61,8 +60,8 @@ BACKENDS = (
         "osqp",
         "osqp",
         "pip install contactqp",
-        # Infeasibility at its default of 1e-4 is declared of stiff problems that have an answer. Its own polish is off by
-        # default and stays off: a raw answer is to be raw.
+        # Infeasibility at its default of 1e-4 is declared of stiff problems that have an answer. Its own polish is off
+        # by default and stays off: a raw answer is to be raw.
         tolerances=("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
         default_limit=50_000,  # its own 4000 ends at KKT errors of 1e-4
         time_limit="time_limit",
@@ -95,8 +94,8 @@ BACKENDS = (
         "pip install 'contactqp[backends]'",
         tolerances=("eps_abs", "eps_duality_gap_abs"),
         dense=True,
-        # Its test has no complementarity: without the duality gap, and with a relative part, it returns points with force
-        # across an open gap as solved.
+        # Its test has no complementarity: without the duality gap, and with a relative part, it returns points with
+        # force across an open gap as solved.
         fixed=(("eps_rel", 0.0), ("check_duality_gap", True), ("eps_duality_gap_rel", 0.0)),
         warm_start=True,
         status=("info", "status"),
@@ -122,8 +121,9 @@ BACKENDS = (
         tightest=1e-10,
         iteration_limit="qp_iteration_limit",
         time_limit="time_limit",
-        # Its default of 1e-7 is added to the stiffness: forces off by 1e-7, and unbounded problems called solved.
-        fixed=(("qp_regularization_value", 0.0),),
+        # Added to the stiffness. Its default of 1e-7 spoils forces and calls unbounded problems solved; without any it
+        # gives up on floating bodies.
+        fixed=(("qp_regularization_value", 1e-12),),
     ),
     Backend(
         "scs",
@@ -214,8 +214,8 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
         except (KeyboardInterrupt, SystemExit, MemoryError):
             raise
         except BaseException as error:
-            # Backends raise what they like: ValueError, RuntimeError, their own types, and Rust's panics, which are no
-            # Exception. Nothing but the backend runs here, and the cause is kept.
+            # Backends raise what they like: ValueError, RuntimeError, their own types, and Rust's panics, which are
+            # no Exception. Nothing but the backend runs here, and the cause is kept.
             raise BackendFailed(f"{backend.name}: {type(error).__name__}: {error}") from error
     found = "solved" if solution.found else "not solved"
     status = "; ".join([f"{backend.name}: {_said(solution.extras, backend.status) or found}", *words])
@@ -250,7 +250,8 @@ def _program(backend: Backend, problem: ContactProblem) -> Any:
 
 
 def _dense(matrix: Any) -> Any:
-    return matrix.toarray() if sp.issparse(matrix) else np.array(matrix)
+    # Row by row: pyqpmad factorises a column-ordered matrix in place, and qpsolvers uses it afterwards.
+    return np.array(matrix.toarray() if sp.issparse(matrix) else matrix, order="C")
 
 
 def _initial(backend: Backend, settings: Settings) -> Vector | None:
@@ -310,8 +311,9 @@ def _iterations(extras: Any, backend: Backend) -> int:
 
 
 def _note(backend: Backend) -> str:
-    limits = [backend.note, "" if backend.time_limit else "no time limit", "" if backend.sparse else "makes matrices dense"]
-    return "; ".join(note for note in limits if note)
+    timeless = "" if backend.time_limit else "no time limit"
+    dense = "" if backend.sparse else "makes matrices dense"
+    return "; ".join(note for note in (backend.note, timeless, dense) if note)
 
 
 METHODS = tuple(

@@ -1,0 +1,23 @@
+"""The case file: schema, units, loading, the ContactProblem it stands for, and what it expects of the answer.
+
+A case is TOML, and its keys are the fields of `schema.Scene`; every number with a dimension carries its unit::
+
+    title = "A bar and a rigid wall"
+    units = { length = "m", force = "kN" }      # what answers are given in; SI without it
+    axes = ["x"]                                # one, two or three of x, y, z
+    nodes = [{ name = "support", at = ["0 m"] }, { name = "1", at = ["2 m"] }]
+    bars = [{ name = "bar", nodes = ["support", "1"], area = "15 cm^2", modulus = "210 GPa" }]
+    fixed = ["support"]                         # a node, or one unknown: "support.x"
+    obstacles = [{ name = "wall", point = ["2001 mm"], normal = [-1] }]
+    contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
+    loads = [{ unknown = "1.x", value = "300 kN" }]
+
+    [[expect]]                                  # quantities.QUANTITIES lists what can be asked
+    quantity = "normal force"
+    at = "tip"
+    value = "285/2 kN"
+    derivation = "P - K g"
+
+Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
+``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published`` and ``remarks``.
+"""

@@ -1,0 +1,55 @@
+"""Lengths and directions that stay exact as long as they are rational."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from numbers import Rational
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+
+Number = Fraction | float
+# Object arrays hold Fractions, float arrays hold floats; NumPy's types cannot tell the two apart.
+Numbers = NDArray[Any]
+
+
+def square_root(square: Number) -> Number:
+    """The root of a number that is not negative: a Fraction where the number is the square of one, a float otherwise.
+
+    >>> square_root(Fraction(25, 4)), square_root(Fraction(2))
+    (Fraction(5, 2), 1.4142135623730951)
+    """
+    if isinstance(square, Rational):
+        numerator, denominator = math.isqrt(square.numerator), math.isqrt(square.denominator)
+        if (numerator**2, denominator**2) == (square.numerator, square.denominator):
+            return Fraction(numerator, denominator)
+    return math.sqrt(square)
+
+
+def squared_length(vector: Numbers) -> Number:
+    """The square of a vector's Euclidean length, in the numbers of the vector."""
+    total: Number = np.dot(vector, vector)
+    return Fraction(total) if isinstance(total, Rational) else float(total)
+
+
+def unit_vector(vector: Any, what: str) -> Numbers:
+    """n = v / |v|, exact where |v| is rational.
+
+    Raises
+    ------
+    InvalidProblem
+        v = 0; `what` names it.
+
+    >>> unit_vector([Fraction(3), Fraction(4)], "direction")
+    array([Fraction(3, 5), Fraction(4, 5)], dtype=object)
+    """
+    v = np.asarray(vector)
+    square = squared_length(v)
+    if not square > 0:
+        raise InvalidProblem(f"{what}: expected a vector of positive length, got {[float(c) for c in v]}")
+    n: Numbers = v / square_root(square)
+    return n

@@ -1,0 +1,123 @@
+"""The quantities of quantities.QUANTITIES, read off a scene and its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from contactqp.elements import spring, truss
+from contactqp.elements.exact import Number
+from contactqp.errors import SceneError
+from contactqp.scene import elimination
+from contactqp.scene.building import ExactProblem, point, spring_direction
+from contactqp.scene.claims import Claim
+from contactqp.scene.schema import Scene
+from contactqp.scene.unknowns import of_node
+from contactqp.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A scene's solution at one load factor, and the events of its load path if it has one."""
+
+    scene: Scene
+    exact: ExactProblem
+    solution: Solution
+    load_factor: Fraction
+    events: Sequence[Any]  # History.events
+
+    def displacement(self, unknown: str) -> float:
+        """Of any unknown, fixed ones included."""
+        if unknown in self.exact.unknowns.fixed:
+            return 0.0
+        return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
+
+    def of_node(self, node: str) -> np.ndarray[Any, Any]:
+        return np.array([self.displacement(name) for name in of_node(self.scene, node)])
+
+
+def value_of(claim: Claim, answer: Answer) -> tuple[Number, ...] | str:
+    """What the answer says of the claim's quantity, in the scene's units: a number, a word, or a matrix row by row."""
+    value = _READERS[claim.quantity](claim, answer)
+    if isinstance(value, str):
+        return value
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def _contact(claim: Claim, answer: Answer) -> int:
+    return next(i for i, contact in enumerate(answer.scene.contacts) if contact.name == claim.at)
+
+
+def _tie_force(claim: Claim, answer: Answer) -> float:
+    names = [tie.name for tie in answer.scene.ties]
+    return float(answer.solution.tie_force[names.index(str(claim.at))])
+
+
+def _reaction(claim: Claim, answer: Answer) -> float:
+    """r = K u + E_N' lambda_N + A' nu - f at a fixed unknown: the force of the support on the body."""
+    at, exact, solution = str(claim.at), answer.exact, answer.solution
+    stiffness = sum(float(k) * answer.displacement(j) for (i, j), k in exact.stiffness.items() if i == at)
+    rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
+    forces = [*solution.normal_force, *solution.tie_force]
+    constraints = sum(float(row.get(at, 0)) * float(force) for row, force in zip(rows, forces, strict=True))
+    return stiffness + constraints - float(answer.load_factor * Fraction(exact.load.get(at, 0)))
+
+
+def _bar_force(claim: Claim, answer: Answer) -> float:
+    scene = answer.scene
+    item = next(bar for bar in scene.bars if bar.name == claim.at)
+    start, end = (point(scene, node) for node in item.nodes)
+    displacement = np.concatenate([answer.of_node(node) for node in item.nodes])
+    modulus, area = scene.system.value(item.modulus), scene.system.value(item.area)
+    return float(truss.axial_force(modulus, area, start, end, displacement))
+
+
+def _spring_force(claim: Claim, answer: Answer) -> float:
+    """A spring to the ground is stretched by its node's displacement."""
+    scene = answer.scene
+    item = next(item for item in scene.springs if item.name == claim.at)
+    relative = answer.of_node(item.nodes[-1])
+    if len(item.nodes) == 2:
+        relative = relative - answer.of_node(item.nodes[0])
+    return float(spring.force(scene.system.value(item.stiffness), spring_direction(scene, item), relative))
+
+
+def _closing(claim: Claim, answer: Answer) -> float:
+    """The load factor at which the contact first closes."""
+    at = _contact(claim, answer)
+    times = [event.time for event in answer.events if event.kind == "closed" and event.contact == at]
+    if not times:
+        raise SceneError(f"{claim}: expected contact {claim.at!r} to close on the load path, and it does not")
+    return float(times[0])
+
+
+def _closing_load(claim: Claim, answer: Answer) -> float:
+    return _closing(claim, answer) * float(answer.exact.load.get(str(claim.along), 0))
+
+
+def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
+    return claim.unknowns or answer.exact.unknowns.free
+
+
+_READERS: dict[str, Callable[[Claim, Answer], Any]] = {
+    "displacement": lambda claim, answer: answer.displacement(str(claim.at)),
+    "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),
+    "gap": lambda claim, answer: float(answer.solution.gap[_contact(claim, answer)]),
+    "status": lambda claim, answer: str(answer.solution.contact_status[_contact(claim, answer)]),
+    "tie force": _tie_force,
+    "reaction": _reaction,
+    "bar force": _bar_force,
+    "spring force": _spring_force,
+    "energy": lambda _, answer: answer.solution.energy,
+    "closing load factor": _closing,
+    "closing load": _closing_load,
+    "stiffness": lambda claim, answer: answer.exact.stiffness.get((str(claim.at), str(claim.along)), Fraction(0)),
+    "tie matrix": lambda claim, answer: elimination.tie_matrix(answer.exact, _columns(claim, answer)),
+    "tie rank": lambda _, answer: elimination.rank(answer.exact),
+    "reduced stiffness": lambda claim, answer: elimination.reduced_stiffness(answer.exact, _columns(claim, answer)),
+    "reduced load": lambda claim, answer: elimination.reduced_load(answer.exact, _columns(claim, answer)),
+}

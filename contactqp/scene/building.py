@@ -1,0 +1,231 @@
+"""From a Scene to the numbers of its contact problem: first exact, then the ContactProblem."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.elements import beam, node_contact, point_mass, spring, truss
+from contactqp.elements.exact import Number, Numbers
+from contactqp.elements.obstacle import Plane
+from contactqp.problem import ContactProblem, Units
+from contactqp.scene.units import KINDS, Quantity, read_unit
+from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Bar, Beam, Contact, Scene, Spring
+
+# A linear form of the unknowns, and the stiffness, by the unknowns' names; what is zero is left out.
+Row = Mapping[str, Number]
+Stiffness = Mapping[tuple[str, str], Number]
+# Below this a dense matrix costs nothing and is easier to look at.
+DENSE_SIZE = 64
+
+
+@dataclass(frozen=True)
+class ContactForm:
+    """One contact in exact numbers: normal . u <= gap."""
+
+    name: str
+    normal: Row
+    gap: Number
+    tangent: tuple[Row, ...]
+    friction: Fraction
+
+
+@dataclass(frozen=True)
+class TieForm:
+    """One tie in exact numbers: row . u = value."""
+
+    name: str
+    row: Row
+    value: Number
+
+
+@dataclass(frozen=True)
+class ExactProblem:
+    """The numbers of a scene in its own units, before any rounding, on all unknowns; the fixed ones are zero.
+
+    Entries are Fractions; floats only where a length or a normal is irrational (`rational` says whether there are any).
+    """
+
+    unknowns: Unknowns
+    stiffness: Stiffness
+    load: Row
+    contacts: tuple[ContactForm, ...]
+    ties: tuple[TieForm, ...]
+
+    @property
+    def rational(self) -> bool:
+        """Whether every number is a Fraction."""
+        return not any(isinstance(number, float) for number in self._numbers())
+
+    def _numbers(self) -> Iterator[Number]:
+        yield from self.stiffness.values()
+        yield from self.load.values()
+        for contact in self.contacts:
+            yield contact.gap
+            yield from contact.normal.values()
+        for tie in self.ties:
+            yield tie.value
+            yield from tie.row.values()
+
+
+def exact_problem(scene: Scene) -> ExactProblem:
+    """Assemble the scene in exact numbers, in its own units."""
+    return ExactProblem(
+        unknowns=of_scene(scene),
+        stiffness=_assemble(scene),
+        load=_load(scene),
+        contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
+        ties=tuple(
+            TieForm(
+                tie.name, {term.unknown: _value(scene, term.factor) for term in tie.terms}, _value(scene, tie.value)
+            )
+            for tie in scene.ties
+        ),
+    )
+
+
+def problem(scene: Scene) -> ContactProblem:
+    """The ContactProblem of a scene on its free unknowns, in the scene's units; every number is rounded once.
+
+    Tangential rows are there only if a contact has friction.
+    """
+    exact = exact_problem(scene)
+    free = exact.unknowns.free
+    place = {name: i for i, name in enumerate(free)}
+    n = len(free)
+    entries = [((place[i], place[j]), k) for (i, j), k in exact.stiffness.items() if i in place and j in place]
+    frictional = any(contact.friction for contact in exact.contacts)
+    return ContactProblem(
+        stiffness=_matrix(entries, (n, n)),
+        load=[float(exact.load.get(name, 0)) for name in free],
+        normal=_rows([contact.normal for contact in exact.contacts], place),
+        gap=[float(contact.gap) for contact in exact.contacts],
+        tangent=_rows([row for contact in exact.contacts for row in contact.tangent], place) if frictional else None,
+        friction=[float(contact.friction) for contact in exact.contacts] if frictional else None,
+        tie=_rows([tie.row for tie in exact.ties], place) if exact.ties else None,
+        tie_value=[float(tie.value) for tie in exact.ties] if exact.ties else None,
+        dof_names=free,
+        contact_names=[contact.name for contact in exact.contacts],
+        units=Units(length=scene.units.length, force=scene.units.force),
+    )
+
+
+def _matrix(entries: Iterable[tuple[tuple[int, int], Number]], shape: tuple[int, int]) -> Any:
+    matrix = sp.lil_array(shape)
+    for (i, j), value in entries:
+        matrix[i, j] = float(value)
+    return matrix.toarray() if max(shape) <= DENSE_SIZE else matrix.tocsc()
+
+
+def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
+    """The rows on the free unknowns."""
+    rows = list(rows)
+    entries = [((i, place[name]), value) for i, row in enumerate(rows) for name, value in row.items() if name in place]
+    return _matrix(entries, (len(rows), len(place)))
+
+
+def _value(scene: Scene, quantity: Quantity) -> Fraction:
+    return scene.system.value(quantity)
+
+
+def point(scene: Scene, node: str) -> Numbers:
+    """Where a node stands, exactly, in the scene's unit of length."""
+    return np.array([_value(scene, x) for x in scene.node(node).at])
+
+
+def spring_direction(scene: Scene, item: Spring) -> Numbers:
+    """As stated, or from the first node to the second; along the axis of a scene that has only one."""
+    if item.direction is not None:
+        return np.array(item.direction)
+    if len(item.nodes) == 1:
+        return np.array([Fraction(1)])
+    return point(scene, item.nodes[1]) - point(scene, item.nodes[0])
+
+
+def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+    """The unknowns and the stiffness of every element."""
+    for bar in scene.bars:
+        yield _displacements(scene, bar.nodes), _bar_stiffness(scene, bar)
+    for item in scene.springs:
+        formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
+        stiffness = formula(_value(scene, item.stiffness), spring_direction(scene, item))
+        yield _displacements(scene, item.nodes), stiffness
+    for girder in scene.beams:
+        names = tuple(name for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}"))
+        yield names, _beam_stiffness(scene, girder)
+    for matrix in scene.matrices:
+        unit = read_unit(matrix.unit)[0] / read_unit(scene.system.label(KINDS["stiffness"].dimension))[0]
+        yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
+
+
+def _displacements(scene: Scene, nodes: Iterable[str]) -> tuple[str, ...]:
+    return tuple(name for node in nodes for name in of_node(scene, node))
+
+
+def _bar_stiffness(scene: Scene, item: Bar) -> Numbers:
+    start, end = (point(scene, node) for node in item.nodes)
+    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), start, end)
+
+
+def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:
+    modulus, area, inertia = (_value(scene, q) for q in (item.modulus, item.area, item.inertia))
+    start, end = (point(scene, node) for node in item.nodes)
+    return beam.stiffness(modulus, area, inertia, start, end)
+
+
+def _assemble(scene: Scene) -> Stiffness:
+    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
+    for names, matrix in _element_matrices(scene):
+        for i, row in zip(names, matrix, strict=True):
+            for j, entry in zip(names, row, strict=True):
+                if entry:
+                    total[i, j] += entry
+    return dict(total)
+
+
+def _load(scene: Scene) -> Row:
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for load in scene.loads:
+        total[load.unknown] += _value(scene, load.value)
+    for mass in scene.masses:
+        gravity = np.array([_value(scene, g) for g in scene.gravity or ()])
+        for name, force in zip(
+            of_node(scene, mass.node), point_mass.weight(_value(scene, mass.mass), gravity), strict=True
+        ):
+            total[name] += force
+    return dict(total)
+
+
+def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
+    if contact.node is not None and contact.obstacle is not None:
+        rows = node_contact.against_plane(point(scene, contact.node), _plane(scene, contact.obstacle))
+    else:
+        first, second = (point(scene, node) for node in contact.touched)
+        direction = second - first if contact.direction is None else np.array(contact.direction)
+        rows = node_contact.between_nodes(first, second, direction)
+    names = _displacements(scene, contact.touched)
+    return ContactForm(
+        name=contact.name,
+        normal=_row(names, rows.normal),
+        gap=rows.gap,
+        tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
+        friction=contact.friction or Fraction(0),
+    )
+
+
+def _row(names: Iterable[str], values: Numbers) -> Row:
+    return {name: value for name, value in zip(names, values, strict=True) if value}
+
+
+def _plane(scene: Scene, name: str) -> Plane:
+    item = scene.obstacle(name)
+    return Plane(point=np.array([_value(scene, x) for x in item.point]), normal=np.array(item.normal))

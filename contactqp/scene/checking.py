@@ -1,0 +1,257 @@
+"""What a scene's parts must have in common: names that exist, lengths that are not zero, loads on free unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from contactqp.errors import SceneError
+from contactqp.scene.claims import Claim
+from contactqp.scene.units import KINDS, Dimension
+from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
+from contactqp.scene.wording import unknown
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene, Tie
+
+_LISTS = ("nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts")
+
+
+def check(scene: Scene) -> None:
+    """Raise SceneError at the first part that does not fit the others."""
+    _names_are_distinct(scene)
+    _dimensions_fit(scene)
+    _nodes_exist(scene)
+    _lengths_are_positive(scene)
+    unknowns = of_scene(scene)
+    for part in (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, _claims_fit):
+        part(scene, unknowns)
+
+
+def _names_are_distinct(scene: Scene) -> None:
+    for key in _LISTS:
+        seen: dict[str, int] = {}
+        for i, item in enumerate(getattr(scene, key)):
+            if item.name in seen:
+                raise SceneError(
+                    f"{key}[{i}].name: expected distinct names, got {item.name!r} as in {key}[{seen[item.name]}]"
+                )
+            seen[item.name] = i
+
+
+def _dimensions_fit(scene: Scene) -> None:
+    d = len(scene.axes)
+    if scene.beams and d != 2:
+        raise SceneError(f"beams: expected a scene with two axes, got {d}")
+    for key, vector in _vectors(scene):
+        if len(vector) != d:
+            raise SceneError(
+                f"{key}: expected {d} components, one for each of the axes {list(scene.axes)}, got {len(vector)}"
+            )
+
+
+def _vectors(scene: Scene) -> Iterator[tuple[str, tuple[object, ...]]]:
+    yield from ((f"nodes[{i}].at ({node.name!r})", node.at) for i, node in enumerate(scene.nodes))
+    for i, obstacle in enumerate(scene.obstacles):
+        yield f"obstacles[{i}].point ({obstacle.name!r})", obstacle.point
+        yield f"obstacles[{i}].normal ({obstacle.name!r})", obstacle.normal
+    for key in ("springs", "contacts"):
+        for i, item in enumerate(getattr(scene, key)):
+            if item.direction is not None:
+                yield f"{key}[{i}].direction ({item.name!r})", item.direction
+    if scene.gravity is not None:
+        yield "gravity", scene.gravity
+
+
+def _node_uses(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Every place that names a node, and the name."""
+    for key in ("bars", "springs", "beams", "contacts"):
+        for i, item in enumerate(getattr(scene, key)):
+            for j, name in enumerate(item.nodes or ()):
+                yield f"{key}[{i}].nodes[{j}] ({item.name!r})", name
+    for key in ("masses", "contacts"):
+        for i, item in enumerate(getattr(scene, key)):
+            if item.node is not None:
+                yield f"{key}[{i}].node ({item.name!r})", item.node
+
+
+def _nodes_exist(scene: Scene) -> None:
+    known = [node.name for node in scene.nodes]
+    for key, name in _node_uses(scene):
+        if name not in known:
+            raise SceneError(f"{key}: {unknown(name, known, 'node')}")
+
+
+def _lengths_are_positive(scene: Scene) -> None:
+    for key in ("bars", "beams", "springs", "contacts"):
+        for i, item in enumerate(getattr(scene, key)):
+            where = f"{key}[{i}]"
+            direction = getattr(item, "direction", None)
+            if direction is not None and not any(direction):
+                raise SceneError(f"{where}.direction ({item.name!r}): expected a direction, got the zero vector")
+            if direction is None and len(item.nodes or ()) == 2:
+                _apart(scene, f"{where}.nodes ({item.name!r})", item.nodes)
+            if key == "springs" and direction is None and len(item.nodes) == 1 and len(scene.axes) > 1:
+                raise SceneError(f"{where}.direction ({item.name!r}): expected for a spring to the ground, and missing")
+    for i, mass in enumerate(scene.masses):
+        if scene.gravity is None:
+            raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
+    for i, obstacle in enumerate(scene.obstacles):
+        if not any(obstacle.normal):
+            raise SceneError(f"obstacles[{i}].normal ({obstacle.name!r}): expected a direction, got the zero vector")
+
+
+def _apart(scene: Scene, where: str, nodes: tuple[str, ...]) -> None:
+    first, second = (scene.node(name) for name in nodes)
+    if first.name == second.name:
+        raise SceneError(f"{where}: expected two different nodes, got {first.name!r} twice")
+    if [x.si for x in first.at] == [x.si for x in second.at]:
+        raise SceneError(
+            f"{where}: expected nodes apart from each other, got zero length between {nodes[0]!r} and {nodes[1]!r}"
+        )
+
+
+def _known_unknown(key: str, name: str, scene: Scene, unknowns: Unknowns) -> None:
+    if name in unknowns.names:
+        return
+    node, _, axis = name.rpartition(".")
+    if axis == ROTATION and node in {n.name for n in scene.nodes}:
+        raise SceneError(f"{key}: node {node!r} has no rotation, since no beam ends there")
+    raise SceneError(f"{key}: {unknown(name, unknowns.names, 'unknown')}")
+
+
+def _fixed_exist(scene: Scene, unknowns: Unknowns) -> None:
+    nodes = {node.name for node in scene.nodes}
+    seen: set[str] = set()
+    for i, name in enumerate(scene.fixed):
+        if name in seen:
+            raise SceneError(f"fixed[{i}]: expected distinct names, got {name!r} twice")
+        seen.add(name)
+        if name not in nodes:
+            _known_unknown(f"fixed[{i}]", name, scene, unknowns)
+    if not unknowns.free:
+        raise SceneError("fixed: expected at least one free unknown, got every one fixed")
+
+
+def _matrices_fit(scene: Scene, unknowns: Unknowns) -> None:
+    for i, matrix in enumerate(scene.matrices):
+        for j, name in enumerate(matrix.unknowns):
+            key = f"matrices[{i}].unknowns[{j}] ({matrix.name!r})"
+            _known_unknown(key, name, scene, unknowns)
+            if is_rotation(name):
+                raise SceneError(f"{key}: expected displacements, got the rotation {name!r}")
+        _distinct(f"matrices[{i}].unknowns ({matrix.name!r})", matrix.unknowns)
+
+
+def _distinct(key: str, names: Iterable[str]) -> None:
+    names = list(names)
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"{key}: expected distinct unknowns, got {name!r} twice")
+
+
+def _ties_fit(scene: Scene, unknowns: Unknowns) -> None:
+    for i, tie in enumerate(scene.ties):
+        where = f"ties[{i}]"
+        for j, term in enumerate(tie.terms):
+            _known_unknown(f"{where}.terms[{j}].unknown ({tie.name!r})", term.unknown, scene, unknowns)
+            if term.factor.si == 0:
+                raise SceneError(
+                    f"{where}.terms[{j}].factor ({tie.name!r}): expected a factor that is not zero, got {term.factor}"
+                )
+        _distinct(f"{where}.terms ({tie.name!r})", [term.unknown for term in tie.terms])
+        if unknowns.fixed.issuperset(term.unknown for term in tie.terms):
+            raise SceneError(f"{where} ({tie.name!r}): expected a free unknown, got fixed ones only")
+        _tie_dimensions(where, tie)
+
+
+def _tie_dimensions(where: str, tie: Tie) -> None:
+    """In a row of lengths, displacements have numbers as factors and rotations lengths; a row of rotations, numbers."""
+    number, length = KINDS["number"].dimension, KINDS["length"].dimension
+    angular = all(is_rotation(term.unknown) for term in tie.terms) and tie.value.dimension == number
+    for j, term in enumerate(tie.terms):
+        expected: Dimension = length if is_rotation(term.unknown) and not angular else number
+        if term.factor.dimension != expected:
+            kind = "a length (its lever)" if expected == length else "a number without a unit"
+            raise SceneError(
+                f"{where}.terms[{j}].factor ({tie.name!r}): expected {kind} for {term.unknown!r}, got {term.factor}"
+            )
+    if not angular and tie.value.dimension != length:
+        raise SceneError(f'{where}.value ({tie.name!r}): expected a length such as "0 m", got {tie.value}')
+
+
+def _contacts_fit(scene: Scene, unknowns: Unknowns) -> None:
+    known = [obstacle.name for obstacle in scene.obstacles]
+    for i, contact in enumerate(scene.contacts):
+        if contact.obstacle is not None and contact.obstacle not in known:
+            raise SceneError(
+                f"contacts[{i}].obstacle ({contact.name!r}): {unknown(contact.obstacle, known, 'obstacle')}"
+            )
+        touched = {name for node in contact.touched for name in of_node(scene, node)}
+        if unknowns.fixed.issuperset(touched):
+            raise SceneError(f"contacts[{i}] ({contact.name!r}): expected a node that can move, got fixed ones only")
+
+
+def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
+    for i, load in enumerate(scene.loads):
+        key = f"loads[{i}].unknown"
+        _known_unknown(key, load.unknown, scene, unknowns)
+        if load.unknown in unknowns.fixed:
+            raise SceneError(f"{key}: expected a free unknown, got {load.unknown!r}, which is fixed")
+        kind = KINDS["moment" if is_rotation(load.unknown) else "force"]
+        if load.value.dimension != kind.dimension:
+            raise SceneError(
+                f'loads[{i}].value: expected {kind.article} such as "{kind.example}" on {load.unknown!r}, '
+                f"got {load.value}"
+            )
+    _distinct("loads", [load.unknown for load in scene.loads])
+    if scene.path is not None and not scene.loads and not scene.masses:
+        raise SceneError("path: expected loads that grow along it, got none")
+
+
+def _nothing_hangs(scene: Scene, unknowns: Unknowns) -> None:
+    """A free node that nothing holds or touches is a slip of the pen."""
+    attached = {name for _, name in _node_uses(scene)}
+    attached |= {name.rpartition(".")[0] for matrix in scene.matrices for name in matrix.unknowns}
+    attached |= {term.unknown.rpartition(".")[0] for tie in scene.ties for term in tie.terms}
+    for i, node in enumerate(scene.nodes):
+        if node.name not in attached and not unknowns.fixed.issuperset(of_node(scene, node.name)):
+            raise SceneError(
+                f"nodes[{i}] ({node.name!r}): expected an element, tie or contact at this free node, got none"
+            )
+
+
+def _claims_fit(scene: Scene, unknowns: Unknowns) -> None:
+    places = _places(scene, unknowns)
+    for key in ("expect", "published"):
+        for i, claim in enumerate(getattr(scene, key)):
+            _claim_fits(f"{key}[{i}]", claim, scene, places)
+
+
+def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
+    """What ``at`` can name, for each thing a quantity can be asked of."""
+    named: Callable[[str], tuple[str, ...]] = lambda key: tuple(item.name for item in getattr(scene, key))  # noqa: E731
+    return {
+        "unknown": unknowns.free,
+        "support": tuple(name for name in unknowns.names if name in unknowns.fixed),
+        "contact": named("contacts"),
+        "bar": named("bars"),
+        "spring": named("springs"),
+        "tie": named("ties"),
+    }
+
+
+def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[str, ...]]) -> None:
+    measure = claim.measure
+    if measure.at is not None and claim.at not in places[measure.at]:
+        raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
+    if measure.along and claim.along not in places["unknown"]:
+        raise SceneError(f"{where}.along: {unknown(claim.along, places['unknown'], 'unknown')}")
+    for j, name in enumerate(claim.unknowns or ()):
+        if name not in places["unknown"]:
+            raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
+    if measure.path and scene.path is None:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
+    if claim.load_factor != Fraction(1) and not measure.solved:
+        raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")

@@ -1,0 +1,190 @@
+"""What a case says about its answer: exact expectations, printed numbers with our verdict, and the knobs to sweep."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, PlainValidator, model_validator
+
+from contactqp.scene.expression import NotANumber
+from contactqp.scene.fields import Block, KnobStiffness, Name, Number
+from contactqp.scene.quantities import QUANTITIES, Measure
+from contactqp.scene.units import KINDS, Kind, Quantity, read_quantity
+from contactqp.scene.wording import unknown
+
+KNOBS = ("penalty", "perturbation")
+STATUSES = ("open", "closed", "grazing", "stick", "slip")
+
+
+def _known_quantity(value: str) -> str:
+    if value not in QUANTITIES:
+        raise ValueError(unknown(value, QUANTITIES, "quantity"))
+    return value
+
+
+def _text(value: Any) -> str:
+    """Numbers are kept as they were written: their digits say how exact they are."""
+    if isinstance(value, bool | list | tuple | dict):
+        raise ValueError(f'expected a number with its unit such as "41/31500 m", got {value}')
+    return str(value)
+
+
+def _tolerance(value: Any) -> Quantity:
+    kinds = [kind for kind in KINDS.values() if kind.name in ("number", "length", "force", "moment", "stiffness")]
+    tolerance = read_quantity(value, kinds)
+    if tolerance.si <= 0:
+        raise ValueError(f"expected a positive tolerance, got {value}")
+    return tolerance
+
+
+Text = Annotated[str, PlainValidator(_text)]
+QuantityName = Annotated[str, AfterValidator(_known_quantity)]
+
+
+class Claim(Block):
+    """A quantity of the answer, and the method and load it is asked of.
+
+    Without `method` it is the exact answer, which every method that promises exactness must give.
+    """
+
+    quantity: QuantityName
+    at: Name | None = None
+    along: Name | None = None
+    unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
+    load_factor: Number = Fraction(1)
+    method: Name | None = None
+    penalty: KnobStiffness | None = None
+    perturbation: KnobStiffness | None = None
+    update: Literal["simultaneous", "uzawa"] | None = None
+
+    @property
+    def measure(self) -> Measure:
+        return QUANTITIES[self.quantity]
+
+    @property
+    def kinds(self) -> list[Kind]:
+        return [KINDS[name] for name in self.measure.kinds]
+
+    @property
+    def knobs(self) -> dict[str, Quantity | str]:
+        """The options of the method that are stated."""
+        stated = {name: getattr(self, name) for name in (*KNOBS, "update")}
+        return {name: value for name, value in stated.items() if value is not None}
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        measure = self.measure
+        for key, needed in (("at", measure.at), ("along", "unknown" if measure.along else None)):
+            if (getattr(self, key) is None) != (needed is None):
+                what = f"'{key}' naming the {needed}" if needed else f"no '{key}'"
+                raise ValueError(f"the quantity {self.quantity!r} expects {what}")
+        if self.unknowns is not None and not measure.matrix:
+            raise ValueError(f"the quantity {self.quantity!r} expects no 'unknowns'")
+        if self.knobs and self.method is None:
+            raise ValueError(f"{next(iter(self.knobs))!r} expects 'method', whose knob it is")
+        return self
+
+    def __str__(self) -> str:
+        where = f" {self.at}" if self.at else ""
+        where += f" along {self.along}" if self.along else ""
+        return self.quantity + where + (f" at load factor {self.load_factor}" if self.load_factor != 1 else "")
+
+
+class Expectation(Claim):
+    """The exact value, how close the answer must come, and where the value is from."""
+
+    value: Text | None = None
+    rows: tuple[tuple[Text, ...], ...] | None = None
+    unit: Text = ""  # of the numbers in `rows`
+    # Relative to |value|, or absolute with a unit. Twelve digits: a few rounding errors of a small system.
+    tolerance: Annotated[Quantity, PlainValidator(_tolerance), Field(validate_default=True)] = "1e-12"  # type: ignore[assignment]
+    derivation: Text
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        wanted, refused = ("rows", "value") if self.measure.matrix else ("value", "rows")
+        if getattr(self, wanted) is None or getattr(self, refused) is not None:
+            raise ValueError(f"the quantity {self.quantity!r} expects {wanted!r} and no {refused!r}")
+        if not self.kinds:
+            if self.value not in STATUSES:
+                raise ValueError(f"value: {unknown(self.value, STATUSES, 'status')}")
+            return self
+        for target in self.targets:
+            if target.si == 0 and self.tolerance.dimension != target.dimension and not self.measure.matrix:
+                raise ValueError('tolerance: expected one with a unit such as "1e-15 m", since the value is zero')
+        return self
+
+    @property
+    def targets(self) -> list[Quantity]:
+        """The exact values, row by row."""
+        texts = [self.value] if self.rows is None else [f"{text} {self.unit}" for row in self.rows for text in row]
+        return [read_quantity(text, self.kinds, roots=True) for text in texts]
+
+
+class Published(Claim):
+    """What the source prints, and whether that is right.
+
+    The number is held against our exact answer, or against that of the `method` it states, to half a unit of its last
+    digit.
+    """
+
+    printed: Text
+    verdict: Literal["right", "wrong"]
+    where: Text
+    why: Text
+    erratum: Text | None = None
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        if self.measure.matrix or not self.kinds:
+            raise ValueError(f"quantity: expected one that is a single number, got {self.quantity!r}")
+        self.target, self.half_digit  # noqa: B018  refused here if they cannot be read
+        return self
+
+    @property
+    def target(self) -> Quantity:
+        return read_quantity(self.printed, self.kinds)
+
+    @property
+    def half_digit(self) -> Quantity:
+        """Half a unit of the last printed digit."""
+        number, _, unit = self.printed.partition(" ")
+        mantissa, _, exponent = number.lower().partition("e")
+        digits = len(mantissa.partition(".")[2])
+        try:
+            return read_quantity(f"0.5e{int(exponent or 0) - digits} {unit}", self.kinds)
+        except ValueError:
+            raise NotANumber(f"printed: expected a plain decimal with its unit, got {self.printed!r}") from None
+
+
+class Remark(Block):
+    """A sentence or formula of the source without a number of its own, and whether it is right."""
+
+    statement: Text
+    verdict: Literal["right", "wrong"]
+    where: Text
+    why: Text
+    erratum: Text | None = None
+
+
+class Study(Block):
+    """A method and the values of its knob that a report sweeps."""
+
+    method: Name
+    penalty: tuple[KnobStiffness, ...] = ()
+    perturbation: tuple[KnobStiffness, ...] = ()
+    tolerance: tuple[Number, ...] = ()
+    update: Literal["simultaneous", "uzawa"] | None = None
+
+    @model_validator(mode="after")
+    def _one_knob(self) -> Self:
+        given = [name for name in (*KNOBS, "tolerance") if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(f"expected the values of one knob (penalty, perturbation or tolerance), got {len(given)}")
+        return self
+
+    @property
+    def knob(self) -> tuple[str, tuple[Quantity | Fraction, ...]]:
+        """Its name and values."""
+        return next((name, getattr(self, name)) for name in (*KNOBS, "tolerance") if getattr(self, name))

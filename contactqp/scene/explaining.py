@@ -1,0 +1,139 @@
+"""What a scene is made into: its unknowns and constraints, the blocks it got and those it did not, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from contactqp.elements.exact import Number
+from contactqp.scene.building import ExactProblem, Row, exact_problem
+from contactqp.scene.schema import Scene
+from contactqp.scene.unknowns import is_rotation
+
+MOST_NAMES = 12
+_ELEMENTS = (
+    ("bars", "axial bars"),
+    ("springs", "springs"),
+    ("beams", "plane Euler-Bernoulli beams"),
+    ("masses", "point masses"),
+    ("matrices", "stiffness matrices from elsewhere"),
+)
+
+
+@dataclass(frozen=True)
+class BuildingBlock:
+    """One part that a contact problem can have."""
+
+    name: str
+    included: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A scene in words."""
+
+    title: str
+    units: str
+    unknowns: tuple[str, ...]
+    fixed: tuple[str, ...]
+    contacts: tuple[str, ...]
+    ties: tuple[str, ...]
+    blocks: tuple[BuildingBlock, ...]
+
+
+def explain(scene: Scene) -> Explanation:
+    """Read off the scene itself; nothing is solved."""
+    exact = exact_problem(scene)
+    names = exact.unknowns
+    return Explanation(
+        title=scene.title,
+        units=f"{scene.units.length}, {scene.units.force}",
+        unknowns=names.free,
+        fixed=tuple(name for name in names.names if name in names.fixed),
+        contacts=tuple(
+            f"{contact.name}: {_form(contact.normal)} <= {_written(contact.gap)} {scene.units.length}"
+            for contact in exact.contacts
+        ),
+        ties=tuple(f"{tie.name}: {_form(tie.row)} = {_written(tie.value)}" for tie in exact.ties),
+        blocks=tuple(_blocks(scene, exact)),
+    )
+
+
+def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
+    for key, name in _ELEMENTS:
+        count = len(getattr(scene, key))
+        yield BuildingBlock(name, count > 0, f"{count} in the scene" if count else "none in the scene")
+    yield _rotations(exact)
+    yield _supports(exact)
+    yield _counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
+    rubbing = [contact.name for contact in exact.contacts if contact.friction]
+    yield _counted("tangential rows E_T, friction", len(rubbing), "contact with friction", "no contact has friction")
+    yield _counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
+    yield _condensation(exact)
+    yield _path(scene)
+    weigh = "masses only weigh" if scene.masses else "the scene has no masses"
+    yield BuildingBlock("mass matrix", False, f"statics: nothing moves in time, {weigh}")
+    kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
+    yield BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
+    yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
+    yield _exactness(exact)
+
+
+def _rotations(exact: ExactProblem) -> BuildingBlock:
+    count = sum(is_rotation(name) for name in exact.unknowns.free)
+    return _counted("rotations", count, "free rotation", "no beam ends at a free node")
+
+
+def _supports(exact: ExactProblem) -> BuildingBlock:
+    count = len(exact.unknowns.fixed)
+    return _counted("supports", count, "fixed unknown left out of the system", "nothing is fixed")
+
+
+def _condensation(exact: ExactProblem) -> BuildingBlock:
+    free = set(exact.unknowns.free)
+    rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
+    touched = free & {name for row in rows for name in row}
+    some = f"contacts and ties touch {len(touched)} of {len(free)} unknowns"
+    return BuildingBlock("condensation onto the contact unknowns", 0 < len(touched) < len(free), some)
+
+
+def _path(scene: Scene) -> BuildingBlock:
+    if scene.path is None:
+        return BuildingBlock("load path", False, "the loads are applied at once")
+    steps = f"{scene.path.steps} steps" if scene.path.steps else "no steps but the events"
+    found = "every closing and opening is found exactly" if scene.path.events else "a change is seen at the next step"
+    return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
+
+
+def _exactness(exact: ExactProblem) -> BuildingBlock:
+    reason = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
+    return BuildingBlock("exact rational numbers", exact.rational, reason)
+
+
+def _counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
+    return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
+
+
+def _form(row: Row) -> str:
+    """``u(1.x) - u(2.x)``."""
+    text = ""
+    for name, factor in row.items():
+        sign = "-" if factor < 0 else "+"
+        size = "" if abs(factor) == 1 else f"{_written(-factor if factor < 0 else factor)} "
+        text += f" {sign} {size}u({name})" if text else f"{'-' * (factor < 0)}{size}u({name})"
+    return text
+
+
+def _written(number: Number) -> str:
+    """A fraction as it is unless it is a short decimal."""
+    if isinstance(number, Fraction) and Fraction(f"{float(number):.6g}") != number:
+        return str(number)
+    return f"{float(number):.6g}"
+
+
+def shortened(names: Sequence[str]) -> str:
+    """The first of many names."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f", and {more} more" if more > 0 else "")

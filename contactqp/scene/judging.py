@@ -1,0 +1,192 @@
+"""A case judged: which methods it is solved by, and what it says of each answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+from contactqp.errors import (
+    BackendFailed,
+    BackendMissing,
+    InvalidProblem,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SceneError,
+    Unsupported,
+)
+from contactqp.methods import find
+from contactqp.scene.answers import Answer
+from contactqp.scene.building import exact_problem
+from contactqp.scene.claims import KNOBS, Claim
+from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
+from contactqp.scene.running import run
+from contactqp.scene.schema import Scene
+from contactqp.scene.units import Quantity
+from contactqp.solution import Solution
+from contactqp.solving import solve
+
+Knob = Quantity | str | float | int | bool
+# A step of the load path stands at a load factor if it does so to rounding.
+SAME_TIME = 1e-12
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A method with the knobs it is run with; quantities still carry their units."""
+
+    method: str = "active-set"
+    knobs: Mapping[str, Knob] = field(default_factory=dict)
+
+    def options(self, scene: Scene) -> dict[str, Any]:
+        """The knobs as numbers in the scene's units."""
+        return {
+            name: float(scene.system.value(knob)) if isinstance(knob, Quantity) else knob
+            for name, knob in self.knobs.items()
+        }
+
+    def concerns(self, claim: Claim) -> bool:
+        """Whether the claim is about this method: by name and knobs, or because both are about the exact answer."""
+        if claim.method is None:
+            return find(self.method).exact
+        stated = {name: knob for name, knob in self.knobs.items() if name in (*KNOBS, "update")}
+        return claim.method == self.method and claim.knobs == stated
+
+    def __str__(self) -> str:
+        return " ".join([self.method, *(f"{name}={knob}" for name, knob in self.knobs.items())])
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """One trial of one scene."""
+
+    scene: Scene
+    trial: Trial
+    solution: Solution
+    events: Sequence[Any]
+    expectations: tuple[Comparison, ...]
+    published: tuple[Comparison, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether all that the case says of this method holds."""
+        return all(row.ok for row in (*self.expectations, *self.published))
+
+
+@dataclass(frozen=True, eq=False)
+class Failure:
+    """A trial without an answer."""
+
+    scene: Scene
+    trial: Trial
+    message: str
+    met: bool = False
+
+
+def judge_all(
+    scene: Scene, methods: Sequence[str] = (), knobs: Mapping[str, Knob] | None = None
+) -> list[Judgement | Failure]:
+    """Every trial of a scene.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported, BackendMissing, SceneError
+        The scene or the method cannot be run at all; the message names the file.
+    """
+    where = f"{scene.file}: " if scene.file else ""
+    try:
+        return [
+            _outcome(scene, trial, where) for method in methods or (None,) for trial in trials(scene, method, knobs)
+        ]
+    except (InvalidProblem, Unsupported, BackendMissing, SceneError) as error:
+        raise type(error)(f"{where}{error}") from None
+
+
+def _outcome(scene: Scene, trial: Trial, where: str) -> Judgement | Failure:
+    try:
+        return judge(scene, trial)
+    except (NoEquilibrium, NotConverged, NotCertified, BackendFailed) as error:
+        return Failure(scene, trial, f"{where}{trial}: {error}")
+
+
+def trials(scene: Scene, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
+    """What a case is run with.
+
+    Without `method`: active-set, and every method that the case itself says something about. With `method` and no
+    knobs: each of the knobs that the case states for it.
+    """
+    stated = _distinct(
+        Trial(claim.method, claim.knobs) for claim in (*scene.expect, *scene.published) if claim.method is not None
+    )
+    if method is None:
+        return _distinct([Trial(), *stated])
+    if knobs or not find(method).required:
+        return (Trial(method, dict(knobs or {})),)
+    swept = (
+        Trial(study.method, _knobs(study.knob[0], value, study.update))
+        for study in scene.study
+        for value in study.knob[1]
+    )
+    return _distinct(trial for trial in (*stated, *swept) if trial.method == method) or (Trial(method),)
+
+
+def _knobs(name: str, value: Quantity | Fraction, update: str | None) -> dict[str, Knob]:
+    knobs: dict[str, Knob] = {name: float(value) if isinstance(value, Fraction) else value}
+    return knobs | ({"update": update} if update else {})
+
+
+def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
+    found: list[Trial] = []
+    for trial in many:
+        if trial not in found:
+            found.append(trial)
+    return tuple(found)
+
+
+def judge(scene: Scene, trial: Trial) -> Judgement:
+    """Solve a scene by one method and compare with all that the case says of that method."""
+    options = trial.options(scene)
+    if scene.path is not None and find(trial.method).exact:
+        history = run(scene, trial.method, **options)
+        solutions = {time: solution for time, solution in zip(history.times, history, strict=True)}
+        events: Sequence[Any] = history.events
+    else:
+        solutions = {1.0: solve(scene.problem(), trial.method, **options)}
+        events = ()
+    answers = _Answers(scene, trial, solutions, events)
+    return Judgement(
+        scene=scene,
+        trial=trial,
+        solution=answers.at(Fraction(1)).solution,
+        events=events,
+        expectations=tuple(
+            compare_expectation(claim, answers.at(claim.load_factor)) for claim in scene.expect if trial.concerns(claim)
+        ),
+        published=tuple(
+            compare_published(claim, answers.at(claim.load_factor))
+            for claim in scene.published
+            if trial.concerns(claim)
+        ),
+    )
+
+
+class _Answers:
+    """Answers by load factor: from the load path where it has been there, solved for otherwise."""
+
+    def __init__(self, scene: Scene, trial: Trial, solutions: Mapping[float, Solution], events: Sequence[Any]) -> None:
+        self._scene, self._trial, self._events = scene, trial, events
+        self._solutions = dict(solutions)
+        self._exact = exact_problem(scene)
+        self._problem = next(iter(solutions.values())).problem
+
+    def at(self, load_factor: Fraction) -> Answer:
+        factor = float(load_factor)
+        time = next((time for time in self._solutions if abs(time - factor) <= SAME_TIME), None)
+        if time is None:
+            load = [factor * float(self._exact.load.get(name, 0)) for name in self._exact.unknowns.free]
+            options = self._trial.options(self._scene)
+            self._solutions[factor] = solve(self._problem.replace(load=load), self._trial.method, **options)
+            time = factor
+        return Answer(self._scene, self._exact, self._solutions[time], load_factor, self._events)

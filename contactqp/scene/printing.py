@@ -1,0 +1,220 @@
+"""Judgements, explanations and the list of methods as tables and as plain data for JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from contactqp.methods import Method
+from contactqp.scene.expectations import Comparison, Shown
+from contactqp.scene.explaining import Explanation, shortened
+from contactqp.scene.judging import Failure, Judgement
+
+# Rows of a table on a screen; --json has all.
+MOST_ROWS = 60
+
+
+def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
+    """The answer of the first trial of a scene in full, and in one table what is said of the other methods."""
+    if not judgements:
+        return
+    print_judgement(console, judgements[0])
+    others = judgements[1:]
+    _print_comparisons(console, others, ["method", "certificate"])
+    for judgement in others:
+        if not judgement.expectations and not judgement.published:
+            console.print(f"{escape(str(judgement.trial))}: {_verdict(judgement)}")
+
+
+def print_judgement(console: Console, judgement: Judgement) -> None:
+    """Displacements, contact forces, the certificate's verdict, and what was expected of them."""
+    solution, scene = judgement.solution, judgement.scene
+    console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial))}: {_verdict(judgement)}")
+    length, force = scene.units.length, scene.units.force
+    unknowns = zip(scene.problem().dof_names or (), solution.displacement, strict=False)
+    _print(console, ["unknown", f"displacement [{length}]"], [[name, _number(u)] for name, u in unknowns])
+    contacts = zip(scene.contacts, solution.contact_status, solution.normal_force, solution.gap, strict=True)
+    rows = [[contact.name, str(status), _number(f), _number(g)] for contact, status, f, g in contacts]
+    _print(console, ["contact", "status", f"normal force [{force}]", f"gap [{length}]"], rows)
+    names = [contact.name for contact in scene.contacts]
+    _print(
+        console,
+        ["event", "contact", "load factor"],
+        [[event.kind, names[event.contact], _number(event.time)] for event in judgement.events],
+    )
+    _print_comparisons(console, [judgement], [])
+    if not judgement.expectations and not judgement.published:
+        console.print("the case expects nothing of this method")
+    for motion in solution.free_motions:
+        console.print(escape(f"free to move: {motion}"))
+
+
+def _verdict(judgement: Judgement) -> str:
+    certificate = judgement.solution.certificate
+    if certificate.passed:
+        return "[green]certificate passed[/green]" + (", error bounds proven" if certificate.proven else "")
+    return f"[yellow]certificate refuses[/yellow] {escape('; '.join(certificate.failures))}"
+
+
+def _print_comparisons(console: Console, judgements: Sequence[Judgement], before: list[str]) -> None:
+    """Two tables, with the columns `before` where there is more than one method."""
+    header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
+    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.expectations]
+    _print(console, header, rows)
+    header = [*before, "printed in the source", "value", "ours", "unit", "difference", "half digit", "verdict"]
+    rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.published]
+    _print(console, header, rows)
+
+
+def _trial(judgement: Judgement) -> list[str]:
+    return [str(judgement.trial), "passed" if judgement.solution.certificate.passed else "refuses"]
+
+
+def _comparison(row: Comparison) -> list[str]:
+    mark = "[green]met[/green]" if row.ok else "[red]NOT MET[/red]"
+    if row.verdict is not None:
+        mark = f"{row.verdict}, as stated" if row.ok else f"[red]NOT {row.verdict}, as stated[/red]"
+    return [
+        row.quantity,
+        _shown(row.expected),
+        _shown(row.got),
+        row.unit,
+        f"{row.error:.1e}",
+        f"{row.tolerance:.1e}",
+        mark,
+    ]
+
+
+def _shown(value: Shown) -> str:
+    if isinstance(value, str):
+        return value
+    return "(" + ", ".join(f"{number:.6g}" for number in value) + ")" if isinstance(value, tuple) else _number(value)
+
+
+def _number(value: float) -> str:
+    return f"{value:.12g}"
+
+
+def _print(console: Console, header: list[str], rows: list[list[str]]) -> None:
+    if not rows:
+        return
+    table = Table(*(escape(text) for text in header), box=box.SIMPLE, pad_edge=False)
+    for row in rows[:MOST_ROWS]:
+        table.add_row(*(text if text.startswith("[") or "[/" in text else escape(text) for text in row))
+    console.print(table)
+    if len(rows) > MOST_ROWS:
+        console.print(f"... and {len(rows) - MOST_ROWS} more rows (--json has all)")
+
+
+def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
+    """All that is known of one trial, for JSON; numbers are in the scene's units."""
+    if isinstance(judgement, Failure):
+        return {
+            "title": judgement.scene.title,
+            "method": judgement.trial.method,
+            "met": False,
+            "failure": judgement.message,
+        }
+    solution, scene = judgement.solution, judgement.scene
+    certificate = solution.certificate
+    names = [contact.name for contact in scene.contacts]
+    return {
+        "case": str(scene.file) if scene.file else None,
+        "title": scene.title,
+        "units": {"length": scene.units.length, "force": scene.units.force},
+        "method": judgement.trial.method,
+        "knobs": {name: str(knob) for name, knob in judgement.trial.knobs.items()},
+        "met": judgement.met,
+        "seconds": solution.seconds,
+        "energy": _finite(solution.energy),
+        "displacement": _named(solution.problem.dof_names, solution.displacement),
+        "normal_force": _named(names, solution.normal_force),
+        "gap": _named(names, solution.gap),
+        "contact_status": dict(zip(names, map(str, solution.contact_status), strict=True)),
+        "tie_force": _named([tie.name for tie in scene.ties], solution.tie_force),
+        "certificate": {
+            "passed": bool(certificate.passed),
+            "proven": bool(certificate.proven),
+            "failures": [str(failure) for failure in certificate.failures],
+        },
+        "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.events],
+        "expectations": [_comparison_data(row) for row in judgement.expectations],
+        "published": [_comparison_data(row) for row in judgement.published],
+    }
+
+
+def _comparison_data(row: Comparison) -> dict[str, Any]:
+    return asdict(row) | {"error": _finite(row.error)}
+
+
+def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, float | None]:
+    return {name: _finite(value) for name, value in zip(names or (), values, strict=True)}
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no numbers that are not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def print_explanation(console: Console, explanation: Explanation) -> None:
+    """Unknowns, constraints, blocks."""
+    console.print(f"[bold]{escape(explanation.title)}[/bold] (in {escape(explanation.units)})")
+    console.print(escape(f"unknowns: {len(explanation.unknowns)}: {shortened(explanation.unknowns)}"))
+    if explanation.fixed:
+        console.print(escape(f"fixed: {len(explanation.fixed)}: {shortened(explanation.fixed)}"))
+    for heading, rows in (("contacts", explanation.contacts), ("ties", explanation.ties)):
+        console.print(f"{heading}: {len(rows)}")
+        for row in rows[:MOST_ROWS]:
+            console.print(escape(f"  {row}"))
+    blocks = [[block.name, "included" if block.included else "left out", block.reason] for block in explanation.blocks]
+    _print(console, ["block", "", "why"], blocks)
+
+
+def print_methods(console: Console, methods: Iterable[Method]) -> None:
+    """Every method, installed or how to install it, and what it can do."""
+    rows = [
+        [
+            m.name,
+            m.kind,
+            "yes" if m.installed else m.install,
+            "exact" if m.exact else "approximate",
+            _abilities(m),
+            m.note,
+        ]
+        for m in methods
+    ]
+    _print(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
+
+
+def _abilities(method: Method) -> str:
+    yes = [
+        "floating bodies" if method.semidefinite else "",
+        "sparse" if method.sparse else "",
+        f"knob: {method.knob}" if method.knob else "",
+    ]
+    return ", ".join(text for text in yes if text)
+
+
+def method_data(method: Method) -> dict[str, Any]:
+    """One method for JSON."""
+    keys = (
+        "name",
+        "kind",
+        "installed",
+        "install",
+        "exact",
+        "semidefinite",
+        "sparse",
+        "options",
+        "required",
+        "knob",
+        "note",
+    )
+    return {key: getattr(method, key) for key in keys}

@@ -1,0 +1,233 @@
+"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
+
+from contactqp.errors import SceneError
+from contactqp.problem import ContactProblem
+from contactqp.scene import building, fields
+from contactqp.scene.checking import check
+from contactqp.scene.claims import Expectation, Published, Remark, Study
+from contactqp.scene.fields import Block, Name, NodeName, Number
+from contactqp.scene.units import KINDS, UnitSystem, describe, read_unit
+from contactqp.scene.wording import first_error
+
+NodeNames = Annotated[tuple[Name, ...], Field(min_length=2, max_length=2)]
+
+
+class UnitNames(Block):
+    """The units that the scene is computed and answered in; every number in the file still carries its own."""
+
+    length: str = "m"
+    force: str = "N"
+
+    @model_validator(mode="after")
+    def _right_dimensions(self) -> Self:
+        for kind in ("length", "force"):
+            text = getattr(self, kind)
+            if read_unit(text)[1] != KINDS[kind].dimension:
+                raise ValueError(f"{kind}: expected a unit of {kind}, got {text!r}")
+        return self
+
+
+class Node(Block):
+    """A point of a body, with a displacement along each axis."""
+
+    name: NodeName
+    at: fields.Point
+
+
+class Bar(Block):
+    """An axial bar between two nodes, in one, two or three dimensions."""
+
+    name: Name
+    nodes: NodeNames
+    area: fields.Area
+    modulus: fields.Modulus
+
+
+class Spring(Block):
+    """A spring between two nodes along the line between them, or along `direction`; with one node, to the ground."""
+
+    name: Name
+    nodes: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)]
+    stiffness: fields.Stiffness
+    direction: fields.Vector | None = None
+
+
+class Beam(Block):
+    """A plane Euler-Bernoulli beam; its nodes get the rotation ``theta``, from the first axis to the second."""
+
+    name: Name
+    nodes: NodeNames
+    area: fields.Area
+    inertia: fields.Inertia
+    modulus: fields.Modulus
+
+
+class PointMass(Block):
+    """A mass at a node; in statics it weighs `mass` times the scene's gravity."""
+
+    name: Name
+    node: Name
+    mass: fields.Mass
+
+
+class StiffnessMatrix(Block):
+    """A stiffness that another program printed, on displacements named ``node.axis``."""
+
+    name: Name
+    unknowns: Annotated[tuple[Name, ...], Field(min_length=1)]
+    unit: str
+    rows: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        n = len(self.unknowns)
+        if len(self.rows) != n or any(len(row) != n for row in self.rows):
+            raise ValueError(f"expected {n} rows of {n} numbers, got rows of {[len(row) for row in self.rows]}")
+        if read_unit(self.unit)[1] != KINDS["stiffness"].dimension:
+            raise ValueError(f'unit: expected a unit of stiffness such as "kN/m", got {self.unit!r}')
+        return self
+
+
+class Term(Block):
+    """One unknown of a tie and its factor; a rotation's factor is a length, its lever."""
+
+    unknown: Name
+    factor: fields.Factor
+
+
+class Tie(Block):
+    """A multi-point constraint: sum of factor times unknown = value."""
+
+    name: Name
+    terms: Annotated[tuple[Term, ...], Field(min_length=1)]
+    value: fields.TieValue
+
+
+class Obstacle(Block):
+    """A rigid plane through `point`; `normal`, of any length, points out of it, to where the body is."""
+
+    name: Name
+    point: fields.Point
+    normal: fields.Vector
+
+
+class Contact(Block):
+    """A node that may touch an obstacle, or two nodes that may touch each other along `direction`.
+
+    Without `direction` two nodes touch along the line from the first to the second.
+    """
+
+    name: Name
+    node: Name | None = None
+    obstacle: Name | None = None
+    nodes: NodeNames | None = None
+    direction: fields.Vector | None = None
+    friction: fields.FrictionCoefficient | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.nodes is None and self.node is None:
+            raise ValueError("expected 'node' and 'obstacle', or 'nodes', got neither")
+        if self.nodes is not None and (self.node is not None or self.obstacle is not None):
+            raise ValueError("expected 'node' and 'obstacle', or 'nodes', got both")
+        if self.node is not None and self.obstacle is None:
+            raise ValueError("expected 'obstacle', what the node may touch, and it is missing")
+        if self.node is not None and self.direction is not None:
+            raise ValueError("direction: expected none, the obstacle has its normal")
+        return self
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The one node, or the two."""
+        return self.nodes or ((self.node,) if self.node else ())
+
+
+class Load(Block):
+    """A force along an unknown, or a moment about a rotation."""
+
+    unknown: Name
+    value: fields.Force
+
+
+class LoadPath(Block):
+    """All loads grow together from nothing to their values.
+
+    With ``events = "exact"`` every closing and opening is found exactly, and `steps` are only for drawing curves.
+    """
+
+    steps: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] | None = None
+    events: Literal["exact"] | None = None
+
+
+def _axes(value: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(value)) != len(value):
+        raise ValueError(f"expected distinct axes, got {describe(value)} {list(value)}")
+    return value
+
+
+class Scene(Block):
+    """A case: bodies, supports, ties, contacts, loads, and what is known of the answer. Frozen and checked when made.
+
+    Raises
+    ------
+    SceneError
+        A key is unknown, missing or wrong, or the parts do not fit each other; one line with the key's path.
+    """
+
+    title: Name
+    source: str = ""
+    about: str = ""
+    units: UnitNames = UnitNames()
+    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1, max_length=3), AfterValidator(_axes)]
+    gravity: Annotated[tuple[fields.Acceleration, ...], Field(min_length=1, max_length=3)] | None = None
+    nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
+    bars: tuple[Bar, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    beams: tuple[Beam, ...] = ()
+    masses: tuple[PointMass, ...] = ()
+    matrices: tuple[StiffnessMatrix, ...] = ()
+    fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
+    ties: tuple[Tie, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    loads: tuple[Load, ...] = ()
+    path: LoadPath | None = None
+    expect: tuple[Expectation, ...] = ()
+    published: tuple[Published, ...] = ()
+    remarks: tuple[Remark, ...] = ()
+    study: tuple[Study, ...] = ()
+    _file: Path | None = PrivateAttr(default=None)
+
+    def __init__(self, /, **keys: Any) -> None:
+        try:
+            super().__init__(**keys)
+        except ValidationError as error:
+            raise SceneError(first_error(error, type(self), keys)) from None
+        check(self)
+
+    @property
+    def system(self) -> UnitSystem:
+        """The units of every number that leaves the scene."""
+        return UnitSystem(self.units.length, self.units.force)
+
+    @property
+    def file(self) -> Path | None:
+        """The case file it was read from, if any."""
+        return self._file
+
+    def problem(self) -> ContactProblem:
+        """The contact problem on the free unknowns, in the scene's units."""
+        return building.problem(self)
+
+    def node(self, name: str) -> Node:
+        return next(node for node in self.nodes if node.name == name)
+
+    def obstacle(self, name: str) -> Obstacle:
+        return next(obstacle for obstacle in self.obstacles if obstacle.name == name)

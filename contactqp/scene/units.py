@@ -1,0 +1,261 @@
+"""Quantities with their units, exactly: "15 cm^2" is Fraction(3, 2000) m^2.
+
+pint reads the units, on a short list of its own making: the whole of pint's list takes longer to read than to solve a
+small case, and knows dozens of units that a typing error in a mechanics case would hit by accident.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from typing import Any, NamedTuple
+
+import pint
+
+from contactqp.scene.expression import NotANumber, decimal, in_range, split_number
+
+_PREFIXES = ["nano:n", "micro:µ:u", "milli:m", "centi:c", "deci:d", "kilo:k", "mega:M", "giga:G"]
+_POWERS = dict(nano=-9, micro=-6, milli=-3, centi=-2, deci=-1, kilo=3, mega=6, giga=9)
+_DEFINITIONS = (
+    "meter = [length] = m = metre",
+    "second = [time] = s",
+    "gram = [mass] = g",
+    "radian = [] = rad",
+    "newton = kilogram * meter / second ** 2 = N",
+    "pascal = newton / meter ** 2 = Pa",
+    "joule = newton * meter = J",
+    "tonne = 1000 * kilogram = t",
+    "bar = 100000 * pascal",
+    "kilogram_force = 9.80665 * newton = kgf",
+    "inch = 0.0254 * meter = in",
+    "foot = 12 * inch = ft",
+    "pound = 453.59237 * gram = lb",
+    "pound_force = 0.45359237 * kilogram_force = lbf",
+    "kip = 1000 * pound_force",
+    "psi = pound_force / inch ** 2",
+    "ksi = 1000 * psi",
+)
+COMMON_UNITS = (
+    "m",
+    "mm",
+    "cm",
+    "um",
+    "N",
+    "kN",
+    "MN",
+    "Pa",
+    "kPa",
+    "MPa",
+    "GPa",
+    "kg",
+    "t",
+    "s",
+    "J",
+    "rad",
+    "in",
+    "ft",
+)
+# Names with an exponent of one digit, joined by *, / or a space: what pint is asked to read, and nothing else.
+_UNIT = re.compile(r"[^\W\d_]\w*(\s*(\^|\*\*)\s*-?\d)?(\s*[*/ ]\s*[^\W\d_]\w*(\s*(\^|\*\*)\s*-?\d)?)*")
+
+
+class Dimension(NamedTuple):
+    """Powers of force, length and time."""
+
+    force: int
+    length: int
+    time: int
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a number in a scene can be, and how one is written."""
+
+    name: str
+    dimension: Dimension
+    example: str
+
+    @property
+    def article(self) -> str:
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("number", Dimension(0, 0, 0), "0.3"),
+        Kind("angle", Dimension(0, 0, 0), "0.001 rad"),
+        Kind("length", Dimension(0, 1, 0), "2 m"),
+        Kind("area", Dimension(0, 2, 0), "15 cm^2"),
+        Kind("second moment of area", Dimension(0, 4, 0), "2000 cm^4"),
+        Kind("force", Dimension(1, 0, 0), "300 kN"),
+        Kind("moment", Dimension(1, 1, 0), "20 kN*m"),
+        Kind("energy", Dimension(1, 1, 0), "3 kN*m"),
+        Kind("stiffness", Dimension(1, -1, 0), "1e5 kN/m"),
+        Kind("modulus", Dimension(1, -2, 0), "210 GPa"),
+        Kind("mass", Dimension(1, -1, 2), "2 kg"),
+        Kind("acceleration", Dimension(0, 1, -2), "9.81 m/s^2"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An exact value in newton, metre and second, with the text it came from."""
+
+    si: Fraction
+    dimension: Dimension
+    text: str = field(compare=False)
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """The units that a scene is computed in; time is in seconds."""
+
+    length: str
+    force: str
+
+    def value(self, quantity: Quantity) -> Fraction:
+        """The number that a quantity is in these units, exactly."""
+        return quantity.si / self._factor(quantity.dimension)
+
+    def label(self, dimension: Dimension) -> str:
+        """How a number of that dimension is written here, as in ``kN/m``."""
+        parts = ((self.force, dimension.force), (self.length, dimension.length), ("s", dimension.time))
+        above = [_power(unit, power) for unit, power in parts if power > 0]
+        below = [_power(unit, -power) for unit, power in parts if power < 0]
+        if not above and below:
+            above = ["1"]
+        return "/".join(["*".join(above), *below])
+
+    def _factor(self, dimension: Dimension) -> Fraction:
+        length, force = read_unit(self.length)[0], read_unit(self.force)[0]
+        return length**dimension.length * force**dimension.force
+
+
+def _power(unit: str, power: int) -> str:
+    return unit if power == 1 else f"{unit}^{power}"
+
+
+@cache
+def _registry() -> pint.UnitRegistry[Any]:
+    registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None, non_int_type=Fraction, cache_folder=None)
+    lines = []
+    for prefix in _PREFIXES:
+        name, *symbols = prefix.split(":")
+        lines.append(f"{name}- = 1e{_POWERS[name]} = " + " = ".join(f"{symbol}-" for symbol in symbols))
+    registry.load_definitions([*lines, *_DEFINITIONS])
+    return registry
+
+
+def _first_unknown(error: pint.UndefinedUnitError) -> str:
+    names: Any = error.unit_names  # one name or several, as pint's versions have it
+    return names if isinstance(names, str) else str(next(iter(names)))
+
+
+@cache
+def read_unit(text: str) -> tuple[Fraction, Dimension]:
+    """The value of one such unit in newton, metre and second, and its dimension.
+
+    >>> read_unit("kN/m")
+    (Fraction(1000, 1), Dimension(force=1, length=-1, time=0))
+    """
+    if not text:
+        return Fraction(1), Dimension(0, 0, 0)
+    if not _UNIT.fullmatch(text):
+        raise NotANumber(f"{text!r} is no unit")
+    registry = _registry()
+    try:
+        quantity = registry.Quantity(Fraction(1), registry.parse_units(text)).to_root_units()
+    except pint.UndefinedUnitError as error:
+        unknown = _first_unknown(error)
+        near = [name for name in COMMON_UNITS if name.lower() == unknown.lower()]
+        near = near or difflib.get_close_matches(unknown, COMMON_UNITS, n=3, cutoff=0.5)
+        raise NotANumber(
+            f"the unit {unknown!r} is unknown" + (f" (nearest: {', '.join(near)})" if near else "")
+        ) from None
+    powers = {name: int(str(power)) for name, power in quantity.dimensionality.items()}
+    mass, length, time = powers.get("[mass]", 0), powers.get("[length]", 0), powers.get("[time]", 0)
+    # pint's root unit of mass is the gram; 1 kg = 1 N s^2/m.
+    return Fraction(quantity.magnitude) / Fraction(1000) ** mass, Dimension(mass, length - mass, time + 2 * mass)
+
+
+def read_number(value: Any, *, roots: bool = False) -> Fraction:
+    """An exact number without a unit, from a number or a text such as ``"5/7"``.
+
+    A float means the decimal digits it is printed with: 0.1 is 1/10.
+    """
+    if isinstance(value, str):
+        number, rest = split_number(value, roots=roots)
+        if rest:
+            raise NotANumber(f"{value!r}, which is a number with {rest!r} after it")
+        return number
+    if isinstance(value, bool) or not isinstance(value, int | float | Decimal | Fraction):
+        raise NotANumber(describe(value))
+    if isinstance(value, int | Fraction):
+        return in_range(Fraction(value), "a number")
+    written = repr(value) if isinstance(value, float) else str(value)
+    if not Decimal(written).is_finite():
+        raise NotANumber(written)
+    return in_range(decimal(written), written)
+
+
+def read_quantity(value: Any, kinds: Sequence[Kind], *, roots: bool = False) -> Quantity:
+    """A quantity of one of these kinds, from a text such as ``"15 cm^2"``.
+
+    Raises
+    ------
+    NotANumber
+        No number, no unit, an unknown unit, or a unit of another dimension; the message is a whole sentence part:
+        ``expected ..., got ...``.
+    """
+    try:
+        return _quantity(value, kinds, roots)
+    except NotANumber as error:
+        written = " or ".join(f'{kind.article} such as "{kind.example}"' for kind in kinds)
+        raise NotANumber(f"expected {written}, got {error}") from None
+
+
+def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
+    if isinstance(value, Quantity):
+        value = value.text
+    dimensionless = any(kind.dimension == Dimension(0, 0, 0) for kind in kinds)
+    if not isinstance(value, str):
+        number = read_number(value)
+        if not dimensionless:
+            raise NotANumber(f"{value}, a number without a unit")
+        return Quantity(number, Dimension(0, 0, 0), str(value))
+    number, unit = split_number(value, roots=roots)
+    factor, dimension = read_unit(unit)
+    if dimension not in {kind.dimension for kind in kinds}:
+        raise NotANumber(
+            f"{value!r}, " + (f"which is {describe_dimension(dimension)}" if unit else "a number without a unit")
+        )
+    return Quantity(in_range(number * factor, value), dimension, value)
+
+
+def describe_dimension(dimension: Dimension) -> str:
+    """In words where there is a word for it."""
+    for kind in KINDS.values():
+        if kind.dimension == dimension:
+            return kind.article
+    return f"in {UnitSystem('m', 'N').label(dimension)}"
+
+
+def describe(value: Any) -> str:
+    """What came instead of a number, in the words of a case file."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return "a list"
+    return f"{value!r}" if isinstance(value, str) else f"{value} ({type(value).__name__})"

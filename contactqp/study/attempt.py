@@ -1,0 +1,205 @@
+"""One rung tried: solved, timed, held against the truth, and written down as a row."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from contactqp.certificate import FIGURES, Certificate
+from contactqp.errors import (
+    BackendFailed,
+    BackendMissing,
+    ContactQPError,
+    NotCertified,
+    NotConverged,
+    Unsupported,
+)
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+from contactqp.solving import solve
+from contactqp.study import rows
+from contactqp.study.rows import Row
+from contactqp.study.rungs import Rung
+from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
+
+# A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
+GENEROSITY = 100.0
+# A first call that takes longer [s] is its own timing: what it imports no longer matters beside it.
+LONG = 2.0
+# Seconds of timed calls after which a median is good enough.
+ENOUGH = 0.05
+
+# What a case expects that a solution misses; None where nothing was compared.
+Judge = Callable[[Solution], Sequence[str] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one call of solve gave: a solution, an error, or an error that carries its solution."""
+
+    solution: Solution | None
+    error: ContactQPError | None
+    seconds: float
+
+
+def attempt(
+    problem: ContactProblem,
+    rung: Rung,
+    truth: Truth | None,
+    repeats: int = 1,
+    case: str = "",
+    judge: Judge | None = None,
+) -> Row:
+    """The row of one rung: the first call answers and warms up, the median of the repeats is the time.
+
+    Every call gets a fresh problem, so that nobody lives off another's factorisation.
+    """
+    outcome = call(problem, rung)
+    times = _times(problem, rung, repeats) if outcome.seconds < LONG else []
+    unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
+    return _row(rung, outcome, truth, statistics.median(times or [outcome.seconds]), len(times), case, unmet)
+
+
+def _times(problem: ContactProblem, rung: Rung, repeats: int) -> list[float]:
+    times: list[float] = []
+    while len(times) < repeats and sum(times) < ENOUGH:
+        times.append(call(problem, rung).seconds)
+    return times
+
+
+def call(problem: ContactProblem, rung: Rung) -> Outcome:
+    """One timed call of solve. Errors of contactqp are outcomes; all others are bugs and are not caught."""
+    fresh = _fresh(problem)
+    solution: Solution | None = None
+    error: ContactQPError | None = None
+    started = time.perf_counter()
+    try:
+        solution = solve(fresh, rung.method.name, **rung.options)
+    except ContactQPError as raised:
+        solution, error = getattr(raised, "solution", None), raised
+    return Outcome(solution, error, time.perf_counter() - started)
+
+
+def _fresh(problem: ContactProblem) -> ContactProblem:
+    """The same problem that shares no factorisation."""
+    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in ("asymmetry", "_shared")}
+    return ContactProblem(**values)
+
+
+def _row(
+    rung: Rung,
+    outcome: Outcome,
+    truth: Truth | None,
+    seconds: float,
+    repeats: int,
+    case: str,
+    unmet: Sequence[str] | None,
+) -> Row:
+    method, solution = rung.method, outcome.solution
+    known: dict[str, Any] = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
+    known |= dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
+    if not isinstance(outcome.error, BackendMissing | Unsupported):
+        known |= dict(seconds=seconds, repeats=repeats)
+    errors = raw_errors = None
+    if solution is not None:
+        raw = solution.raw
+        if truth is not None:
+            errors = truth.errors(solution.displacement, solution.normal_force, solution.tie_force)
+            raw_errors = truth.errors(raw.displacement, raw.normal_force, raw.tie_force) if raw else None
+        known |= _of_certificate(solution.certificate) | _of_work(solution)
+    claimed = _claimed(rung, outcome)
+    known |= _of_errors(errors, raw_errors)
+    known |= dict(claimed=claimed, flag_wrong=_flag_wrong(rung, claimed, raw_errors or errors))
+    if unmet is not None:
+        known |= dict(expectations_unmet=len(unmet))
+    message = _message(outcome, unmet)
+    return Row(**known, verdict=_verdict(rung, outcome, errors), message=message)
+
+
+_OF_ERRORS = (
+    (BackendMissing, rows.MISSING),
+    (Unsupported, rows.UNSUPPORTED),
+    (BackendFailed, rows.BACKEND_FAILED),
+    (NotConverged, rows.NOT_CONVERGED),
+    (ContactQPError, rows.REFUSED),
+)
+
+
+def _verdict(rung: Rung, outcome: Outcome, errors: Errors | None) -> str:
+    if outcome.error is not None:
+        return next(verdict for kind, verdict in _OF_ERRORS if isinstance(outcome.error, kind))
+    if outcome.solution is None or not outcome.solution.certificate.passed:
+        return rows.REFUSED if rung.method.exact else rows.APPROXIMATE
+    return rows.RIGHT if errors is None or errors.small else rows.WRONG
+
+
+def _claimed(rung: Rung, outcome: Outcome) -> bool | None:
+    """Whether the method itself called its answer solved; the active set has no answer but the refined one."""
+    solution = outcome.solution
+    if solution is None or rung.method.kind == "active set":
+        return None
+    return solution.raw.claimed if solution.raw else not isinstance(outcome.error, NotConverged)
+
+
+def _flag_wrong(rung: Rung, claimed: bool | None, errors: Errors | None) -> bool | None:
+    """Claimed, and worse than both the certificate's error tolerance and what was asked of the method, generously."""
+    if claimed is None or errors is None or not rung.method.exact:
+        return None
+    allowed = max(ERROR_TOLERANCE, GENEROSITY * rung.tolerance) + errors.allowance
+    return claimed and errors.judged > allowed
+
+
+def _of_certificate(certificate: Certificate) -> dict[str, Any]:
+    worst = max(FIGURES, key=lambda name: float(getattr(certificate, name)))
+    return dict(
+        certificate_passed=certificate.passed,
+        certificate_proven=certificate.proven,
+        certificate_worst=_finite(getattr(certificate, worst)),
+        certificate_figure=worst,
+        bound_displacement=_finite(certificate.energy_error),
+        bound_force=_finite(certificate.force_error),
+    )
+
+
+def _of_work(solution: Solution) -> dict[str, Any]:
+    work = solution.work
+    return dict(
+        iterations=work.iterations,
+        factorisations=work.factorisations,
+        back_substitutions=work.back_substitutions,
+        polish_corrections=work.polish_corrections,
+    )
+
+
+def _of_errors(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
+    known: dict[str, Any] = {}
+    if errors is not None:
+        known |= dict(error_displacement=_finite(errors.displacement))
+        known |= dict(error_displacement_max=_finite(errors.displacement_max))
+        known |= dict(error_force=_finite(errors.force), error_measure=errors.measure)
+    if raw is not None:
+        known |= dict(raw_error_displacement=_finite(raw.displacement), raw_error_force=_finite(raw.force))
+    return known
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _message(outcome: Outcome, unmet: Sequence[str] | None) -> str:
+    said = []
+    if isinstance(outcome.error, BackendMissing):
+        return str(outcome.error).rpartition(": ")[2]
+    if unmet:
+        said.append("expected otherwise: " + "; ".join(unmet))
+    if outcome.error is not None:
+        said.append(str(outcome.error))
+    elif outcome.solution is not None:
+        said.extend(outcome.solution.certificate.failures)
+    if outcome.solution is not None and isinstance(outcome.error, NotCertified) and outcome.solution.raw is not None:
+        said.append(f"raw: {outcome.solution.raw.status}")
+    return "; ".join(said)

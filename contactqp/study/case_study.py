@@ -1,0 +1,160 @@
+"""One case made ready for a report: its problem, its truth, its rungs, and what it says of its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from contactqp.errors import BackendMissing, ContactQPError, Unsupported
+from contactqp.methods import Method
+from contactqp.problem import ContactProblem
+from contactqp.scene.answers import Answer
+from contactqp.scene.building import exact_problem
+from contactqp.scene.claims import Expectation
+from contactqp.scene.expectations import compare_expectation
+from contactqp.scene.judging import Failure, Judgement, judge, trials
+from contactqp.scene.loading import load_scene
+from contactqp.scene.schema import Scene
+from contactqp.scene.units import Quantity
+from contactqp.solution import Solution
+from contactqp.study.attempt import attempt
+from contactqp.study.rows import Row
+from contactqp.study.rungs import TOLERANCES, Rung, all_rungs
+from contactqp.study.truth import Truth, of_solution, proven_solution
+
+# Expected values that are stated less exactly than this are no truth to measure errors against.
+EXACT = Fraction(1, 10**12)
+
+
+@dataclass(frozen=True, eq=False)
+class CaseStudy:
+    """A case with everything that a report tries on it."""
+
+    name: str
+    scene: Scene
+    problem: ContactProblem
+    rungs: tuple[Rung, ...]
+
+    def rows(self, truth: Truth | None, repeats: int) -> Iterator[Row]:
+        """One row for each rung."""
+        expected = FullLoad(self.scene)
+        for rung in self.rungs:
+            judge = expected.unmet if rung.stands_for_exactness else None
+            yield attempt(self.problem, rung, truth, repeats, self.name, judge)
+
+    def truth(self) -> Truth | None:
+        """What the case states exactly, and the proven solution where it states nothing."""
+        own = proven_solution(self.problem)
+        displacement, normal_force = self._stated()
+        known = np.concatenate([displacement, normal_force])
+        count, size = int(np.sum(np.isfinite(known))), len(known)
+        if own is None:
+            whole = count == size
+            return Truth(self.problem, displacement, normal_force, None, "the case's exact values") if whole else None
+        proven = of_solution(own)
+        if not count:
+            return proven
+        rest = "" if count == size else f" ({count} of {size} numbers; the others: {proven.source})"
+        return replace(
+            proven,
+            displacement=np.where(np.isfinite(displacement), displacement, own.displacement),
+            normal_force=np.where(np.isfinite(normal_force), normal_force, own.normal_force),
+            source=f"the case's exact values{rest}",
+        )
+
+    def _stated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Exact displacements and contact forces under the full load, NaN where the case states none."""
+        problem = self.problem
+        unknowns, contacts = list(problem.dof_names or ()), list(problem.contact_names or ())
+        vectors = np.full(problem.dimension, np.nan), np.full(problem.contacts, np.nan)
+        places = {"displacement": (vectors[0], unknowns), "normal force": (vectors[1], contacts)}
+        for claim in self.scene.expect:
+            vector, names = places.get(claim.quantity, (vectors[0], []))
+            if _at_full_load(claim) and claim.at in names and _is_exact(claim):
+                vector[names.index(claim.at)] = float(self.scene.system.value(claim.targets[0]))
+        return vectors
+
+
+def _at_full_load(claim: Expectation) -> bool:
+    return claim.method is None and claim.load_factor == 1 and claim.measure.solved and not claim.measure.path
+
+
+def _is_exact(claim: Expectation) -> bool:
+    # Zero is zero, whatever the absolute tolerance that goes with it.
+    target = claim.targets[0]
+    return target.si == 0 or (not any(claim.tolerance.dimension) and claim.tolerance.si <= EXACT)
+
+
+class FullLoad:
+    """What a case expects of every exact answer under the full load."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._exact = scene, exact_problem(scene)
+        self._claims = [claim for claim in scene.expect if _at_full_load(claim)]
+
+    def unmet(self, solution: Solution) -> Sequence[str] | None:
+        """The expectations that this answer misses; None where there are none to compare."""
+        answer = Answer(self._scene, self._exact, solution, Fraction(1), ())
+        missed = [str(claim) for claim in self._claims if not compare_expectation(claim, answer).ok]
+        return missed if self._claims else None
+
+
+def load_studies(
+    files: Iterable[str | Path], methods: Sequence[Method], tolerances: Sequence[float] = TOLERANCES
+) -> tuple[CaseStudy, ...]:
+    """The cases with their rungs; all files are read before anything is solved.
+
+    Raises
+    ------
+    SceneError, InvalidProblem
+        A file is no case, or its problem is none; the message names the file.
+    """
+    paths = [Path(file) for file in files]
+    stems = [path.stem for path in paths]
+    studies = []
+    for path in paths:
+        scene = load_scene(path)
+        try:
+            problem = scene.problem()
+        except ContactQPError as error:
+            raise type(error)(f"{path}: {error}") from None
+        name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
+        rungs = tuple(
+            rung for method in methods for rung in all_rungs(problem, method, tolerances, stated_ladders(scene, method))
+        )
+        studies.append(CaseStudy(name, scene, problem, rungs))
+    return tuple(studies)
+
+
+def stated_ladders(scene: Scene, method: Method) -> list[tuple[str, str, list[float]]]:
+    """The (variant, knob, values) that the case's study tables state for a method, in the scene's units."""
+    ladders = []
+    for study in scene.study:
+        if study.method == method.name:
+            knob, values = study.knob
+            numbers = [float(scene.system.value(v) if isinstance(v, Quantity) else v) for v in values]
+            ladders.append(("uzawa" if study.update == "uzawa" else "", knob, numbers))
+    return ladders
+
+
+def judgements(scene: Scene) -> Iterator[Judgement | Failure]:
+    """All that the case says, of the active-set answer along its load path and of each method that it names itself."""
+    for trial in trials(scene):
+        try:
+            yield judge(scene, trial)
+        except (BackendMissing, Unsupported):  # the method's own row says so
+            continue
+        except ContactQPError as error:
+            yield Failure(scene, trial, f"{trial}: {error}")
+
+
+def unmet(outcome: Judgement | Failure) -> list[str]:
+    """What is not met, in words."""
+    if isinstance(outcome, Failure):
+        return [outcome.message]
+    rows = (*outcome.expectations, *outcome.published)
+    return [f"{outcome.trial}: {row.quantity}: expected {row.expected}, got {row.got}" for row in rows if not row.ok]

@@ -1,0 +1,90 @@
+"""compare(): one problem by many methods, as a table of errors, times and verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from contactqp.errors import InvalidProblem
+from contactqp.problem import ContactProblem
+from contactqp.study.attempt import attempt
+from contactqp.study.rows import Row, as_dicts, text_table, to_csv
+from contactqp.study.rungs import chosen_methods, single_rungs
+from contactqp.study.truth import Reference, truth_of
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The table of `compare`: one row for each method and value of its knob; `str` of it is readable."""
+
+    rows: tuple[Row, ...]
+    truth: str  # what the errors are measured against
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __str__(self) -> str:
+        return f"{text_table(self.rows)}\nerrors against: {self.truth}"
+
+    def to_dicts(self) -> list[dict[str, Any]]:
+        """Rows as plain data; `contactqp.study.rows.COLUMNS` says what each key is."""
+        return as_dicts(self.rows)
+
+    def to_csv(self) -> str:
+        """Comma-separated values with a header."""
+        return to_csv(self.rows)
+
+
+def compare(
+    problem: ContactProblem,
+    methods: Sequence[str] | None = None,
+    reference: Reference | None = None,
+    *,
+    knobs: Mapping[str, Sequence[float]] | None = None,
+) -> Comparison:
+    """Solve one problem by many methods and hold every answer against the truth.
+
+    Parameters
+    ----------
+    methods : sequence of names, optional
+        All of `contactqp.methods()` by default; those that are not installed are listed as missing.
+    reference : Solution, or (displacement, normal_force[, tie_force]), optional
+        The truth. By default the active-set solution, if its certificate proves it; without a truth, errors are None.
+    knobs : mapping of method names to values, optional
+        Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
+        the contact stiffness (`contactqp.study.rungs.contact_stiffness`), and the others are run as `solve` runs them.
+
+    Returns
+    -------
+    Comparison
+        A method that fails is a row with the reason, not an exception. Each method is called twice and the second call
+        is timed, certificate included, unless the first one takes seconds.
+
+    Raises
+    ------
+    Unsupported
+        There is no method of that name.
+    InvalidProblem
+        The reference has wrong shapes; a knob is given for a method that is not compared or has none.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> table = cq.compare(wall, methods=["active-set", "penalty"], knobs={"penalty": [1e8]})
+    >>> [(row.method, row.verdict, f"{row.error_force:.0e}") for row in table]
+    [('active-set', 'right', '0e+00'), ('penalty', 'approximate', '2e-03')]
+    """
+    chosen = chosen_methods(methods)
+    given = dict(knobs or {})
+    for name in given:
+        if name not in {method.name for method in chosen if method.knob}:
+            raise InvalidProblem(f"knobs: {name!r} is no compared method with a knob")
+    truth = truth_of(problem, reference)
+    rungs = (rung for method in chosen for rung in single_rungs(problem, method, given.get(method.name)))
+    source = "nothing, as the active-set method proves no answer" if truth is None else truth.source
+    return Comparison(tuple(attempt(problem, rung, truth) for rung in rungs), source)

@@ -1,0 +1,40 @@
+"""Where and with what a report was made: enough to run it again."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import Sequence
+
+from contactqp.methods import Method
+
+BASE = ("contactqp", "numpy", "scipy", "qpsolvers", "cvxpy", "matplotlib")
+# Environment variables that decide on how many threads linear algebra runs.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def machine() -> dict[str, str]:
+    """Platform, processor, Python, and the limits of threads."""
+    found = dict(
+        platform=platform.platform(),
+        processor=platform.processor() or platform.machine(),
+        cores=str(os.cpu_count()),
+        python=f"{platform.python_implementation()} {platform.python_version()}",
+    )
+    return found | {name: os.environ[name] for name in THREADS if name in os.environ}
+
+
+def versions(methods: Sequence[Method]) -> dict[str, str]:
+    """Version of every distribution that was or could have been used; "not installed" where it is not."""
+    homes = importlib.metadata.packages_distributions()
+    packages = dict.fromkeys(package for method in methods for package in method.packages)
+    names = dict.fromkeys([*BASE, *(homes.get(package, [package])[0] for package in packages)])
+    return {name: _version(name) for name in names}
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,252 @@
+"""The main job: every case by every method and every value of its knob, written to a folder."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from contactqp.errors import SceneError
+from contactqp.scene.arguments import case_files
+from contactqp.scene.judging import Failure, Judgement
+from contactqp.scene.printing import judgement_data
+from contactqp.study import picture
+from contactqp.study.attempt import ENOUGH
+from contactqp.study.case_study import CaseStudy, judgements, load_studies, unmet
+from contactqp.study.machine import machine, versions
+from contactqp.study.page import page
+from contactqp.study.rows import COLUMNS, VERDICTS, Row, aligned, as_dicts, to_csv
+from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
+from contactqp.study.summary import Summary, summarise
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+SCHEMA, SCHEMA_VERSION = "contactqp-report", 1
+REPEATS = 3
+DEFAULT_CASES = "cases"
+PICTURE = "error_against_time"
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What a report found, and the files that it wrote."""
+
+    summary: Summary
+    rows: tuple[Row, ...]
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]  # what was left out, and why
+
+    @property
+    def exit_code(self) -> int:
+        """1 if anything claims to be right and is not, else 0."""
+        return self.summary.exit_code
+
+
+@dataclass(frozen=True, eq=False)
+class _Finished:
+    """One case with all of its rows."""
+
+    study: CaseStudy
+    truth: str
+    rows: tuple[Row, ...]
+    judged: tuple[Judgement | Failure, ...]
+
+    @property
+    def unmet(self) -> list[str]:
+        return [f"{self.study.name}: {text}" for outcome in self.judged for text in unmet(outcome)]
+
+
+def report(cases: Sequence[str], output: str) -> int:
+    """The report of the command line: says on the terminal what it found and where, and returns the exit code.
+
+    Without cases those of the folder ``cases`` are taken.
+    """
+    result = write_report(case_files(cases or [_default_cases()]), output, progress=True)
+    for note in result.notes:
+        print(f"contactqp: {note}", file=sys.stderr)
+    print(aligned(result.summary.cells()))
+    for text in result.summary.unmet:
+        print(f"not met: {text}")
+    print(f"{len(result.rows)} rows; {result.summary}")
+    print(f"written: {', '.join(str(file) for file in result.files if file.suffix != picture.SUFFIX)}")
+    return result.exit_code
+
+
+def _default_cases() -> str:
+    if not Path(DEFAULT_CASES).is_dir():
+        raise SceneError(f"report: expected case files, or a folder {DEFAULT_CASES!r} here, got neither")
+    return DEFAULT_CASES
+
+
+def write_report(
+    cases: Sequence[str | Path],
+    output: str | Path,
+    *,
+    methods: Sequence[str] | None = None,
+    tolerances: Sequence[float] = TOLERANCES,
+    repeats: int = REPEATS,
+    progress: bool = False,
+) -> ReportResult:
+    """Try every method with every value of its knob on every case, and write index.html, results.csv and results.json.
+
+    Parameters
+    ----------
+    cases : sequence of paths
+        Case files.
+    output : path
+        The folder, made if need be. Files appear in it complete or not at all, when everything has been run.
+    methods : sequence of names, optional
+        All by default, the missing ones listed as missing.
+    tolerances : sequence of float
+        The ladder of the methods whose knob is the tolerance, where the case states none.
+    repeats : int
+        Timed calls after the first, at most; each on a fresh problem.
+    progress : bool
+        Show a progress bar on stderr.
+
+    Raises
+    ------
+    SceneError, InvalidProblem
+        A case is wrong, or the folder cannot be written; before anything is solved.
+    """
+    chosen = chosen_methods(methods)
+    studies = load_studies(cases, chosen, tolerances)
+    folder = Path(output)
+    with _workshop(folder) as workshop:
+        finished = _run(studies, repeats, progress)
+        rows = tuple(row for case in finished for row in case.rows)
+        summary = summarise(rows, (text for case in finished for text in case.unmet))
+        notes = _draw(finished, rows, workshop)
+        facts: dict[str, Any] = dict(
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            machine=machine(),
+            versions=versions(chosen),
+            settings=_settings(tolerances, repeats),
+            seeds="none: nothing is random",
+        )
+        _write(workshop / "results.csv", to_csv(rows))
+        _write(workshop / "results.json", _json(finished, rows, summary, facts))
+        _write(workshop / "index.html", _page(finished, rows, summary, facts, workshop))
+        files = _deliver(workshop, folder)
+    return ReportResult(summary, rows, files, notes)
+
+
+def _settings(tolerances: Sequence[float], repeats: int) -> dict[str, Any]:
+    return dict(
+        tolerances=list(tolerances),
+        stiffenings=list(STIFFENINGS),
+        uzawa_iterations=list(UZAWA_ITERATIONS),
+        repeats=f"at most {repeats}, fewer once {ENOUGH} s are spent",
+        timing="wall clock of solve on a fresh problem, certificate included; median of the repeats after one warm-up",
+    )
+
+
+@contextmanager
+def _workshop(folder: Path) -> Iterator[Path]:
+    """A folder beside the report's, gone at the end whatever happens."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise SceneError(f"{folder}: expected a folder for the report, and there is a file of that name")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        workshop = tempfile.TemporaryDirectory(prefix=".contactqp-report-", dir=folder.parent)
+    except OSError as error:
+        raise SceneError(f"{folder}: expected a folder that can be written, got: {error.strerror}") from None
+    with workshop as path:
+        yield Path(path)
+
+
+def _run(studies: Sequence[CaseStudy], repeats: int, shown: bool) -> tuple[_Finished, ...]:
+    with _progress(shown) as bar:
+        task = bar.add_task("", total=sum(len(study.rungs) for study in studies))
+        finished = []
+        for study in studies:
+            bar.update(task, description=study.name)
+            truth = study.truth()
+            rows = []
+            for row in study.rows(truth, repeats):
+                rows.append(row)
+                bar.advance(task)
+            source = "nothing, as no answer is proven" if truth is None else truth.source
+            finished.append(_Finished(study, source, tuple(rows), tuple(judgements(study.scene))))
+    return tuple(finished)
+
+
+def _progress(shown: bool) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown)
+
+
+def _draw(finished: Sequence[_Finished], rows: Sequence[Row], workshop: Path) -> tuple[str, ...]:
+    """One picture for each case, one for all; returns what is to be said if there are none."""
+    if not picture.can_draw():
+        return ("no pictures, as matplotlib is not installed: pip install 'contactqp[report]'",)
+    for case in finished:
+        title = f"{case.study.scene.title}: error against run time"
+        picture.save(picture.draw(case.rows, title), workshop / _picture_name(case.study.name))
+    if len(finished) > 1:
+        title = f"Error against run time, median over {len(finished)} cases (knobs with units left out)"
+        picture.save(picture.draw(picture.medians(rows), title), workshop / _picture_name(""))
+    return ()
+
+
+def _picture_name(case: str) -> str:
+    return f"{PICTURE}{'_' if case else ''}{case}{picture.SUFFIX}"
+
+
+def _json(finished: Sequence[_Finished], rows: Sequence[Row], summary: Summary, facts: dict[str, Any]) -> str:
+    data = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **facts)
+    data |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(summary))
+    data["cases"] = [
+        dict(
+            name=case.study.name,
+            file=str(case.study.scene.file or ""),
+            title=case.study.scene.title,
+            units=dict(length=case.study.scene.units.length, force=case.study.scene.units.force),
+            unknowns=case.study.problem.dimension,
+            contacts=case.study.problem.contacts,
+            ties=case.study.problem.ties,
+            truth=case.truth,
+            unmet=case.unmet,
+            judgements=[judgement_data(outcome) for outcome in case.judged],
+        )
+        for case in finished
+    ]
+    data["rows"] = as_dicts(rows)
+    return json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _page(
+    finished: Sequence[_Finished], rows: Sequence[Row], summary: Summary, facts: dict[str, Any], workshop: Path
+) -> str:
+    named = [case.study.name for case in finished]
+    files = {name: workshop / _picture_name(name) for name in ["", *named]}
+    pictures = {name: file.read_bytes() for name, file in files.items() if file.exists()}
+    cases = [(case.study.name, case.study.scene.title, case.truth) for case in finished]
+    flat = {key: value for group in facts.values() if isinstance(group, dict) for key, value in group.items()}
+    return page(cases, rows, summary, {name: str(value) for name, value in (facts | flat).items()}, pictures)
+
+
+def _write(file: Path, text: str) -> None:
+    file.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _deliver(workshop: Path, folder: Path) -> tuple[Path, ...]:
+    """Every file is moved in one step; the page comes last, pictures of an earlier report go first."""
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob(f"{PICTURE}*{picture.SUFFIX}"):
+        old.unlink()
+    made = sorted(workshop.iterdir(), key=lambda file: (file.name == "index.html", file.suffix, file.name))
+    for file in made:
+        os.replace(file, folder / file.name)
+    return tuple(folder / file.name for file in made)

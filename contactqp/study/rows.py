@@ -1,0 +1,167 @@
+"""The one table of every study: a flat row for each method and value of its knob, its columns, and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+RIGHT = "right"
+REFUSED = "refused"
+APPROXIMATE = "approximate"
+NOT_CONVERGED = "not converged"
+BACKEND_FAILED = "backend failed"
+MISSING = "missing"
+UNSUPPORTED = "unsupported"
+WRONG = "wrong but passed"
+
+# In the order in which a reader wants them.
+VERDICTS: Mapping[str, str] = {
+    RIGHT: "the certificate passes and the true error is small",
+    APPROXIMATE: "approximate by design, returned with a certificate that says how far off it is",
+    REFUSED: "the method promises the exact answer and was refused, mostly by the certificate",
+    NOT_CONVERGED: "the method gave up; errors, if any, are those of its last iterate",
+    BACKEND_FAILED: "the backend raised an exception of its own, or returned nothing usable",
+    UNSUPPORTED: "the method cannot do this problem",
+    MISSING: "not installed; the message is the pip command",
+    WRONG: "the certificate passes and the true error is not small: must never happen",
+}
+
+
+def _column(meaning: str, default: Any = None) -> Any:
+    return field(default=default, metadata={"meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method with one value of its knob on one problem. What does not apply, or is not finite, is None."""
+
+    case: str = _column("name of the case; empty in a comparison of one problem", "")
+    method: str = _column("name of the method", "")
+    kind: str = _column("family of the method", "")
+    promises_exact: bool = _column("whether the method promises the exact answer, or is approximate by design", True)
+    variant: str = _column("raw, polished or uzawa, where the method has such variants", "")
+    knob: str = _column("what trades error for time: tolerance, penalty, perturbation, iterations", "")
+    knob_value: float | None = _column("its value; stiffnesses in the case's units; none: the method's own default")
+    verdict: str = _column("one of the verdicts listed below", "")
+    error_displacement: float | None = _column("true error in u, energy norm, relative to that of the truth")
+    error_displacement_max: float | None = _column("largest true error of an unknown, relative to the largest unknown")
+    error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
+    error_measure: str = _column("relative, or which errors are absolute or measured otherwise, and why", "")
+    seconds: float | None = _column("run time of solve on a fresh problem, certificate included; median of the repeats")
+    repeats: int = _column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
+    claimed: bool | None = _column("whether the method itself called its raw answer solved")
+    flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
+    raw_error_displacement: float | None = _column("error_displacement before polish, where the answer was polished")
+    raw_error_force: float | None = _column("error_force before polish, where the answer was polished")
+    certificate_passed: bool | None = _column("verdict of the certificate")
+    certificate_proven: bool | None = _column("whether the certificate could bound the errors")
+    certificate_worst: float | None = _column("largest of the certificate's figures of violation")
+    certificate_figure: str = _column("which figure that is", "")
+    bound_displacement: float | None = _column("the certificate's bound on the relative error in u, energy norm")
+    bound_force: float | None = _column("the certificate's bound on the relative error in the forces, energy norm")
+    iterations: int | None = _column("iterations of the method")
+    factorisations: int | None = _column("factorisations of the stiffness")
+    back_substitutions: int | None = _column("right-hand sides solved with them")
+    polish_corrections: int | None = _column("changes of the method's contact set while polishing")
+    expectations_unmet: int | None = _column(
+        "exact values of the case that the answer misses, where they were compared"
+    )
+    message: str = _column("what the method, the certificate or the error says", "")
+
+
+COLUMNS: Mapping[str, str] = {column.name: column.metadata["meaning"] for column in fields(Row)}
+
+
+def as_dicts(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Rows as plain data, one key a column."""
+    return [asdict(row) for row in rows]
+
+
+def to_csv(rows: Iterable[Row]) -> str:
+    """Comma-separated values with a header; numbers with all their digits, None as nothing."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in as_dicts(rows))
+    return text.getvalue()
+
+
+def from_csv(text: str) -> tuple[Row, ...]:
+    """The rows that `to_csv` wrote."""
+    lines = csv.DictReader(io.StringIO(text))
+    return tuple(Row(**{name: _parsed(name, cell) for name, cell in line.items()}) for line in lines)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
+
+
+_TYPES = {column.name: str(column.type).removesuffix(" | None") for column in fields(Row)}
+
+
+def _parsed(name: str, cell: str) -> Any:
+    kind = _TYPES[name]
+    if kind == "str":
+        return cell
+    if not cell:
+        return None
+    return cell == "true" if kind == "bool" else int(cell) if kind == "int" else float(cell)
+
+
+# What of the table fits a screen, and how it is headed there.
+READABLE: Mapping[str, str] = {
+    "method": "method",
+    "variant": "variant",
+    "knob": "knob",
+    "knob_value": "value",
+    "error_displacement": "error in u",
+    "error_displacement_max": "max-norm",
+    "error_force": "error in λ",
+    "seconds": "time [ms]",
+    "verdict": "verdict",
+    "certificate_worst": "violation",
+    "claimed": "claimed",
+    "raw_error_force": "raw error in λ",
+    "iterations": "iterations",
+    "message": "message",
+}
+
+
+def readable(row: Row) -> dict[str, str]:
+    """The cells of `READABLE`, rounded."""
+    return {name: _rounded(name, getattr(row, name)) for name in READABLE}
+
+
+def _rounded(name: str, value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if name == "seconds":
+        return f"{1e3 * value:.3g}"
+    return f"{value:.1e}" if isinstance(value, float) else str(value)
+
+
+def text_table(rows: Iterable[Row], widest: int = 60) -> str:
+    """A table for a terminal; messages are cut at `widest` letters."""
+    cells = [[heading for heading in READABLE.values()]]
+    cells += [[_shortened(cell, widest) for cell in readable(row).values()] for row in rows]
+    return aligned(cells)
+
+
+def aligned(cells: Sequence[Sequence[str]]) -> str:
+    """Columns side by side under the headings of the first line; columns with nothing below it are left out."""
+    shown = [column for column in zip(*cells, strict=True) if any(column[1:])]
+    widths = [max(map(len, column)) for column in shown]
+    padded = [[cell.ljust(width) for cell in column] for column, width in zip(shown, widths, strict=True)]
+    return "\n".join("  ".join(line).rstrip() for line in zip(*padded, strict=True))
+
+
+def _shortened(text: str, widest: int) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= widest else text[: widest - 1] + "…"

@@ -1,0 +1,132 @@
+"""What a study tries: each method with each value of its knob, one rung of a ladder after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from contactqp.methods import Method, find, methods
+from contactqp.problem import ContactProblem
+
+# Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
+# lose a digit of the gap to rounding for each digit of accuracy.
+STIFFENINGS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
+TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
+# Of solve() itself.
+DEFAULT_TOLERANCE = 1e-9
+UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One method with one value of its knob."""
+
+    method: Method
+    variant: str = ""  # "raw", "polished", "uzawa"
+    knob: str = ""
+    value: float | None = None  # None: the method's own default
+    options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of solve
+
+    @property
+    def tolerance(self) -> float:
+        """What is asked of the method, relative."""
+        return float(self.options.get("tolerance", DEFAULT_TOLERANCE))
+
+    @property
+    def stands_for_exactness(self) -> bool:
+        """Whether the answer must be exact to the last digits, whatever the knob."""
+        return self.method.exact and (self.variant == "polished" or (self.variant == "" and self.value is None))
+
+
+def contact_stiffness(problem: ContactProblem) -> float:
+    """The largest 1 / Σ_j (E_ij² / K_jj) over the contacts [force / length].
+
+    An upper estimate of the stiffness that a contact feels, (E K⁻¹ Eᵀ)⁻¹, which also exists for bodies that float. An
+    unknown without stiffness of its own counts with the largest stiffness of the problem; without contacts, that is
+    the answer, and 1 if nothing has any stiffness.
+    """
+    diagonal = problem.stiffness.diagonal()
+    stiffest = float(diagonal.max()) or 1.0
+    compliance = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
+    return float(np.max(1.0 / compliance)) if problem.contacts else stiffest
+
+
+def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
+    """The methods of these names, all by default, installed or not.
+
+    Raises
+    ------
+    Unsupported
+        There is no method of that name; the nearest names are given.
+    """
+    known = {method.name: method for method in methods()}
+    return tuple(known.values()) if names is None else tuple(known.get(name) or find(name) for name in names)
+
+
+def single_rungs(problem: ContactProblem, method: Method, values: Sequence[float] | None = None) -> Iterator[Rung]:
+    """The method as `solve` runs it, over the values of its knob if it has no default or if values are given."""
+    if not method.installed:
+        yield Rung(method)
+    elif values is not None:
+        yield from ladder(method, method.knob or "", values)
+    elif method.required:
+        yield from ladder(method, method.required[0], stiffness_ladder(problem))
+    elif method.knob == "tolerance":
+        yield from ladder(method, "tolerance", [DEFAULT_TOLERANCE])
+    else:
+        yield Rung(method, knob=method.knob or "")
+
+
+def all_rungs(
+    problem: ContactProblem,
+    method: Method,
+    tolerances: Sequence[float] = TOLERANCES,
+    stated: Sequence[tuple[str, str, Sequence[float]]] = (),
+) -> Iterator[Rung]:
+    """Every variant of a method over its knob.
+
+    Parameters
+    ----------
+    tolerances : sequence of float
+        For the methods whose knob they are; each is run raw and polished.
+    stated : sequence of (variant, knob, values)
+        Ladders that the case states for this method; they take the place of the default ones.
+    """
+    if not method.installed:
+        yield Rung(method)
+        return
+    for variant, knob, values in stated:
+        yield from ladder(method, knob, values, variant)
+    if method.required:
+        yield from () if stated else ladder(method, method.required[0], stiffness_ladder(problem))
+        return
+    if method.knob == "tolerance":
+        named = [values for _, knob, values in stated if knob == "tolerance"]
+        yield from () if named else ladder(method, "tolerance", tolerances, "polished")
+        yield from ladder(method, "tolerance", named[0] if named else tolerances, "raw")
+        return
+    yield Rung(method, knob=method.knob or "")
+    if method.polish and method.kind != "active set":
+        yield Rung(method, "raw", options={"polish": False})
+    if "update" in method.options:
+        yield from ladder(method, "iterations", UZAWA_ITERATIONS, "uzawa")
+
+
+def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Rung]:
+    """One rung for each value."""
+    variant = variant or ("polished" if method.polish else "")
+    for value in values:
+        option = {"max_iter": int(value)} if knob == "iterations" else {knob: float(value)}
+        yield Rung(method, variant, knob, float(value), option | _OF_VARIANTS.get(variant, {}))
+
+
+_OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa": {"update": "uzawa"}}
+
+
+def stiffness_ladder(problem: ContactProblem) -> tuple[float, ...]:
+    """`STIFFENINGS` times the contact stiffness, rounded to two digits."""
+    stiffness = contact_stiffness(problem)
+    return tuple(float(f"{factor * stiffness:.1e}") for factor in STIFFENINGS)

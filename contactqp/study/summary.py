@@ -1,0 +1,81 @@
+"""What a report's rows come to: rates for each method, and whether anything claims to be right and is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, fields
+
+from contactqp.study import rows
+from contactqp.study.rows import Row
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """One method over all cases and knobs; failures count, missing methods have no rows to count."""
+
+    method: str
+    installed: bool
+    tried: int  # rows
+    right: int  # the certificate passes and the truth agrees
+    refused: int  # refused, not converged, failed or unsupported
+    approximate: int
+    wrong_but_passed: int
+    claimed: int  # raw answers that the method itself called solved
+    silently_wrong: int  # of these, those that are wrong
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of a whole report."""
+
+    methods: tuple[MethodSummary, ...]
+    wrong_but_passed: int  # ours: must be 0
+    silently_wrong: int  # the methods' own flags
+    unmet: tuple[str, ...]  # expectations of the cases that are not met
+
+    @property
+    def exit_code(self) -> int:
+        """1 if anything claims to be right and is not."""
+        return 1 if self.wrong_but_passed or self.unmet else 0
+
+    def cells(self) -> list[list[str]]:
+        """The table of the methods, headings first."""
+        words = {True: "yes", False: "no"}
+        lines = [[words[cell] if isinstance(cell, bool) else str(cell) for cell in astuple(m)] for m in self.methods]
+        return [[column.name.replace("_", " ") for column in fields(MethodSummary)], *lines]
+
+    def __str__(self) -> str:
+        return (
+            f"wrong but passed: {self.wrong_but_passed}; expectations unmet: {len(self.unmet)}; "
+            f"backends silently wrong by themselves: {self.silently_wrong}"
+        )
+
+
+def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
+    """Counts by method. A raw answer is counted once: on its own row where it has one, else on that of the method."""
+    names = dict.fromkeys(row.method for row in all_rows)
+    methods = tuple(_of_method(name, [row for row in all_rows if row.method == name]) for name in names)
+    of_rows = (f"{row.case}: {row.method}: {row.message}" for row in all_rows if row.expectations_unmet)
+    return Summary(
+        methods=methods,
+        wrong_but_passed=sum(method.wrong_but_passed for method in methods),
+        silently_wrong=sum(method.silently_wrong for method in methods),
+        unmet=(*unmet, *of_rows),
+    )
+
+
+def _of_method(name: str, mine: Sequence[Row]) -> MethodSummary:
+    own = [row for row in mine if row.variant == "raw"] or mine
+    verdicts = [row.verdict for row in mine]
+    failed = (rows.REFUSED, rows.NOT_CONVERGED, rows.BACKEND_FAILED, rows.UNSUPPORTED)
+    return MethodSummary(
+        method=name,
+        installed=rows.MISSING not in verdicts,
+        tried=len(mine) - verdicts.count(rows.MISSING),
+        right=verdicts.count(rows.RIGHT),
+        refused=sum(verdicts.count(verdict) for verdict in failed),
+        approximate=verdicts.count(rows.APPROXIMATE),
+        wrong_but_passed=verdicts.count(rows.WRONG),
+        claimed=sum(row.claimed is True for row in own),
+        silently_wrong=sum(row.flag_wrong is True for row in own),
+    )

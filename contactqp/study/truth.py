@@ -1,0 +1,229 @@
+"""The truth that answers are held against, and how far from it an answer is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contactqp.condensation import condense
+from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.problem import ContactProblem, Matrix, Vector
+from contactqp.saddle import SaddlePoint
+from contactqp.solution import Solution
+from contactqp.solving import solve
+
+# What a chain of a few dozen rounded additions can make of zero, relative to the size of its terms.
+ROUNDING = 64 * float(np.finfo(float).eps)
+# True errors above this are wrong: the certificate's own tolerance of errors.
+ERROR_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Errors:
+    """True errors of one answer; None where they are not finite or cannot be measured."""
+
+    displacement: float | None  # ‖u − u*‖_K / ‖u*‖_K
+    displacement_max: float | None  # max |u − u*| / max |u*|
+    force: float | None  # max |λ_i − λ_i*| e_i / max |λ_i*| e_i with e_i = max_j |E_ij|
+    measure: str  # "relative", or which error is measured otherwise
+    judged: float  # the worst of those that decide, relative to sizes that do not vanish; infinite if not finite
+    allowance: float  # what rounding the answer to doubles adds to it
+
+    @property
+    def small(self) -> bool:
+        """Whether the answer is right."""
+        return self.judged <= ERROR_TOLERANCE + self.allowance
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The solution of a problem, from wherever it is known.
+
+    Contact forces are not unique where contacts are redundant; the forces that they sum to at each unknown are, and are
+    compared instead. Displacements are unique up to motions that nothing holds.
+    """
+
+    problem: ContactProblem
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    tie_force: Vector | None  # (k,)
+    source: str
+    unique_forces: bool = True
+    free: bool = False  # there are motions that nothing drives and nothing holds
+
+    def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
+        """How far an answer is from the truth.
+
+        The energy norm decides about u, and where the stiffness is singular, the largest unknown too. A truth of zero
+        leaves absolute errors, which are judged against the lengths and forces that meet in the problem.
+        """
+        if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(normal_force))):
+            return Errors(None, None, None, "the answer is not finite", float("inf"), 0.0)
+        energy = self._energy(displacement - self.displacement)
+        largest = _Measured.of(_largest(displacement - self.displacement), _largest(self.displacement), self._length())
+        force = self._force(normal_force, tie_force)
+        decisive = [energy.judged] if energy.relative else []
+        decisive += [largest.judged] if not self.free and (self._singular or not energy.relative) else []
+        return Errors(
+            energy.value,
+            largest.value,
+            force.value if force else None,
+            self._measure(energy, largest, force),
+            max([*decisive, force.judged if force else 0.0], default=0.0),
+            self._allowance(),
+        )
+
+    @property
+    def _singular(self) -> bool:
+        return condense(self.problem).rigid.count > 0
+
+    def _energy(self, difference: Vector) -> _Measured:
+        return _Measured.of(self._norm(difference), self._norm(self.displacement), self._norm_of_sizes())
+
+    def _norm(self, displacement: Vector) -> float:
+        return float(np.sqrt(max(displacement @ (self.problem.stiffness @ displacement), 0.0)))
+
+    def _norm_of_sizes(self) -> float:
+        """√(|u|ᵀ|K||u|): what cancels in ‖u‖_K."""
+        size = abs(self.displacement)
+        return float(np.sqrt(size @ (abs(self.problem.stiffness) @ size)))
+
+    def _allowance(self) -> float:
+        norm = self._norm(self.displacement)
+        return ROUNDING * self._norm_of_sizes() / norm if norm > ROUNDING * self._norm_of_sizes() else 0.0
+
+    def _length(self) -> float:
+        """The largest length that meets at a contact or tie."""
+        problem, size = self.problem, abs(self.displacement)
+        at_contacts = (abs(problem.normal) @ size + abs(problem.gap)) / _row_sizes(problem.normal)
+        at_ties = (abs(problem.tie) @ size + abs(problem.tie_value)) / _row_sizes(problem.tie)
+        return max(_largest(at_contacts), _largest(at_ties))
+
+    def _force_size(self) -> float:
+        """The largest force that meets at an unknown."""
+        return _largest(abs(self.problem.stiffness) @ abs(self.displacement) + abs(self.problem.load))
+
+    def _force(self, normal_force: Vector, tie_force: Vector | None) -> _Measured | None:
+        if self.unique_forces:
+            weight = _row_sizes(self.problem.normal)
+            change, truth = (normal_force - self.normal_force) * weight, self.normal_force * weight
+        elif tie_force is None or self.tie_force is None:
+            return None
+        else:
+            truth = self._resultant(self.normal_force, self.tie_force)
+            change = self._resultant(normal_force - self.normal_force, tie_force - self.tie_force)
+        return _Measured.of(_largest(change), _largest(truth), self._force_size())
+
+    def _resultant(self, normal_force: Vector, tie_force: Vector) -> Vector:
+        return np.asarray(self.problem.normal.T @ normal_force + self.problem.tie.T @ tie_force)
+
+    def _measure(self, energy: _Measured, largest: _Measured, force: _Measured | None) -> str:
+        said = []
+        if not energy.relative:
+            said.append("u absolute in the energy norm (the true energy vanishes)")
+        if not largest.relative:
+            said.append("max-norm of u absolute (the truth is zero)")
+        if not self.unique_forces:
+            said.append(f"redundant contacts: λ {'as resultants on the unknowns' if force else 'not unique'}")
+        if force and not force.relative:
+            said.append("λ absolute (the truth is zero)")
+        return "; ".join(said) or "relative"
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """An error: relative to the truth, or absolute where the truth is zero to rounding."""
+
+    value: float
+    relative: bool
+    judged: float
+
+    @classmethod
+    def of(cls, change: float, truth: float, scale: float) -> _Measured:
+        """`scale` is the size of what cancels in the truth; it stands in for a truth of zero. 0/0 is 0."""
+        if truth > ROUNDING * scale:
+            return cls(change / truth, True, change / truth)
+        if scale > 0:
+            return cls(change, False, change / scale)
+        return cls(change, False, 0.0 if change == 0 else float("inf"))
+
+
+def _largest(values: Vector) -> float:
+    return float(np.max(abs(values), initial=0.0))
+
+
+def _row_sizes(rows: Matrix) -> Vector:
+    """max_j |E_ij| of each row; no row is zero."""
+    return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
+
+
+Reference = Solution | tuple[ArrayLike, ...]
+
+
+def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Truth | None:
+    """The reference as a truth, or the proven active-set solution, or None where nothing is proven.
+
+    Raises
+    ------
+    InvalidProblem
+        The reference has wrong shapes, or values that are not finite.
+    """
+    own = proven_solution(problem)
+    if reference is None:
+        return None if own is None else of_solution(own)
+    truth = _given(problem, reference)
+    if own is None:
+        return truth
+    return replace(truth, unique_forces=_unique(own), free=bool(own.free_motions))
+
+
+def proven_solution(problem: ContactProblem) -> Solution | None:
+    """By the active-set method, if its certificate passes with both bounds proven."""
+    try:
+        solution = solve(problem)
+    except ContactQPError:  # the method's own row says why
+        return None
+    return solution if solution.certificate.passed and solution.certificate.proven else None
+
+
+def of_solution(solution: Solution) -> Truth:
+    """A solution whose errors are proven small."""
+    bound = solution.certificate.energy_error, solution.certificate.force_error
+    return Truth(
+        problem=solution.problem,
+        displacement=solution.displacement,
+        normal_force=solution.normal_force,
+        tie_force=solution.tie_force,
+        source=f"{solution.method}, proven to {bound[0]:.1e} in u and {bound[1]:.1e} in λ",
+        unique_forces=_unique(solution),
+        free=bool(solution.free_motions),
+    )
+
+
+def _unique(solution: Solution) -> bool:
+    closed = np.flatnonzero(solution.contact_status != "open")
+    return not SaddlePoint(condense(solution.problem), closed).redundant
+
+
+def _given(problem: ContactProblem, reference: Reference) -> Truth:
+    if isinstance(reference, Solution):
+        values: tuple[ArrayLike, ...] = (reference.displacement, reference.normal_force, reference.tie_force)
+        source = f"reference by {reference.method}"
+    else:
+        values, source = tuple(reference), "reference"
+    if len(values) not in (2, 3):
+        raise InvalidProblem(f"reference: expected (displacement, normal_force[, tie_force]), got {len(values)} values")
+    sizes = (problem.dimension, problem.contacts, problem.ties)
+    names = ("displacement", "normal_force", "tie_force")
+    vectors = [_vector(name, value, size) for name, value, size in zip(names, values, sizes, strict=False)]
+    tie_force = vectors[2] if len(vectors) == 3 else None
+    return Truth(problem, vectors[0], vectors[1], tie_force, source)
+
+
+def _vector(name: str, value: ArrayLike, size: int) -> Vector:
+    vector = np.array(value, dtype=float).ravel()
+    if vector.shape != (size,) or not np.all(np.isfinite(vector)):
+        raise InvalidProblem(f"reference: {name}: expected {size} finite numbers, got {vector}")
+    return vector

@@ -1,0 +1,89 @@
+"""Load paths: steps, exact events, energies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from tests.examples import block_between, seeded_problem, truss, two_bars
+
+
+def test_the_contact_load_is_found_exactly() -> None:
+    history = cq.follow_path(two_bars(0.0), loads=[[300.0, 0.0], [0.0, 0.0]], events="exact")
+    assert [(event.kind, event.contact) for event in history.events] == [("closed", 0), ("opened", 0)]
+    assert [event.time for event in history.events] == pytest.approx([157.5 / 300, 2 - 157.5 / 300], rel=1e-14)
+    assert list(history.times) == pytest.approx([0.0, 0.525, 1.0, 1.475, 2.0])
+    proportional = cq.follow_path(truss(), loads=[[60.0, -100.0]], events="exact")
+    assert proportional.events[0].time == pytest.approx(458394666339 / 639328600000, rel=1e-13)
+    assert proportional.events[0].name == "floor"
+
+
+def test_steps_hit_every_corner_and_share_one_factorisation() -> None:
+    history = cq.follow_path(two_bars(), loads=[[300.0, 0.0], [150.0, 0.0]], steps=4)
+    assert len(history) == 9
+    assert history.normal_forces[4] == pytest.approx([95.0])
+    assert history.times[4] == 1.0
+    assert sum(solution.work.factorisations for solution in history) == 0  # diag(K): nothing lies inside
+    assert history.displacements.shape == (9, 2)
+    assert history.friction_forces is None
+    beam = cq.follow_path(truss(), loads=[[60.0, -100.0]], steps=10)
+    assert sum(solution.work.factorisations for solution in beam) == 1
+
+
+def test_work_is_elastic_energy_where_events_are_exact() -> None:
+    history = cq.follow_path(two_bars(), loads=[[300.0, 0.0]], events="exact")
+    assert history.energies[-1].work == pytest.approx(history.energies[-1].elastic, rel=1e-12)
+    assert history.energies[-1].total == pytest.approx(history[-1].energy + 300.0 * history[-1].displacement[0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_exact_events_agree_with_many_steps(seed: int) -> None:
+    problem = seeded_problem(seed, n=7, m=6)
+    problem = problem.replace(gap=np.maximum(abs(problem.gap), 0.05))
+    corners = [problem.load, -problem.load, 0 * problem.load]
+    exact = cq.follow_path(problem, corners, events="exact")
+    steps = cq.follow_path(problem, corners, steps=50)
+    assert len(exact.events) == len(steps.events)
+    by_time = {(event.kind, event.contact): event.time for event in exact.events}
+    for event in steps.events:
+        assert 0 <= event.time - by_time[event.kind, event.contact] < 1 / 50 + 1e-12 or any(
+            0 <= event.time - other.time < 1 / 50 + 1e-12
+            for other in exact.events
+            if (other.kind, other.contact) == (event.kind, event.contact)
+        )
+
+
+def test_contacts_that_close_together() -> None:
+    """Two equal bars reach two equal walls at one load."""
+    problem = cq.ContactProblem(stiffness=np.eye(2), load=[0.0, 0.0], normal=np.eye(2), gap=[0.5, 0.5])
+    history = cq.follow_path(problem, [[1.0, 1.0]], events="exact")
+    assert [(event.contact, event.time) for event in history.events] == [(0, 0.5), (1, 0.5)]
+
+
+def test_redundant_contacts_close_without_end() -> None:
+    problem = cq.ContactProblem(stiffness=[[1.0]], load=[0.0], normal=[[1.0], [1.0]], gap=[0.5, 0.5])
+    history = cq.follow_path(problem, [[1.0]], events="exact")
+    assert {event.time for event in history.events} == {0.5}
+    assert history[-1].normal_force.sum() == pytest.approx(0.5)
+
+
+def test_what_cannot_be_followed_is_refused() -> None:
+    with pytest.raises(cq.Unsupported, match="approximate"):
+        cq.follow_path(truss(), [[60.0, -100.0]], events="exact", method="penalty", penalty=1e6)
+    with pytest.raises(cq.Unsupported, match="friction"):
+        cq.follow_path(truss(tangent=[[1.0, 0.0]], friction=0.3), [[60.0, -100.0]])
+    with pytest.raises(cq.InvalidProblem, match="steps"):
+        cq.follow_path(truss(), [[60.0, -100.0]], steps=0)
+    with pytest.raises(cq.InvalidProblem, match="events"):
+        cq.follow_path(truss(), [[60.0, -100.0]], events="some")
+    with pytest.raises(cq.InvalidProblem, match="loads"):
+        cq.follow_path(truss(), [])
+    with pytest.raises(cq.Unsupported, match="jumps"):
+        loose = cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
+        cq.follow_path(loose, [[1.0]], events="exact")
+
+
+def test_a_loose_body_is_followed_in_steps() -> None:
+    history = cq.follow_path(block_between(seed=1), [block_between(seed=1).load], steps=5)
+    assert np.all(np.diff(history.normal_forces.sum(axis=1)) > 0)

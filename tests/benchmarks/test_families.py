@@ -1,0 +1,192 @@
+"""The families of hard problems, their exact solutions and the count of silently wrong answers mean what they say."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+flint = pytest.importorskip("flint")
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import counting  # noqa: E402
+import judging  # noqa: E402
+import silently_wrong  # noqa: E402
+from bricks import few_bits  # noqa: E402
+from exact_truth import condition, find_truth  # noqa: E402
+from problem_families import FAMILIES, family  # noqa: E402
+from rational import NoSolution, floats, lemke, matrix, null_space, number  # noqa: E402
+
+SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]
+FREE = ("floating", "lattice_free", "lattice_in", "lifted", "summed")
+FLOATING = [name for name in FAMILIES if name.startswith(FREE)]
+
+
+def wall() -> cq.ContactProblem:
+    """A bar of 157500 pulled with 300 against a wall at 1e-3: the force is 300 - 157.5, were 1e-3 exact."""
+    return cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) -> None:
+    one, again, other = family(name, 3), family(name, 3), family(name, 4)
+    assert np.array_equal(one.load, again.load)
+    assert np.array_equal(one.gap, again.gap)
+    assert (one.stiffness != again.stiffness).sum() == 0
+    assert one.load.shape != other.load.shape or not np.array_equal(one.load, other.load)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int) -> None:
+    problem = family(name, seed)
+    if FAMILIES[name].solvable:
+        assert find_truth(problem).displacement.nrows() == problem.dimension
+    else:
+        with pytest.raises(NoSolution):
+            find_truth(problem)
+
+
+@pytest.mark.parametrize("name", FLOATING)
+def test_floating_bodies_float_exactly_and_not_to_rounding(name: str) -> None:
+    assert null_space(matrix(family(name, 0).stiffness)).ncols() > 0
+
+
+def test_the_families_are_as_different_as_the_issue_asks() -> None:
+    everything = [family(name, seed) for name in SOLVABLE for seed in range(10)]
+    gaps = np.concatenate([abs(p.gap[p.gap != 0]) for p in everything])
+    spread = [p.stiffness.diagonal().max() / p.stiffness.diagonal().min() for p in everything]
+    assert gaps.min() < 1e-10
+    assert gaps.max() > 1e2
+    assert max(spread) > 1e10
+    assert any(p.contacts > p.dimension for p in everything)
+    assert any(p.ties for p in everything)
+
+
+def test_few_bits_make_sums_exact() -> None:
+    small, large = few_bits(np.array([1 / 3, 1e12 / 7]))
+    assert (small + large) - large == small
+
+
+def test_the_exact_force_of_a_bar_at_a_wall() -> None:
+    truth = find_truth(wall())
+    gap = (1e-3).as_integer_ratio()
+    assert truth.force[0, 0] == 300 - 157500 * flint.fmpq(*gap)
+    assert truth.displacement[0, 0] == flint.fmpq(*gap)
+
+
+def test_wrong_guesses_do_not_change_the_truth() -> None:
+    problem = family("chain_walls", 1)
+    alone = find_truth(problem)
+    for guess in ([], list(range(problem.contacts)), [0]):
+        assert find_truth(problem, [np.array(guess, dtype=int)]).force == alone.force
+
+
+def test_errors_are_relative_in_the_energy() -> None:
+    truth = find_truth(wall())
+    u, force = truth.rounded()
+    assert truth.errors(u, force).worst < 1e-15
+    assert truth.errors(u, 1.1 * force).force == pytest.approx(0.1)
+    assert truth.errors(0.5 * u, force).energy == pytest.approx(0.5)
+    assert truth.errors(u, -force).force == pytest.approx(2.0)
+    assert truth.errors(u * np.nan, force).worst == np.inf
+
+
+def test_redundant_forces_are_compared_through_their_resultant() -> None:
+    problem = cq.ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0], [1.0]], gap=[0.5, 0.5])
+    truth = find_truth(problem)
+    assert not truth.unique_forces
+    assert truth.errors(np.array([0.5]), np.array([0.25, 1.75])).worst == 0
+    assert truth.errors(np.array([0.5]), np.array([2.0, 2.0])).force == pytest.approx(1.0)
+
+
+def test_a_motion_that_nothing_drives_is_no_error_and_a_driven_one_no_solution() -> None:
+    pair = dict(stiffness=[[1.0, -1.0], [-1.0, 1.0]], normal=[[1.0, 0.0]], gap=[5.0])
+    truth = find_truth(cq.ContactProblem(load=[1.0, -1.0], **pair))
+    assert truth.free == 1
+    assert truth.errors(np.array([0.5, -0.5]), np.zeros(1)).worst == 0
+    with pytest.raises(NoSolution):
+        find_truth(cq.ContactProblem(load=[1.0, -2.0], **pair))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_lemke_against_enumeration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    B, q = rng.integers(-3, 4, (4, 3)).astype(float), rng.integers(-4, 5, 4).astype(float)
+    M = B @ B.T
+    try:
+        z = np.array([number(x) for x in lemke(matrix(M), matrix(q).transpose(), 200)[0]])
+    except NoSolution:
+        assert not any(_complementary(M, q, np.array(set_, dtype=bool)) for set_ in itertools.product([0, 1], repeat=4))
+        return
+    w = q + M @ z
+    assert np.all(z >= 0)
+    assert np.all(w >= -1e-12)
+    assert abs(w @ z) < 1e-12
+
+
+def _complementary(M: np.ndarray, q: np.ndarray, closed: np.ndarray) -> bool:
+    z = np.zeros(len(q))
+    z[closed] = np.linalg.lstsq(M[np.ix_(closed, closed)], -q[closed], rcond=None)[0]
+    w = q + M @ z
+    return bool(np.all(z >= -1e-9) and np.all(w >= -1e-9) and abs(w @ z) < 1e-9)
+
+
+def test_the_condition_number_leaves_scale_and_rigid_motions_out() -> None:
+    scaled = cq.ContactProblem(stiffness=np.diag([1e-6, 1e6]), load=[0.0, 0.0], normal=[[1.0, 0.0]], gap=[1.0])
+    assert condition(scaled, 0) == pytest.approx(1.0)
+    free = cq.ContactProblem(stiffness=[[1.0, -1.0], [-1.0, 1.0]], load=[0.0, 0.0], normal=[[1.0, 0.0]], gap=[1.0])
+    assert condition(free, 1) == pytest.approx(1.0)
+
+
+def test_spoiled_answers_are_spoiled() -> None:
+    truth = find_truth(wall())
+    errors = {name: truth.errors(u, force).worst for name, u, force in judging.spoiled(truth, np.random.default_rng(0))}
+    assert errors.pop("truth") < 1e-15
+    assert errors["forces x 1.001"] == pytest.approx(1e-3)
+    assert errors["flipped sign"] == pytest.approx(2.0)
+    assert errors["ignored contact"] > 0.5
+    assert errors["penalty 1e+02"] == pytest.approx(1 / 101)
+
+
+def test_a_wrong_answer_that_passes_fails_the_count() -> None:
+    wrong = judging.Outcome("osqp", "wrong", 0.5, True, False, 0.0)
+    bound = judging.Bounded("force_error", "osqp", 1e-9, 1e-3)
+    report = judging.Report("chain_walls", 0, "exact", outcomes=(wrong,), bounds=(bound,), spoiled_passed=(("x", 1.0),))
+    said = "\n".join(counting.failures([report], ["osqp"]))
+    for failure in ("1 answers wrong", "1 bounds below", "1 spoiled answers passed", "osqp: 0 of 1"):
+        assert failure in said
+
+
+def test_rounding_of_a_bound_is_no_violation_and_more_is() -> None:
+    assert not judging.Bounded("force_error", "", 1.0, 1.0 + 1e-15).below
+    assert judging.Bounded("force_error", "", 1.0, 1.0 + 1e-13).below
+    assert judging.Bounded("force_error", "", 1e-12, 1.1e-12).below
+
+
+@pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])
+def test_nothing_wrong_passes_on_a_few(name: str) -> None:
+    report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))
+    assert report.truth == ("exact" if FAMILIES[name].solvable else "none")
+    assert {o.verdict for o in report.outcomes} <= {"right", "refused"}
+    assert report.outcomes[0].verdict == "right"
+    assert not report.spoiled_passed
+
+
+def test_the_report_is_written_and_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reports = [judging.judge("chain_walls", seed, ("active-set", "clarabel")) for seed in range(2)]
+    lines = "\n".join(counting.text(reports, ["active-set", "clarabel"], 1.0))
+    assert "chain_walls" in lines
+    assert "too easy" in lines
+    monkeypatch.chdir(tmp_path)
+    silently_wrong.write(reports, tmp_path / "out.json")
+    assert '"family": "chain_walls"' in (tmp_path / "out.json").read_text()
+
+
+def test_truths_are_rounded_to_the_nearest_float() -> None:
+    assert floats(find_truth(wall()).displacement)[0] == 1e-3

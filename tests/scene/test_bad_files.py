@@ -1,0 +1,299 @@
+"""Every wrong case file is refused by the command line: exit code 2, one line, the file, the key, what was expected."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from contactqp.cli import main
+
+GOOD = """
+title = "Everything that a scene can have"
+units = { length = "m", force = "kN" }
+axes = ["x", "z"]
+gravity = ["0 m/s^2", "-9.81 m/s^2"]
+fixed = ["root", "hinge.x"]
+nodes = [
+    { name = "root", at = ["0 m", "0 m"] },
+    { name = "tip", at = ["2 m", "0 m"] },
+    { name = "hinge", at = ["2 m", "1 m"] },
+    { name = "foot", at = ["3 m", "0 m"] },
+]
+beams = [{ name = "beam", nodes = ["root", "tip"], area = "30 cm^2", inertia = "2000 cm^4", modulus = "210 GPa" }]
+bars = [{ name = "rod", nodes = ["tip", "hinge"], area = "15 cm^2", modulus = "2.1e8 kN/m^2" }]
+springs = [
+    { name = "soil", nodes = ["hinge"], direction = [0, 1], stiffness = "100 kN/m" },
+    { name = "link", nodes = ["tip", "foot"], stiffness = "200 kN/m" },
+]
+masses = [{ name = "weight", node = "foot", mass = "2 t" }]
+matrices = [{ name = "K", unknowns = ["foot.x", "foot.z"], unit = "kN/m", rows = [[100, 0], [0, 100]] }]
+obstacles = [{ name = "floor", point = ["0 m", "-1 mm"], normal = [0, 1] }]
+contacts = [{ name = "tip on floor", node = "tip", obstacle = "floor" }, { name = "pair", nodes = ["foot", "tip"] }]
+loads = [{ unknown = "tip.z", value = "-20 kN" }, { unknown = "tip.theta", value = "1 kN*m" }]
+path = { steps = 4, events = "exact" }
+
+[[ties]]
+name = "together"
+terms = [{ unknown = "hinge.z", factor = 1 }, { unknown = "tip.theta", factor = "0.5 m" }]
+value = "0 m"
+
+[[study]]
+method = "penalty"
+penalty = ["1e5 kN/m"]
+
+[[expect]]
+quantity = "status"
+at = "tip on floor"
+value = "closed"
+derivation = "the load"
+
+[[expect]]
+quantity = "gap"
+at = "tip on floor"
+value = "0 m"
+tolerance = "1e-9 m"
+derivation = "the load"
+
+[[published]]
+quantity = "closing load factor"
+at = "tip on floor"
+printed = "0.5"
+verdict = "wrong"
+where = "nowhere"
+why = "invented"
+"""
+
+# What is replaced, by what, and words that the message must have.
+MUTATIONS = {
+    "missing unit": ('area = "15 cm^2"', 'area = "15"', "bars[0].area ('rod'): expected an area"),
+    "a number, not a text": ('area = "15 cm^2"', "area = 15", "a number without a unit"),
+    "wrong dimension": ('area = "15 cm^2"', 'area = "15 cm"', "which is a length"),
+    "unknown unit": ('"2.1e8 kN/m^2"', '"2.1e8 KN/m^2"', "unit 'KN' is unknown (nearest: kN)"),
+    "mass for a length": ('"-1 mm"', '"-1 kg"', "obstacles[0].point[1] ('floor'): expected a length"),
+    "negative area": ('area = "15 cm^2"', 'area = "-15 cm^2"', "expected a positive number"),
+    "no area": ('area = "15 cm^2"', 'area = "0 cm^2"', "expected a positive number"),
+    "negative modulus": ('modulus = "210 GPa"', 'modulus = "-210 GPa"', "beams[0].modulus ('beam')"),
+    "negative stiffness": ('stiffness = "100 kN/m"', 'stiffness = "-100 kN/m"', "springs[0].stiffness ('soil')"),
+    "negative mass": ('mass = "2 t"', 'mass = "-2 t"', "masses[0].mass"),
+    "negative inertia": ('inertia = "2000', 'inertia = "-2000', "beams[0].inertia"),
+    "nan": ('"15 cm^2"', '"nan cm^2"', "expected an area"),
+    "bare nan": (
+        "normal = [0, 1]",
+        "normal = [0, nan]",
+        "obstacles[0].normal[1] ('floor'): expected a number, got NaN",
+    ),
+    "infinite": ('value = "-20 kN"', 'value = "-inf kN"', "loads[0].value: expected a force"),
+    "huge": ('"15 cm^2"', '"1e9999999999 cm^2"', "out of range"),
+    "huge integer": ("steps = 4", "steps = " + 5000 * "9", "expected TOML"),
+    "there is no key": ('area = "15', 'aera = "15', "bars[0].aera ('rod'): there is no key 'aera'; nearest: 'area'"),
+    "unknown top key": ("gravity = [", "gravitation = [", "there is no key 'gravitation'; nearest: 'gravity'"),
+    "unknown key in units": ('force = "kN"', 'froce = "kN"', "units.froce: there is no key 'froce'; nearest: 'force'"),
+    "missing key": (', modulus = "2.1e8 kN/m^2"', "", "bars[0].modulus ('rod'): expected, and missing"),
+    "no title": ('title = "Everything that a scene can have"', "", "title: expected, and missing"),
+    "title is a number": (
+        'title = "Everything that a scene can have"',
+        "title = 3",
+        "title: expected a name in quotes",
+    ),
+    "empty name": ('name = "rod"', 'name = " "', "bars[0].name"),
+    "name is a number": ('name = "rod"', "name = 3", "bars[0].name: expected a name in quotes"),
+    "node name with a full stop": ('"tip", at', '"tip.a", at', "without a full stop"),
+    "no nodes": ('nodes = ["tip", "hinge"]', "nodes = []", "bars[0].nodes ('rod'): expected at least 2, got 0"),
+    "three nodes": ('nodes = ["tip", "hinge"]', 'nodes = ["tip", "hinge", "root"]', "expected at most 2, got 3"),
+    "there is no node": (
+        'nodes = ["tip", "hinge"]',
+        'nodes = ["tpi", "hinge"]',
+        "there is no node 'tpi'; nearest: 'tip'",
+    ),
+    "unknown node of a mass": ('node = "foot", mass', 'node = "shoe", mass', "masses[0].node ('weight')"),
+    "unknown node of a contact": ('node = "tip", obst', 'node = "tap", obst', "contacts[0].node ('tip on floor')"),
+    "bar from a node to itself": ('nodes = ["tip", "hinge"]', 'nodes = ["tip", "tip"]', "two different nodes"),
+    "zero-length bar": ('at = ["2 m", "1 m"]', 'at = ["2 m", "0 m"]', "zero length between 'tip' and 'hinge'"),
+    "duplicate node": ('"hinge", at', '"tip", at', "nodes[2].name: expected distinct names, got 'tip'"),
+    "duplicate bar": (
+        '{ name = "rod"',
+        '{ name = "rod", nodes = ["root", "tip"], area = "1 m^2", modulus = "1 Pa" }, { name = "rod"',
+        "bars[1].name",
+    ),
+    "duplicate contact": ('name = "pair"', 'name = "tip on floor"', "contacts[1].name: expected distinct names"),
+    "contact without obstacle": (', obstacle = "floor"', "", "contacts[0] ('tip on floor'): expected 'obstacle'"),
+    "contact with nothing": (', node = "tip", obstacle = "floor"', "", "contacts[0] ('tip on floor'): expected 'node'"),
+    "contact with both": ('nodes = ["foot", "tip"] }', 'nodes = ["foot", "tip"], node = "tip" }', "got both"),
+    "contact with a direction and an obstacle": (
+        'obstacle = "floor" }',
+        'obstacle = "floor", direction = [0, 1] }',
+        "direction",
+    ),
+    "there is no obstacle": (
+        'obstacle = "floor"',
+        'obstacle = "flor"',
+        "there is no obstacle 'flor'; nearest: 'floor'",
+    ),
+    "contact of a fixed node": ('node = "tip", obstacle', 'node = "root", obstacle', "expected a node that can move"),
+    "negative friction": ('obstacle = "floor" }', 'obstacle = "floor", friction = -0.3 }', "not negative, got -0.3"),
+    "zero normal": ("normal = [0, 1]", "normal = [0, 0]", "obstacles[0].normal ('floor'): expected a direction"),
+    "normal of another dimension": ("normal = [0, 1]", "normal = [0, 0, 1]", "expected 2 components"),
+    "point of another dimension": (
+        'at = ["3 m", "0 m"]',
+        'at = ["3 m"]',
+        "nodes[3].at ('foot'): expected 2 components",
+    ),
+    "spring without direction": ("direction = [0, 1], ", "", "springs[0].direction ('soil'): expected for a spring to"),
+    "spring with a zero direction": ("direction = [0, 1]", "direction = [0, 0]", "expected a direction"),
+    "load on an there is no unknown": (
+        'unknown = "tip.z"',
+        'unknown = "tip.y"',
+        "loads[0].unknown: there is no unknown 'tip.y'",
+    ),
+    "load on a support": ('unknown = "tip.z", value', 'unknown = "root.z", value', "'root.z', which is fixed"),
+    "load twice": (
+        '{ unknown = "tip.theta", value = "1 kN*m" }',
+        '{ unknown = "tip.z", value = "1 kN" }',
+        "'tip.z' twice",
+    ),
+    "moment on a displacement": ('value = "-20 kN"', 'value = "-20 kN*m"', "loads[0].value: expected a force"),
+    "rotation without a beam": ('unknown = "tip.theta", value', 'unknown = "foot.theta", value', "no beam ends there"),
+    "fixed twice": ('"hinge.x"]', '"hinge.x", "hinge.x"]', "fixed[2]: expected distinct names"),
+    "fixed nowhere": ('"hinge.x"]', '"hinge.q"]', "fixed[1]: there is no unknown 'hinge.q'"),
+    "tie with a number for a lever": ('factor = "0.5 m"', "factor = 0.5", "expected a length (its lever)"),
+    "tie with a length for a factor": ("factor = 1 }", 'factor = "1 m" }', "a number without a unit"),
+    "tie with a zero factor": ("factor = 1 }", "factor = 0 }", "expected a factor that is not zero"),
+    "tie without terms": (
+        'terms = [{ unknown = "hinge.z", factor = 1 }, { unknown = "tip.theta", factor = "0.5 m" }]',
+        "terms = []",
+        "ties[0].terms ('together')",
+    ),
+    "tie of fixed unknowns": (
+        '[{ unknown = "hinge.z", factor = 1 }, { unknown = "tip.theta", factor = "0.5 m" }]',
+        '[{ unknown = "root.z", factor = 1 }]',
+        "expected a free unknown",
+    ),
+    "tie value without a unit": ('value = "0 m"\n\n[[study]]', "value = 0\n\n[[study]]", "ties[0].value ('together')"),
+    "matrix that is not square": ("[[100, 0], [0, 100]]", "[[100, 0]]", "matrices[0] ('K'): expected 2 rows"),
+    "matrix with a wrong unit": ('unit = "kN/m"', 'unit = "kN"', "unit: expected a unit of stiffness"),
+    "matrix on a rotation": ('["foot.x", "foot.z"]', '["foot.x", "tip.theta"]', "got the rotation 'tip.theta'"),
+    "matrix that is not symmetric": ("[[100, 0], [0, 100]]", "[[100, 5], [0, 100]]", "stiffness: expected symmetric"),
+    "matrix that is indefinite": (
+        "[[100, 0], [0, 100]]",
+        "[[-1e9, 0], [0, 100]]",
+        "stiffness: expected positive semidefinite",
+    ),
+    "units of the wrong kind": ('length = "m"', 'length = "kN"', "units: length: expected a unit of length"),
+    "unknown axis": ('axes = ["x", "z"]', 'axes = ["x", "w"]', "axes[1]: expected 'x', 'y' or 'z'"),
+    "an axis twice": ('axes = ["x", "z"]', 'axes = ["x", "x"]', "axes: expected distinct axes"),
+    "no axes": ('axes = ["x", "z"]', "axes = []", "axes: expected at least 1"),
+    "mass without gravity": ('gravity = ["0 m/s^2", "-9.81 m/s^2"]', "", "gravity: expected, since masses[0]"),
+    "a loose node": (
+        '{ name = "foot", at',
+        '{ name = "lost", at = ["9 m", "9 m"] }, { name = "foot", at',
+        "nodes[3] ('lost'): expected an element",
+    ),
+    "no steps": ("steps = 4", "steps = 0", "path.steps"),
+    "half a step": ("steps = 4", "steps = 4.5", "path.steps: expected a whole number"),
+    "other events": ('events = "exact"', 'events = "about"', "path.events: expected 'exact'"),
+    "a list for a table": (
+        'path = { steps = 4, events = "exact" }',
+        "path = [4]",
+        "path: expected a table, got a list",
+    ),
+    "a table for a list": ('["root", "hinge.x"]', "{ root = 1 }", "fixed: expected a list, got a table"),
+    "there is no quantity": ('quantity = "gap"', 'quantity = "gab"', "there is no quantity 'gab'; nearest: 'gap'"),
+    "expectation of nothing": (
+        'quantity = "gap"\nat = "tip on floor"',
+        'quantity = "gap"',
+        "expects 'at' naming the contact",
+    ),
+    "expectation of an there is no contact": (
+        'quantity = "gap"\nat = "tip on floor"',
+        'quantity = "gap"\nat = "wall"',
+        "expect[1].at: there is no contact",
+    ),
+    "zero with a relative tolerance": ('tolerance = "1e-9 m"', "tolerance = 1e-9", "since the value is zero"),
+    "there is no status": ('value = "closed"', 'value = "close"', "there is no status 'close'; nearest: 'closed'"),
+    "expectation of a wrong dimension": (
+        'value = "0 m"\ntolerance',
+        'value = "0 kN"\ntolerance',
+        "expect[1]: expected a length",
+    ),
+    "unknown verdict": ('verdict = "wrong"', 'verdict = "maybe"', "published[0].verdict: expected 'right' or 'wrong'"),
+    "study without a knob": ('penalty = ["1e5 kN/m"]', "", "study[0]: expected the values of one knob"),
+    "broken TOML": ('title = "Everything', 'title = "Everything\n', "expected TOML"),
+    "a key twice": ('title = "Every', 'title = "a"\ntitle = "Every', "expected TOML"),
+}
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line on stderr of a command that must exit with 2."""
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    captured = capsys.readouterr()
+    assert exit_.value.code == 2, captured.err
+    assert captured.err.count("\n") == 1, captured.err
+    assert "Traceback" not in captured.err + captured.out
+    return captured.err
+
+
+def test_the_good_file_is_good(tmp_path, capsys):
+    file = tmp_path / "good.toml"
+    file.write_text(GOOD)
+    with pytest.raises(SystemExit) as exit_:
+        main(["explain", str(file)])
+    assert exit_.value.code == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_wrong_file_is_refused_in_one_line(name, tmp_path, capsys):
+    old, new, words = MUTATIONS[name]
+    assert GOOD.count(old) == 1, f"the mutation must change one place, and {old!r} is there {GOOD.count(old)} times"
+    file = tmp_path / "bad.toml"
+    file.write_text(GOOD.replace(old, new))
+    message = complaint(capsys, "run", str(file))
+    assert str(file) in message
+    assert words in message
+
+
+@pytest.mark.parametrize("command", ["run", "explain"])
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "an empty file"),
+        (b" \n\n", "an empty file"),
+        (GOOD.encode()[:700], "expected TOML"),
+        (bytes(range(256)), "expected text in UTF-8"),
+        (b"\x7fELF\x02\x01\x01\x00" * 8, "expected TOML"),
+        ("title = 'Tr\u00e4ger'".encode("latin-1"), "expected text in UTF-8"),
+        (GOOD.encode("utf-16"), "expected text in UTF-8"),
+        (b"[" * 5000, "expected TOML"),
+        (b"not a scene at all", "expected TOML"),
+        (b"title = 'x'\n", "axes: expected, and missing"),
+    ],
+)
+def test_a_file_that_is_no_scene_is_refused(command, content, words, tmp_path, capsys):
+    file = tmp_path / "bad.toml"
+    file.write_bytes(content)
+    message = complaint(capsys, command, str(file))
+    assert str(file) in message
+    assert words in message
+
+
+def test_what_is_no_file_is_refused(tmp_path, capsys):
+    assert "there is none of that name" in complaint(capsys, "run", str(tmp_path / "missing.toml"))
+    assert "got a directory" in complaint(capsys, "explain", str(tmp_path))
+    assert "expected case files (*.toml) in this folder" in complaint(capsys, "run", str(tmp_path))
+    assert complaint(capsys, "run", "bad\0name.toml")
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a file that its reader may not read")
+def test_a_file_that_may_not_be_read_is_refused(tmp_path, capsys):
+    file = tmp_path / "secret.toml"
+    file.write_text(GOOD)
+    Path.chmod(file, 0)
+    assert "Permission denied" in complaint(capsys, "run", str(file))
+
+
+def test_a_windows_file_is_read(tmp_path, capsys):
+    file = tmp_path / "windows.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    with pytest.raises(SystemExit) as exit_:
+        main(["explain", str(file)])
+    assert exit_.value.code == 0, capsys.readouterr().err

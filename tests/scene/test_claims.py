@@ -1,0 +1,129 @@
+"""What a case claims is held against the answer, and every kind of claim can fail."""
+
+from pathlib import Path
+
+import pytest
+
+import contactqp as cq
+from contactqp.scene.judging import Trial, judge, trials
+from contactqp.scene.quantities import QUANTITIES
+from contactqp.scene.schema import Scene
+
+from .test_building import WALL
+
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def judged(*expect, published=(), trial=None, **changes):
+    return judge(Scene(**WALL | changes, expect=expect, published=published), trial or Trial())
+
+
+def expectation(quantity, value, **more):
+    return {"quantity": quantity, "value": value, "derivation": "by hand"} | more
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        (expectation("displacement", "1 mm", at="1.x"), "1.000000001 mm"),
+        (expectation("normal force", "285/2 kN", at="tip"), "-285/2 kN"),
+        (expectation("gap", "0 m", at="tip", tolerance="1e-15 m"), "1e-14 m"),
+        (expectation("status", "closed", at="tip"), "open"),
+        (expectation("energy", "-177/800 kN*m"), "177/800 kN*m"),
+        (expectation("reaction", "-315/2 kN", at="support.x"), "-142.5 kN"),
+        (expectation("bar force", "157.5 kN", at="bar"), "-157.5 kN"),
+        (expectation("stiffness", "157500 kN/m", at="1.x", along="1.x"), "157501 kN/m"),
+        (expectation("displacement", "1/3150 m", at="1.x", load_factor="1/6"), "1 mm"),
+        (expectation("tie rank", "0", tolerance="0.1"), "1"),
+    ],
+)
+def test_an_expectation_is_met_or_not(right, wrong):
+    met, not_met = judged(right, right | {"value": wrong}).expectations
+    assert met.ok, met
+    assert not not_met.ok, not_met
+
+
+def test_path_quantities():
+    path = {"events": "exact"}
+    rows = judged(
+        expectation("closing load factor", "21/40", at="tip"),
+        expectation("closing load", "157.5 kN", at="tip", along="1.x"),
+        expectation("closing load", "157 kN", at="tip", along="1.x"),
+        path=path,
+    ).expectations
+    assert [row.ok for row in rows] == [True, True, False]
+    late = WALL["obstacles"][0] | {"point": ["3 m"]}
+    with pytest.raises(cq.SceneError, match="expected contact 'tip' to close"):
+        judged(expectation("closing load factor", "21/40", at="tip"), path=path, obstacles=[late])
+
+
+@pytest.mark.parametrize(
+    ("printed", "verdict", "holds"),
+    [
+        ("142.5 kN", "right", True),
+        ("1.425e2 kN", "right", True),
+        ("143 kN", "right", True),  # half a unit of its last digit
+        ("142.4 kN", "right", False),
+        ("142.4 kN", "wrong", True),
+        ("142.5 kN", "wrong", False),
+        ("-142.5 kN", "right", False),
+    ],
+)
+def test_a_printed_number_is_right_to_its_last_digit(printed, verdict, holds):
+    one = dict(quantity="normal force", at="tip", printed=printed, verdict=verdict, where="p. 1", why="by hand")
+    (row,) = judged(published=[one]).published
+    assert row.ok is holds
+
+
+def test_a_matrix_that_is_off_by_one_entry_is_not_met():
+    scene = cq.load_scene(CASES / "tie_symmetry.toml")
+    (matrix,) = (claim for claim in scene.expect if claim.quantity == "tie matrix")
+    data = {"quantity": "tie matrix", "unknowns": matrix.unknowns, "derivation": "flipped"}
+    rows = [list(row) for row in matrix.rows]
+    rows[2][3] = "1"
+    changed = scene.model_copy(update={"expect": (type(matrix)(**data, rows=rows),)})
+    assert not judge(changed, Trial()).expectations[0].ok
+    fewer = scene.model_copy(update={"expect": (type(matrix)(**data, rows=rows[:2]),)})
+    assert not judge(fewer, Trial()).met
+
+
+def test_a_claim_about_a_method_is_for_that_method_and_knob_only():
+    scene = cq.load_scene(CASES / "bar_wall.toml")
+    soft = [trial for trial in trials(scene, "penalty") if str(trial.knobs["penalty"]) == "1e5 kN/m"]
+    rows = judge(scene, soft[0]).expectations
+    assert {row.quantity for row in rows} == {"displacement 1.x", "normal force tip"}
+    assert all(row.ok for row in rows)
+    exact = judge(scene, Trial("lagrange-multiplier")).expectations
+    assert "energy" in {row.quantity for row in exact}
+    assert not any(row.expected == rows[0].expected for row in exact)
+
+
+def test_the_knobs_of_a_case_are_tried():
+    scene = cq.load_scene(CASES / "bar_wall.toml")
+    assert str(trials(scene)[0]) == "active-set"
+    assert {trial.method for trial in trials(scene)} == {
+        "active-set", "penalty", "perturbed-lagrangian", "augmented-lagrangian"
+    }  # fmt: skip
+    assert len(trials(scene, "penalty")) == 5
+    assert [study.knob[0] for study in scene.study] == ["penalty", "perturbation", "penalty"]
+
+
+def test_every_quantity_has_a_meaning_and_a_reader():
+    from contactqp.scene import answers
+
+    assert set(answers._READERS) == set(QUANTITIES)
+    assert all(measure.meaning for measure in QUANTITIES.values())
+
+
+def test_spring_forces_pull_or_push():
+    rows = judged(
+        expectation("spring force", "-0.1 kN", at="s", tolerance=1e-9),
+        expectation("spring force", "0.1 kN", at="g", tolerance=1e-9),
+        springs=[
+            {"name": "g", "nodes": ["1"], "stiffness": "100 kN/m"},
+            {"name": "s", "nodes": ["1", "post"], "stiffness": "100 kN/m"},
+        ],
+        nodes=[*WALL["nodes"], {"name": "post", "at": ["3 m"]}],
+        fixed=["support", "post"],
+    ).expectations
+    assert [row.ok for row in rows] == [True, True], rows

@@ -1,0 +1,95 @@
+"""Numbers in a case file are exact, and every one carries a unit of the right dimension."""
+
+import math
+from fractions import Fraction as F
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contactqp.scene.expression import NotANumber, split_number
+from contactqp.scene.units import KINDS, UnitSystem, read_number, read_quantity
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("1 mm", "length", F(1, 1000)),
+        ("15 cm^2", "area", F(3, 2000)),
+        ("15 cm**2", "area", F(3, 2000)),
+        ("210 GPa", "modulus", F(210 * 10**9)),
+        ("300 kN", "force", F(300_000)),
+        ("2.1e8 kN/m^2", "modulus", F(210 * 10**9)),
+        ("5/7 m", "length", F(5, 7)),
+        ("-0.1 m", "length", F(-1, 10)),
+        ("(1 + 1/3) * 3 mm", "length", F(4, 1000)),
+        ("2 kg", "mass", F(2)),
+        ("2 t", "mass", F(2000)),
+        ("9.81 m/s^2", "acceleration", F(981, 100)),
+        ("20 kN m", "moment", F(20_000)),
+        ("1 in", "length", F(254, 10_000)),
+        ("1 lbf", "force", F(45359237, 10**8) * F(980665, 10**5)),
+        ("3 mrad", "angle", F(3, 1000)),
+        ("0.3", "number", F(3, 10)),
+    ],
+)
+def test_quantities_are_exact(text, kind, value):
+    assert read_quantity(text, [KINDS[kind]]).si == value
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("15", "got '15', a number without a unit"),
+        (15, "got 15, a number without a unit"),
+        ("15 cm^2", "which is an area"),
+        ("15 KN", r"the unit 'KN' is unknown \(nearest: kN\)"),
+        ("15 furlongs", "the unit 'furlongs' is unknown"),
+        ("m", "got 'm'"),
+        ("", "got ''"),
+        ("nan m", "got 'nan m'"),
+        ("1/0 m", "divides by zero"),
+        ("1e999999999 m", "out of range"),
+        ("(1 m", "bracket is not closed"),
+        ("(" * 60 + "1", "brackets inside each other"),
+        ("1 m^99999999", "is no unit"),
+        ("1 __import__('os')", "is no unit"),
+        ("sqrt(2) m", "got"),
+        (True, "got true"),
+        ([1], "got a list"),
+        ({}, "got a table"),
+        ("1" * 600, "a text of 600 characters"),
+    ],
+)
+def test_what_is_no_length_is_refused(value, message):
+    with pytest.raises(NotANumber, match=f'expected a length such as "2 m", .*{message}'):
+        read_quantity(value, [KINDS["length"]])
+
+
+@pytest.mark.parametrize("value", ["inf", float("inf"), float("nan"), None, "1 m", "3 4"])
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(NotANumber):
+        read_number(value)
+
+
+def test_a_float_means_the_digits_it_is_printed_with():
+    assert read_number(0.1) == F(1, 10)
+
+
+@given(st.fractions(min_value=0, max_value=10**6, max_denominator=10**6))
+def test_roots_are_exact_where_they_are_rational_and_close_elsewhere(value):
+    square, _ = split_number(f"sqrt({value * value})", roots=True)
+    assert square == value
+    root, _ = split_number(f"sqrt({value})", roots=True)
+    assert abs(root**2 - value) <= F(1, 10**90)
+    assert math.isclose(float(root), math.sqrt(value), rel_tol=4e-16)
+
+
+def test_units_of_a_scene_convert_and_name():
+    system = UnitSystem(length="mm", force="kN")
+    assert system.value(read_quantity("210 GPa", [KINDS["modulus"]])) == 210
+    assert system.value(read_quantity("1 t", [KINDS["mass"]])) == F(1, 1000)  # kN s^2 / mm
+    assert system.label(KINDS["modulus"].dimension) == "kN/mm^2"
+    assert system.label(KINDS["energy"].dimension) == "kN*mm"
+    assert UnitSystem("m", "N").label(KINDS["mass"].dimension) == "N*s^2/m"
+    assert system.label(KINDS["number"].dimension) == ""

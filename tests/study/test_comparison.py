@@ -1,0 +1,225 @@
+"""The table of compare(): known answers, every verdict, nothing skipped and nothing aborted."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp import methods as registry
+from contactqp.methods.method import Method, Settings
+from contactqp.solution import Candidate
+from contactqp.study import rows, truth
+from contactqp.study.rungs import STIFFENINGS, contact_stiffness
+from tests.examples import body_on_spring_in_mid_air, two_bars
+
+OURS = ["active-set", "lagrange-multiplier", "augmented-lagrangian", "penalty"]
+# Exact answer of the two bars at 300 kN: d1 = 41/31500 m, d2 = 19/63000 m, 95 kN.
+EXACT = ([41 / 31500, 19 / 63000], [95.0])
+
+Register = Callable[..., None]
+
+
+@pytest.fixture
+def register(monkeypatch: pytest.MonkeyPatch) -> Register:
+    """Adds methods to the registry for one test."""
+
+    def add(name: str, answer: Any, **changes: Any) -> None:
+        method = Method(name=name, kind="test", solve=answer, **changes)
+        monkeypatch.setitem(registry._REGISTRY, name, method)
+
+    return add
+
+
+def _believe_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A certificate that passes whatever it is shown."""
+    honest = cq.certify
+
+    def blind(*args: Any, **options: Any) -> cq.Certificate:
+        return dataclasses.replace(honest(*args, **options), passed=True, failures=())
+
+    monkeypatch.setattr("contactqp.solving.certify", blind)
+
+
+def _half_the_force(_: cq.ContactProblem, __: Settings) -> Candidate:
+    return Candidate(np.array(EXACT[0]), np.array([47.5]), np.zeros(0))
+
+
+def test_exact_methods_are_right_against_the_exact_answer() -> None:
+    table = cq.compare(two_bars(), methods=OURS[:3], reference=EXACT)
+    assert [row.method for row in table] == OURS[:3]
+    for row in table:
+        assert row.verdict == rows.RIGHT
+        assert row.error_displacement is not None
+        assert row.error_displacement < 1e-14
+        assert row.error_displacement_max is not None
+        assert row.error_displacement_max < 1e-14
+        assert row.error_force is not None
+        assert row.error_force < 1e-13
+        assert row.seconds is not None
+        assert row.seconds > 0
+        assert row.error_measure == "relative"
+
+
+def test_penalty_is_approximate_by_the_known_error() -> None:
+    beta = np.array(STIFFENINGS) * contact_stiffness(two_bars())
+    table = cq.compare(two_bars(), methods=["penalty"], reference=EXACT)
+    assert [row.knob_value for row in table] == pytest.approx(beta, rel=0.05)
+    for row in table:
+        assert row.knob_value is not None
+        # λ = 95 β / (β + 105000), and β times the rounding of the gap
+        assert row.error_force == pytest.approx(105000 / (row.knob_value + 105000), rel=1e-3)
+        assert row.verdict == (rows.RIGHT if row.certificate_passed else rows.APPROXIMATE)
+    assert table.rows[0].verdict == rows.APPROXIMATE
+
+
+def test_every_method_is_listed_and_a_missing_one_says_how_to_install_it() -> None:
+    table = cq.compare(two_bars(), knobs={"penalty": [1e8], "perturbed-lagrangian": [1e8]})
+    assert [row.method for row in table] == [method.name for method in cq.methods()]
+    for method, row in zip(cq.methods(), table, strict=True):
+        if not method.installed:
+            assert (row.verdict, row.message) == (rows.MISSING, method.install)
+    assert rows.WRONG not in {row.verdict for row in table}
+
+
+def test_a_missing_backend_is_a_row(register: Register) -> None:
+    register("absent", _half_the_force, packages=("no_such_package",), install="pip install absent")
+    (row,) = cq.compare(two_bars(), methods=["absent"])
+    assert (row.verdict, row.message, row.seconds) == (rows.MISSING, "pip install absent", None)
+
+
+def test_a_wrong_answer_is_refused(register: Register) -> None:
+    register("liar", _half_the_force)
+    (row,) = cq.compare(two_bars(), methods=["liar"])
+    assert row.verdict == rows.REFUSED
+    assert row.error_force == pytest.approx(0.5)
+    assert row.claimed is True
+    assert row.flag_wrong is True
+
+
+def test_a_wrong_answer_that_passes_is_reported_as_wrong(register: Register, monkeypatch: pytest.MonkeyPatch) -> None:
+    register("liar", _half_the_force)
+    _believe_everything(monkeypatch)
+    (row,) = cq.compare(two_bars(), methods=["liar"], reference=EXACT)
+    assert row.verdict == rows.WRONG
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"),
+    [
+        (cq.BackendFailed("broke"), rows.BACKEND_FAILED),
+        (cq.NotConverged("gave up"), rows.NOT_CONVERGED),
+        (cq.Unsupported("cannot"), rows.UNSUPPORTED),
+        (cq.NoEquilibrium("none"), rows.REFUSED),
+    ],
+)
+def test_a_failing_method_does_not_abort_the_table(register: Register, error: cq.ContactQPError, verdict: str) -> None:
+    def fail(_: cq.ContactProblem, __: Settings) -> Candidate:
+        raise error
+
+    register("failing", fail)
+    failed, ours = cq.compare(two_bars(), methods=["failing", "active-set"])
+    assert (failed.verdict, failed.message) == (verdict, str(error))
+    assert ours.verdict == rows.RIGHT
+
+
+def test_a_bug_is_no_row(register: Register) -> None:
+    def broken(_: cq.ContactProblem, __: Settings) -> Candidate:
+        raise ZeroDivisionError
+
+    register("broken", broken)
+    with pytest.raises(ZeroDivisionError):
+        cq.compare(two_bars(), methods=["broken"])
+
+
+def test_raw_answers_are_kept_and_backends_judged_by_them() -> None:
+    (row,) = cq.compare(two_bars(), methods=["osqp"], knobs={"osqp": [1e-3]}, reference=EXACT)
+    assert row.verdict == rows.RIGHT
+    assert row.variant == "polished"
+    assert row.raw_error_force is not None
+    assert row.error_force is not None
+    assert row.raw_error_force > 1e-6 > row.error_force
+    assert row.claimed is True
+    assert row.flag_wrong is False
+
+
+def test_bodies_held_by_contact_alone() -> None:
+    table = cq.compare(body_on_spring_in_mid_air(), methods=["active-set", "projected-gauss-seidel"])
+    assert [row.verdict for row in table] == [rows.RIGHT, rows.UNSUPPORTED]
+
+
+def test_a_zero_truth_leaves_absolute_errors() -> None:
+    problem = two_bars(load=100.0)  # they do not touch
+    (row,) = cq.compare(problem, methods=["osqp"], knobs={"osqp": [1e-3]})
+    assert row.verdict == rows.RIGHT
+    assert row.error_force == 0.0
+    assert "λ absolute" in row.error_measure
+
+
+def test_redundant_contacts_are_compared_by_their_resultants() -> None:
+    twice = two_bars().replace(normal=[[1.0, -1.0], [2.0, -2.0]], gap=[1e-3, 2e-3])
+    known = truth.truth_of(twice)
+    assert known is not None
+    assert not known.unique_forces
+    other = known.errors(np.array(EXACT[0]), np.array([0.0, 47.5]), np.zeros(0))
+    assert other.small
+    assert "resultants" in other.measure
+    assert not known.errors(np.array(EXACT[0]), np.array([95.0, 47.5]), np.zeros(0)).small
+
+
+@pytest.mark.parametrize("factor", [1.001, -1.0, np.nan])
+def test_errors_can_fail(factor: float) -> None:
+    known = truth.truth_of(two_bars(), EXACT)
+    assert known is not None
+    u, force = np.array(EXACT[0]), np.array(EXACT[1])
+    assert known.errors(u, force, np.zeros(0)).small
+    assert not known.errors(u, factor * force, np.zeros(0)).small
+    assert not known.errors(factor * u, force, np.zeros(0)).small
+
+
+def test_errors_do_not_depend_on_units_or_on_the_scale_of_rows() -> None:
+    u, force = 1.01 * np.array(EXACT[0]), 0.99 * np.array(EXACT[1])
+    plain = truth.truth_of(two_bars(), EXACT)
+    millimetres = cq.ContactProblem(
+        stiffness=np.diag([157.5, 315.0]), load=[300.0, 0.0], normal=[[1e4, -1e4]], gap=[1e4]
+    )
+    scaled = truth.truth_of(millimetres, (1e3 * np.array(EXACT[0]), 1e-4 * np.array(EXACT[1])))
+    assert plain is not None
+    assert scaled is not None
+    one, other = plain.errors(u, force, None), scaled.errors(1e3 * u, 1e-4 * force, None)
+    assert (one.displacement, one.displacement_max, one.force) == pytest.approx(
+        (other.displacement, other.displacement_max, other.force), rel=1e-9
+    )
+    assert one.displacement == pytest.approx(0.01)
+
+
+def test_wrong_arguments_are_refused() -> None:
+    with pytest.raises(cq.Unsupported, match="active-set"):
+        cq.compare(two_bars(), methods=["active-sett"])
+    with pytest.raises(cq.InvalidProblem, match="displacement"):
+        cq.compare(two_bars(), reference=([1.0], [95.0]))
+    with pytest.raises(cq.InvalidProblem, match="knob"):
+        cq.compare(two_bars(), methods=["active-set"], knobs={"active-set": [1.0]})
+
+
+def test_the_table_is_readable_and_goes_round_through_csv() -> None:
+    table = cq.compare(two_bars(), methods=OURS)
+    text = str(table)
+    assert "active-set" in text
+    assert "error in λ" in text
+    assert "errors against: active-set, proven" in text
+    assert rows.from_csv(table.to_csv()) == table.rows
+    assert [rows.Row(**row) for row in table.to_dicts()] == list(table.rows)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        table.rows[0].verdict = rows.RIGHT  # type: ignore[misc]
+
+
+def test_a_solution_as_reference() -> None:
+    reference = cq.solve(two_bars(), "lagrange-multiplier")
+    table = cq.compare(two_bars(), methods=["active-set"], reference=reference)
+    assert table.truth == "reference by lagrange-multiplier"
+    assert table.rows[0].verdict == rows.RIGHT

@@ -1,0 +1,202 @@
+"""The report: files, exit code, nothing half-written, columns as documented."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp import methods as registry
+from contactqp.methods.method import Method, Settings
+from contactqp.solution import Candidate
+from contactqp.study import picture, report, rows
+from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.rungs import chosen_methods
+
+ROOT = Path(__file__).parents[2]
+CASES = [ROOT / "cases" / "bar_wall.toml", ROOT / "cases" / "two_bars.toml"]
+FEW = ["active-set", "osqp", "penalty", "augmented-lagrangian"]
+
+
+def _write(folder: Path, methods: Sequence[str] = FEW, cases: Sequence[Path] = CASES) -> report.ReportResult:
+    return report.write_report(cases, folder, methods=methods, tolerances=(1e-3, 1e-9), repeats=1)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, report.ReportResult]:
+    folder = tmp_path_factory.mktemp("study") / "report"
+    return folder, _write(folder)
+
+
+def test_two_cases_write_every_file(written: tuple[Path, report.ReportResult]) -> None:
+    folder, result = written
+    assert result.exit_code == 0
+    assert not result.summary.unmet
+    names = {file.name for file in folder.iterdir()}
+    pictures = {f"error_against_time{case}.png" for case in ("", "_bar_wall", "_two_bars")}
+    assert names == {"index.html", "results.csv", "results.json"} | (pictures if picture.can_draw() else set())
+    assert {folder / name for name in names} == set(result.files)
+    assert not list(folder.parent.glob(".contactqp*"))
+
+
+def test_csv_and_json_hold_the_same_rows(written: tuple[Path, report.ReportResult]) -> None:
+    folder, result = written
+    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert rows.from_csv((folder / "results.csv").read_text(encoding="utf-8")) == result.rows
+    assert tuple(rows.Row(**row) for row in data["rows"]) == result.rows
+    assert (data["schema"], data["schema_version"]) == ("contactqp-report", 1)
+    assert data["columns"] == dict(rows.COLUMNS)
+    assert {"numpy", "scipy", "contactqp", "osqp"} <= set(data["versions"])
+    assert data["machine"]["python"]
+    assert data["settings"]["tolerances"] == [1e-3, 1e-9]
+    assert data["created"]
+    assert [case["name"] for case in data["cases"]] == ["bar_wall", "two_bars"]
+    assert all(case["judgements"] and not case["unmet"] for case in data["cases"])
+
+
+def test_columns_are_those_that_are_documented() -> None:
+    text = (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
+    table = text.partition("## Columns")[2].partition("\n## ")[0]
+    documented = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", table, flags=re.MULTILINE))
+    assert documented == dict(rows.COLUMNS)
+    verdicts = dict(re.findall(r"^\| ([\w ]+) \| (.+) \|$", text.partition("## Verdicts")[2], flags=re.MULTILINE))
+    verdicts.pop("verdict")
+    assert verdicts == dict(rows.VERDICTS)
+
+
+def test_errors_are_true_errors(written: tuple[Path, report.ReportResult]) -> None:
+    _, result = written
+    mine = [row for row in result.rows if row.case == "two_bars"]
+    # The case states the ladder of its source; λ = 95 β / (β + 105000).
+    penalty = {row.knob_value: row for row in mine if row.method == "penalty"}
+    assert set(penalty) == {1e3, 1e5, 1e6, 1e8}
+    for beta, row in penalty.items():
+        assert beta is not None
+        assert row.error_force == pytest.approx(105000 / (beta + 105000), rel=1e-6)
+        assert row.verdict == rows.APPROXIMATE
+    exact = [row for row in mine if row.variant == "polished" or row.method == "active-set"]
+    assert all(row.verdict == rows.RIGHT and row.expectations_unmet == 0 for row in exact)
+    raw = {row.knob_value: row for row in mine if row.method == "osqp" and row.variant == "raw"}
+    assert raw[1e-3].verdict == rows.REFUSED
+    assert (raw[1e-3].error_force or 0) > (raw[1e-9].error_force or 0)
+
+
+def test_uzawa_gains_a_digit_an_iteration(written: tuple[Path, report.ReportResult]) -> None:
+    _, result = written
+    errors = [row.error_force for row in result.rows if row.case == "two_bars" and row.variant == "uzawa"]
+    assert errors[0] is not None
+    assert errors[1] is not None
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_the_page_says_what_was_found(written: tuple[Path, report.ReportResult]) -> None:
+    page = (written[0] / "index.html").read_text(encoding="utf-8")
+    assert "Two bars that meet" in page
+    assert "augmented-lagrangian" in page
+    assert "osqp" in page
+    assert "http" not in page  # needs no network
+    if picture.can_draw():
+        assert page.count("data:image/png;base64,") == 3
+
+
+def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
+        return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
+
+    monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
+    honest = cq.certify
+    refused = _write(tmp_path / "refused", ["active-set", "liar"], CASES[1:])
+    assert refused.exit_code == 0  # refused is not wrong
+    assert refused.summary.silently_wrong == 1  # its own flag was
+
+    def blind(*args: Any, **options: Any) -> cq.Certificate:
+        return dataclasses.replace(honest(*args, **options), passed=True, failures=())
+
+    monkeypatch.setattr("contactqp.solving.certify", blind)
+    believed = _write(tmp_path / "believed", ["active-set", "liar"], CASES[1:])
+    assert believed.exit_code == 1
+    assert believed.summary.wrong_but_passed == 1
+    assert [row.method for row in believed.rows if row.verdict == rows.WRONG] == ["liar"]
+
+
+def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(CASES[1].read_text().replace('value = "95 kN"', 'value = "96 kN"', 1))
+    result = _write(tmp_path / "report", ["active-set"], [wrong])
+    assert result.exit_code == 1
+    assert any("normal force tips" in text for text in result.summary.unmet)
+    assert result.rows[0].verdict == rows.WRONG  # against the case's own value
+
+
+@pytest.mark.parametrize("kind", [cq.SceneError, RuntimeError, KeyboardInterrupt])
+def test_a_case_that_fails_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+) -> None:
+    honest = CaseStudy.rows
+
+    def fail_second(study: CaseStudy, *arguments: Any) -> Any:
+        if study.name == "two_bars":
+            raise kind("in the middle")
+        return honest(study, *arguments)
+
+    monkeypatch.setattr(CaseStudy, "rows", fail_second)
+    with pytest.raises(kind, match="in the middle"):
+        _write(tmp_path / "report", ["active-set"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_earlier_report_is_replaced_whole(tmp_path: Path) -> None:
+    (tmp_path / "results.csv").write_text("old")
+    (tmp_path / "error_against_time_gone.png").write_bytes(b"old")
+    (tmp_path / "mine.txt").write_text("keep")
+    _write(tmp_path, ["active-set"], CASES[:1])
+    assert (tmp_path / "results.csv").read_text().startswith("case,method,")
+    assert not (tmp_path / "error_against_time_gone.png").exists()
+    assert (tmp_path / "mine.txt").read_text() == "keep"
+
+
+def test_a_bad_case_or_folder_is_refused_before_anything_is_solved(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text("title = ")
+    with pytest.raises(cq.SceneError, match=r"broken\.toml"):
+        _write(tmp_path / "report", ["active-set"], [CASES[0], broken])
+    with pytest.raises(cq.SceneError, match="folder"):
+        _write(broken, ["active-set"])
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["broken.toml"]
+
+
+def test_without_matplotlib_it_says_so_and_writes_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picture, "can_draw", lambda: False)
+    result = _write(tmp_path, ["active-set"], CASES[:1])
+    assert len(result.notes) == 1
+    assert "pip install" in result.notes[0]
+    assert {file.name for file in tmp_path.iterdir()} == {"index.html", "results.csv", "results.json"}
+
+
+def test_without_cases_those_of_the_folder_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(cq.SceneError, match="'cases'"):
+        report.report((), "report")
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "cases" / "wall.toml").write_text(CASES[0].read_text())
+    monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set"]))
+    assert report.report((), "report") == 0
+    assert "wrong but passed: 0" in capsys.readouterr().out
+    assert (tmp_path / "report" / "index.html").exists()
+
+
+def test_two_cases_of_one_name_stay_apart(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "wall.toml").write_text(CASES[0].read_text())
+    files = [tmp_path / folder / "wall.toml" for folder in ("a", "b")]
+    assert [study.name for study in load_studies(files, ())] == ["a-wall", "b-wall"]

@@ -1,0 +1,103 @@
+"""Bad data are refused at the door, with a line that says what came and what was expected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from tests.examples import truss
+
+GOOD = dict(stiffness=np.array([[2.0, -1.0], [-1.0, 2.0]]), load=[1.0, 0.0], normal=[[1.0, 0.0]], gap=[0.1])
+
+BAD = {
+    "stiffness not square": (dict(stiffness=np.ones((2, 3))), "square"),
+    "stiffness empty": (dict(stiffness=np.zeros((0, 0))), "square"),
+    "stiffness a vector": (dict(stiffness=np.ones(2)), "matrix"),
+    "stiffness with NaN": (dict(stiffness=[[np.nan, 0.0], [0.0, 1.0]]), r"nan at \[0\]|finite"),
+    "stiffness complex": (dict(stiffness=np.eye(2) * 1j), "real"),
+    "stiffness text": (dict(stiffness="K"), "real numbers"),
+    "stiffness asymmetric": (dict(stiffness=[[2.0, -1.0], [-0.9, 2.0]]), "symmetric"),
+    "stiffness negative diagonal": (dict(stiffness=[[1.0, 0.0], [0.0, -1.0]]), "semidefinite"),
+    "stiffness indefinite in a pair": (dict(stiffness=[[1.0, 2.0], [2.0, 1.0]]), "indefinite"),
+    "stiffness off-diagonal beside a zero diagonal": (dict(stiffness=[[0.0, 1.0], [1.0, 1.0]]), "indefinite"),
+    "load too long": (dict(load=[1.0, 2.0, 3.0]), r"\(2,\), got \(3,\)"),
+    "load infinite": (dict(load=[np.inf, 0.0]), "finite"),
+    "normal with wrong columns": (dict(normal=[[1.0, 0.0, 0.0]]), "2 columns"),
+    "normal row of zeros": (dict(normal=[[0.0, 0.0]]), "contact 0"),
+    "gap missing": (dict(gap=[]), r"\(1,\)"),
+    "gap NaN": (dict(gap=[np.nan]), "finite"),
+    "friction without tangent": (dict(friction=0.3), "tangent"),
+    "friction negative": (dict(friction=-0.1, tangent=[[0.0, 1.0]]), ">= 0"),
+    "friction of wrong length": (dict(friction=[0.1, 0.2], tangent=[[0.0, 1.0]]), r"\(1,\)"),
+    "tangent with three rows": (dict(friction=0.1, tangent=np.ones((3, 2))), "rows"),
+    "slip origin of wrong shape": (dict(friction=0.1, tangent=[[0.0, 1.0]], slip_origin=[0.0, 1.0]), "slip_origin"),
+    "tie value without tie": (dict(tie_value=[1.0]), "tie_value"),
+    "tie of zeros": (dict(tie=[[0.0, 0.0]]), "tie 0"),
+    "tie value of wrong length": (dict(tie=[[1.0, -1.0]], tie_value=[1.0, 2.0]), "tie_value"),
+    "too few names": (dict(dof_names=["x"]), "2 names"),
+    "a name twice": (dict(dof_names=["x", "x"]), "'x' more than once"),
+    "unknown unit key": (dict(units={"mass": "kg"}), "length"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_data_are_refused(kind: str) -> None:
+    change, words = BAD[kind]
+    with pytest.raises(cq.InvalidProblem, match=words) as caught:
+        cq.ContactProblem(**(GOOD | change))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_indefinite_matrix_whose_pairs_look_right_is_refused() -> None:
+    """Every 2x2 minor of this matrix is positive, its determinant is not."""
+    K = np.full((3, 3), -0.9) + 1.9 * np.eye(3)
+    with pytest.raises(cq.InvalidProblem, match="indefinite"):
+        cq.ContactProblem(stiffness=K, load=np.zeros(3), normal=np.eye(1, 3), gap=[0.0])
+
+
+def test_a_large_indefinite_matrix_is_refused_by_its_factorisation() -> None:
+    n = 400
+    K = sp.diags([np.full(n, 2.0), -np.ones(n - 1), -np.ones(n - 1)], [0, 1, -1]).tolil()
+    K[n // 2, n // 2] = 0.5  # three neighbours of -1 against it
+    problem = cq.ContactProblem(stiffness=K.tocsc(), load=np.ones(n), normal=np.eye(1, n), gap=[0.0])
+    with pytest.raises(cq.InvalidProblem, match="semidefinite"):
+        cq.solve(problem)
+
+
+def test_print_precision_asymmetry_is_symmetrised_and_reported() -> None:
+    K = np.array([[2.0, -1.0], [-1.0 + 1e-8, 2.0]])
+    problem = cq.ContactProblem(**(GOOD | dict(stiffness=K)))
+    assert problem.asymmetry == pytest.approx(5e-9)
+    assert np.array_equal(problem.stiffness, np.asarray(problem.stiffness).T)
+    assert any("asymmetric" in note for note in cq.solve(problem).certificate.notes)
+
+
+def test_a_problem_cannot_be_changed_and_copies_its_data() -> None:
+    load = np.array([1.0, 0.0])
+    problem = cq.ContactProblem(**(GOOD | dict(load=load)))
+    load[0] = 7.0
+    assert problem.load[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        problem.load[0] = 2.0
+    with pytest.raises(AttributeError):
+        problem.gap = 0  # type: ignore[misc]
+
+
+def test_replace_shares_the_factorisation_and_checks_what_is_new() -> None:
+    problem = truss()
+    first, second = cq.solve(problem), cq.solve(problem.replace(load=[30.0, -50.0], gap=[2e-3]))
+    assert first.work.factorisations == 1
+    assert second.work.factorisations == 0
+    with pytest.raises(cq.InvalidProblem, match="load"):
+        problem.replace(load=[1.0])
+    with pytest.raises(cq.InvalidProblem, match="unknown"):
+        problem.replace(loads=[1.0, 2.0])
+    assert cq.solve(problem.replace(stiffness=2 * np.asarray(problem.stiffness))).work.factorisations == 1
+
+
+def test_sparse_and_dense_data_give_one_answer() -> None:
+    dense = truss()
+    sparse = truss(stiffness=sp.coo_matrix(np.asarray(dense.stiffness)), normal=sp.csc_array([[0.0, -1.0]]))
+    assert np.array_equal(cq.solve(dense).displacement, cq.solve(sparse).displacement)
