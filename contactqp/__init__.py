@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
+    from contactqp.elements.obstacle import Plane as Plane
     from contactqp.elements.pairing import pair as pair
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from contactqp.problem import Units as Units
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
+    from contactqp.scene.schema import Scene as Scene
     from contactqp.solution import Solution as Solution
     from contactqp.solving import solve as solve
     from contactqp.study.comparison import compare as compare
@@ -45,6 +47,8 @@ _HOME = {
     "NoEquilibrium": "errors",
     "NotCertified": "errors",
     "NotConverged": "errors",
+    "Plane": "elements.obstacle",
+    "Scene": "scene.schema",
     "SceneError": "errors",
     "Solution": "solution",
     "Units": "problem",

@@ -47,8 +47,8 @@ from contactqp.violations import Answer, forces_that_meet, own_compliance
 
 # The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its energies.
 REPAIRS = 3
-# Contact forces whose energy norm is this part of the displacement's are the rounding of loads and gaps.
-VANISHING = 1e-13
+# Contact forces whose energy norm is this part of the displacement's are what refinement leaves of zero.
+VANISHING = 1e-22
 # A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering accuracy.
 TOUCHING = 1e-6
 # Refinement that contracts less than this proves nothing.
@@ -68,6 +68,7 @@ class Bounds:
     force_scale: float = 0.0  # |l*|_W likewise
     relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units, no row scale
     rounding: float = 0.0  # what the refinement cannot tell from zero, in the square root of energy
+    rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     reasons: tuple[str, ...] = ()
 
 
@@ -129,10 +130,10 @@ def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Conden
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> _Pair:
     """The refined answer on a set whose signs hold is the solution, to its last correction."""
-    distance = on_set.displacement - extend(answer.displacement)
+    distance = _without_free_part(condensation, on_set.saddle, on_set.displacement - extend(answer.displacement))
     du, dl, _ = on_set.last_step
     step = extend(np.zeros(problem.contacts)).added_at(on_set.saddle.closed, dl)
-    allowance = 2 * _energy_norm(problem, condensation, extend(du)) + 2 * _force_norm(problem, condensation, step)
+    allowance = 2 * _energy_norm(problem, extend(du)) + 2 * _force_norm(problem, condensation, step)
     allowance += _noise(problem, answer)
     gap = np.maximum(on_set.gap.double(), 0.0)
     return _Pair(distance, allowance, allowance, on_set.normal_force.positive_part(), gap, on_set.saddle)
@@ -150,7 +151,7 @@ def _from_repair(
     gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
     room = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0.0, np.maximum(gap.double(), 0.0))
     allowance = last + _noise(problem, answer)
-    apart = _energy_norm(problem, condensation, to_feasible - to_dual) + allowance
+    apart = _energy_norm(problem, to_feasible - to_dual) + allowance
     slack = float(force.double() @ room)
     return _Pair(
         to_middle=(to_feasible + to_dual).half(),
@@ -227,7 +228,7 @@ def _response(
         du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
         u = u + du
         eta = eta + dn if tied else eta
-        size = _energy_norm(problem, condensation, extend(du))
+        size = _energy_norm(problem, extend(du))
         if size == 0 or size > CONTRACTION * last:
             break
         last = size
@@ -241,10 +242,20 @@ def _without_rigid_part(condensation: Condensation, vector: Extended) -> Extende
     return vector - Z @ (Z.T @ vector.double())
 
 
-def _energy_norm(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
-    """|v|_K; rigid motions cost nothing, and what rounding of K makes them cost is taken out."""
-    elastic = _without_rigid_part(condensation, displacement)
-    return float(np.sqrt(max(elastic.dot(extended_rows(problem).stiffness @ elastic), 0.0)))
+def _without_free_part(condensation: Condensation, saddle: SaddlePoint, displacement: Extended) -> Extended:
+    """A displacement less its part along motions that nothing resists: between two answers it is no error."""
+    if not saddle.free.shape[1]:
+        return displacement
+    motions = condensation.rigid.motions
+    retained = condensation.scale[:, None] * saddle.free
+    coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
+    free, _ = np.linalg.qr(motions @ coordinates)
+    return displacement - free @ (free.T @ displacement.double())
+
+
+def _energy_norm(problem: ContactProblem, displacement: Extended) -> float:
+    """|v|_K."""
+    return float(np.sqrt(max(displacement.dot(extended_rows(problem).stiffness @ displacement), 0.0)))
 
 
 def _noise(problem: ContactProblem, answer: Answer) -> float:
@@ -256,7 +267,7 @@ def _noise(problem: ContactProblem, answer: Answer) -> float:
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair) -> Bounds:
     middle = extend(answer.displacement) + pair.to_middle
     energy_scale = _energy_scale(problem, condensation, middle)
-    energy = _energy_norm(problem, condensation, pair.to_middle) + pair.radius
+    energy = _energy_norm(problem, pair.to_middle) + pair.radius
     force_scale = _force_norm(problem, condensation, pair.force)
     if force_scale <= VANISHING * energy_scale:
         force_scale = 0.0
@@ -270,17 +281,24 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         relative_force_bound=None if bound is None or force_scale == 0 else bound * np.sqrt(own_compliance(problem, problem.normal)) / force_scale,
         energy_scale=energy_scale,
         force_scale=force_scale,
-        rounding=4 * _noise(problem, answer) + EPS**0.75 * energy_scale,
+        rounding=4 * _noise(problem, answer) + VANISHING * energy_scale,
+        rigid_rounding=_rigid_rounding(problem, condensation, answer.displacement),
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
 
 
 def _energy_scale(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
     """|u|_K, zero where it is no more than the rounding of a rigid motion."""
-    norm = _energy_norm(problem, condensation, displacement)
-    size = abs(displacement.double())
-    rounding = 64 * np.finfo(float).eps * np.sqrt(float(size @ (abs(problem.stiffness) @ size)))
-    return norm if norm > rounding or not condensation.rigid.count else 0.0
+    norm = _energy_norm(problem, displacement)
+    return norm if norm > _rigid_rounding(problem, condensation, displacement.double()) else 0.0
+
+
+def _rigid_rounding(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """The energy norm that the rounding of a rigid displacement has."""
+    if not condensation.rigid.count:
+        return 0.0
+    size = abs(displacement)
+    return float(64 * np.finfo(float).eps * np.sqrt(size @ (abs(problem.stiffness) @ size)))
 
 
 def _relative(error: float, scale: float, uncertainty: float) -> float:
@@ -296,7 +314,7 @@ def _force_norm(problem: ContactProblem, condensation: Condensation, force: Exte
         return 0.0
     load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
     u, error = _response(problem, condensation, load, tied=True)
-    return _energy_norm(problem, condensation, u) + error
+    return _energy_norm(problem, u) + error
 
 
 def _force_bound(

@@ -257,15 +257,16 @@ def _failed_figures(
 
 
 def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
+    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that of a
+    # displacement without strain against the rounding of the displacement.
     pairs = (
-        ("energy_error", "displacement", known.energy_error, known.energy_scale, known.energy_scale),
-        ("force_error", "contact forces", known.force_error, known.force_scale, known.energy_scale),
+        ("energy_error", "displacement", known.energy_error, known.energy_scale, known.rigid_rounding),
+        ("force_error", "contact forces", known.force_error, known.force_scale, tolerance * known.energy_scale),
     )
-    for name, what, value, scale, substitute in pairs:
+    for name, what, value, scale, absolute in pairs:
         if value is None:
             continue
-        # An error that is absolute, because the true size vanishes, is judged against the energy of the answer.
-        limit = tolerance if scale > 0 else tolerance * substitute
+        limit = tolerance if scale > 0 else absolute
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
         if not (value <= limit or value * (scale or 1.0) <= known.rounding):
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"

@@ -146,10 +146,30 @@ class Condensation:
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
         """The condensed problem, itself a ContactProblem, which knows its own condensation."""
         size = problem.load_size[self.retained] + abs(self._coupling.T) @ abs(inner)
-        data = (self.schur, reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
+        data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
         reduced = problem.transformed(*data)
         reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
         return reduced
+
+    def idle_motions(self) -> Array:
+        """An orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists at all."""
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        if not motions.shape[1]:
+            return motions
+        motions, _ = np.linalg.qr(motions)
+        rows = np.vstack([self.normal, self.tie]) * self.scale
+        if not len(rows):
+            return motions
+        _, values, rotation = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True) @ motions)
+        return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+    def _held_schur(self) -> Array:
+        """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
+        singular, or the problem unbounded by rounding, because of motions that do not matter."""
+        idle = self.idle_motions()
+        if not idle.shape[1]:
+            return self.schur
+        return self.schur + idle @ idle.T / np.outer(self.scale, self.scale)
 
     def _of_reduced(self, reduced: ContactProblem) -> Condensation:
         """What condensing the condensed problem would give: itself, with nothing left to factorise."""

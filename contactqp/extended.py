@@ -109,7 +109,7 @@ def _split(a: Array) -> tuple[Array, Array]:
     return high, a - high
 
 
-class _Rows:
+class SparseRows:
     """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
 
     def __init__(self, matrix: Any) -> None:
@@ -145,12 +145,12 @@ class ExtendedRows:
     """The matrices of a problem, for products in extended precision."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.stiffness = _Rows(problem.stiffness)
-        self.normal = _Rows(problem.normal)
-        self.tie = _Rows(problem.tie)
-        self.tangent = None if problem.tangent is None else _Rows(problem.tangent)
-        self._outward = _Rows(sp.hstack([problem.normal.T, problem.tie.T]))
-        self._tangent_transposed = None if problem.tangent is None else _Rows(problem.tangent.T)
+        self.stiffness = SparseRows(problem.stiffness)
+        self.normal = SparseRows(problem.normal)
+        self.tie = SparseRows(problem.tie)
+        self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
+        self._outward = SparseRows(sp.hstack([problem.normal.T, problem.tie.T]))
+        self._tangent_transposed = None if problem.tangent is None else SparseRows(problem.tangent.T)
 
     def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
         """E_N' l_N + A' nu."""

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.extended import SparseRows, extend
 
 Array = NDArray[np.float64]
 
@@ -124,13 +125,20 @@ class RigidMotions:
 
 
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
-    """Which columns z satisfy K z = 0 to rounding: |K z|_j <= RIGID_TOLERANCE (|K||z|)_j at every unknown j."""
-    forces = abs(matrix @ motions)
-    scale = abs(matrix) @ abs(motions)
-    # An unknown at rest among unknowns at rest up to rounding has a scale of rounding itself: weigh it by its diagonal.
-    diagonal = np.maximum(np.asarray(matrix.diagonal(), dtype=float), 0.0)
-    width = np.sqrt(diagonal)[:, None] * np.max(np.sqrt(diagonal)[:, None] * abs(motions), axis=0, initial=0.0)
-    return np.asarray(np.all(forces <= RIGID_TOLERANCE * np.maximum(scale, width), axis=0))
+    """Which columns z satisfy K z = 0 to rounding: |K z|_j <= RIGID_TOLERANCE (|K||z|)_j at every unknown j.
+
+    `matrix` has a diagonal of about one. An unknown at rest among unknowns at rest has a scale of rounding itself: it is
+    measured against the largest motion.
+    """
+    forces = abs(_forces(matrix, motions))
+    scale = np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions), axis=0, initial=0.0))
+    return np.asarray(np.all(forces <= RIGID_TOLERANCE * scale, axis=0))
+
+
+def _forces(matrix: Any, motions: Array) -> Array:
+    """K z of every column, accumulated in extended precision: what is zero must not drown in rounding."""
+    rows = SparseRows(matrix)
+    return np.column_stack([(rows @ extend(z)).double() for z in motions.T]) if motions.size else np.zeros_like(motions)
 
 
 def null_space(matrix: Any) -> Array:
@@ -158,11 +166,17 @@ def null_space(matrix: Any) -> Array:
 
 def _null_space_of_component(component: Any) -> Array:
     size = component.shape[0]
-    scale = unit_diagonal_scale(component)
     if size == 1:
         return np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0))
+    # Powers of two scale without rounding: a matrix that is exactly singular stays so.
+    scale = 2.0 ** np.round(np.log2(unit_diagonal_scale(component)))
     scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
     lowest = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
+    if not lowest.shape[1]:
+        return lowest
+    # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
+    _, rotation = np.linalg.eigh(lowest.T @ _forces(scaled, lowest))
+    lowest = lowest @ rotation
     return np.asarray(scale[:, None] * lowest[:, is_rigid(scaled, lowest)])
 
 
@@ -172,8 +186,10 @@ def _lowest_dense(scaled: Array) -> Array:
     values, vectors = eigh(scaled)
     soft = values <= SUSPICIOUS_PIVOT
     lowest, others = vectors[:, soft], vectors[:, ~soft]
-    # One step of refinement takes out what rounding mixed in of the stiff motions.
-    return np.asarray(lowest - others @ ((others.T @ (scaled @ lowest)) / values[~soft, None]))
+    for _ in range(2):
+        # Refinement takes out what rounding mixed in of the stiff motions.
+        lowest = lowest - others @ ((others.T @ _forces(scaled, lowest)) / values[~soft, None])
+    return np.asarray(lowest)
 
 
 def _lowest_sparse(scaled: Any) -> Array:
@@ -187,5 +203,10 @@ def _lowest_sparse(scaled: Any) -> Array:
             block, _ = np.linalg.qr(shifted.solve(block))
         values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
         if values[-1] > SUSPICIOUS_PIVOT or width >= scaled.shape[0]:
-            return np.asarray(block @ rotation[:, values <= SUSPICIOUS_PIVOT])
+            break
         width = min(2 * width, scaled.shape[0])
+    lowest = block @ rotation[:, values <= SUSPICIOUS_PIVOT]
+    for _ in range(2):
+        # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
+        lowest = lowest - shifted.solve(_forces(scaled, lowest))
+    return np.asarray(lowest)

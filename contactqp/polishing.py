@@ -16,7 +16,7 @@ from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import Extended, extend, extended_rows
 from contactqp.factorization import Array
-from contactqp.nonnegative import dual_active_set
+from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
 from contactqp.violations import Answer, force_measure, forces_that_meet, own_compliance
@@ -112,6 +112,8 @@ def polish(
             if len(lean) < len(closed):
                 closed = lean
                 answer = answer_on(problem, condensation, closed)
+        if answer.saddle.free.shape[1]:
+            answer, _ = least_displacement(problem, condensation, answer)
         tension, penetrated = _wrong(problem, answer, closed)
         reached, driven = _reached_by_drive(problem, condensation, answer)
         if not (tension.size or penetrated.size or driven):
@@ -129,7 +131,10 @@ def _wrong(problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]) -> 
     """Contacts in tension and contacts penetrated, beyond rounding."""
     length = abs(problem.normal) @ abs(answer.displacement.double()) + abs(problem.gap)
     penetrated = np.flatnonzero(-answer.gap.double() > ROUNDING * length)
-    return np.flatnonzero(_push(problem, answer) < -ROUNDING), np.setdiff1d(penetrated, closed)
+    doubles = Answer(
+        answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double()
+    )
+    return np.flatnonzero(_push(problem, doubles) < -ROUNDING), np.setdiff1d(penetrated, closed)
 
 
 def _reached_by_drive(
@@ -181,39 +186,58 @@ def least_displacement(problem: ContactProblem, condensation: Condensation, answ
 
     Returns the answer there and an orthonormal basis (n, q) of those motions.
     """
+    u, force, tie = answer.displacement.double(), answer.normal_force.double(), answer.tie_force.double()
+    shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
+    if not free.shape[1]:
+        return answer, free
+    # The shift is rigid to double precision only: refine again from where it leads.
+    return answer_on(problem, condensation, pushing_contacts(problem, Answer(u, force, None, tie)), u + shift), free
+
+
+def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, answer: Answer) -> tuple[Vector, Array]:
+    """The motion, among those that neither forces nor stiffness resist, that takes an answer to its least norm within the gaps.
+
+    Returns the shift (n,) and an orthonormal basis (n, q) of the motions.
+    """
     none = np.zeros((problem.dimension, 0))
     if not condensation.rigid.count:
-        return answer, none
-    pushing = np.flatnonzero(_push(problem, answer) > ROUNDING)
-    scaled = SaddlePoint(condensation, pushing).free
+        return np.zeros(problem.dimension), none
+    scaled = SaddlePoint(condensation, pushing_contacts(problem, answer)).free
     if not scaled.shape[1]:
-        return answer, none
+        return np.zeros(problem.dimension), none
     motions = condensation.rigid.motions
     retained = condensation.scale[:, None] * scaled
     coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
     free, _ = np.linalg.qr(motions @ coordinates)
-    shift = -(free.T @ answer.displacement.double())
+    shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
     motion_size = np.max(np.sqrt(problem.stiffness.diagonal())[:, None] * abs(free))
     stays = np.linalg.norm(rows, axis=1) > UNRESISTED * np.sqrt(own_compliance(problem, problem.normal)) * motion_size
     if np.any(stays):
-        shift = _shift_within_gaps(rows[stays], answer.gap.double()[stays], shift)
-    # The shift is rigid to double precision only: refine again from where it leads.
-    return answer_on(problem, condensation, pushing, (answer.displacement + free @ shift).double()), free
+        gap = problem.gap - problem.normal @ answer.displacement
+        shift = _shift_within_gaps(rows[stays], gap[stays], shift)
+    return free @ shift, free
 
 
-def _push(problem: ContactProblem, answer: OnSet) -> Vector:
-    """Every contact force in its measure."""
-    u, force = answer.displacement.double(), answer.normal_force.double()
-    meeting = forces_that_meet(problem, Answer(u, force, None, answer.tie_force.double()))
-    return force_measure(problem.normal, force, meeting) * np.sign(force)
+def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+    """Contacts with a force beyond rounding."""
+    return np.flatnonzero(_push(problem, answer) > ROUNDING)
+
+
+def _push(problem: ContactProblem, answer: Answer) -> Vector:
+    """Every contact force in its measure, negative in tension."""
+    force = answer.normal_force
+    return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)
 
 
 def _shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
-    """The shift nearest to the wanted one that closes no contact beyond touching: min |a - wanted|, rows a <= gap."""
+    """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap."""
     length = np.linalg.norm(rows, axis=1)
-    unit, room = rows / length[:, None], np.maximum(gap, 0.0) / length
+    unit, room = rows / length[:, None], gap / length
     none = np.zeros(len(room), dtype=bool)
     slack = 1e-15 * (abs(room) + abs(unit) @ abs(wanted))
-    force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
+    try:
+        force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
+    except Infeasible:  # no shift frees every contact: the set is wrong, as the penetration that is left will show
+        return wanted
     return np.asarray(wanted - unit.T @ force)

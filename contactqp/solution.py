@@ -78,7 +78,8 @@ class Solution:
     free_motions: tuple[FreeMotion, ...]
     certificate: Certificate
     method: str
-    seconds: float
+    seconds: float  # to the certified answer, without the certificate of the raw one
+    certify_seconds: float  # of these, for the certificate
     work: Work
     raw: Raw | None = field(default=None, repr=False)  # before polish, where the answer was polished
     history: tuple[float, ...] = field(default=(), repr=False)  # of an iterative method, one number an iteration

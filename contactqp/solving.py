@@ -14,21 +14,25 @@ from contactqp.condensation import condense as condensation_of
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
 from contactqp.methods import Method, Settings, find
-from contactqp.polishing import closed_contacts, least_displacement, without_noise
+from contactqp.polishing import closed_contacts, least_displacement, shift_to_least_norm, without_noise
 from contactqp.polishing import polish as polish_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
+from contactqp.violations import Answer
 
 
 @dataclass(frozen=True, eq=False)
-class _Polished:
+class _Final:
+    """The answer that is certified: a candidate, polished or as it came, its free motions at rest."""
+
     displacement: Vector
     normal_force: Vector
     tie_force: Vector
     free_motions: tuple[FreeMotion, ...]
-    corrections: int
+    corrections: int = 0
+    polished: bool = False
 
 
 def solve(
@@ -101,9 +105,11 @@ def solve(
     except (NotConverged, BackendFailed):
         refuse_conflict(problem, way)
         raise
-    polished = _polish(problem, way, chosen, candidate) if polish and chosen.polish else None
-    solution = _solution(problem, chosen, candidate, polished, meter, started)
-    if polished is None and not candidate.claimed:
+    final = _polished(problem, way, chosen, candidate) if polish and chosen.polish else None
+    if final is None:
+        final = _as_it_came(problem, way, candidate)
+    solution = _solution(problem, chosen, candidate, final, meter, started)
+    if not final.polished and not candidate.claimed:
         refuse_conflict(problem, way)
         reason = candidate.status or "it stopped before it had an answer"
         raise NotConverged(f"{method}: {reason} (after {candidate.iterations} iterations)", candidate.history, solution)
@@ -167,7 +173,9 @@ def _run(
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {wanted!r}")
     if not problem.contacts and not problem.ties:
         return _linear(problem, way)
-    condensed = len(way.retained) < problem.dimension if wanted == "auto" else bool(wanted)
+    # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing lies inside.
+    smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
+    condensed = smaller if wanted == "auto" else bool(wanted)
     if not condensed:
         return _run_scaled(problem, method, settings)
     load, inner = way.reduce_load(problem.load)
@@ -194,9 +202,9 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
     return scaling.unscale(method.solve(twin, settings))
 
 
-def _polish(problem: ContactProblem, way: Condensation, method: Method, candidate: Candidate) -> _Polished | None:
+def _polished(problem: ContactProblem, way: Condensation, method: Method, candidate: Candidate) -> _Final | None:
     """The refined answer on the candidate's contact set, or None where its signs do not hold."""
-    if not (np.all(np.isfinite(candidate.displacement)) and np.all(np.isfinite(candidate.normal_force))):
+    if not _finite(candidate):
         return None
     closed = closed_contacts(problem, way, candidate.displacement, candidate.normal_force)
     answer, corrections, holds = polish_set(problem, way, closed, method.corrections)
@@ -205,7 +213,20 @@ def _polish(problem: ContactProblem, way: Condensation, method: Method, candidat
     answer, free = least_displacement(problem, way, answer)
     motions = tuple(_free_motion(problem, direction) for direction in free.T)
     force, tie = without_noise(way, answer)
-    return _Polished(answer.displacement.double(), force, tie, motions, corrections)
+    return _Final(answer.displacement.double(), force, tie, motions, corrections, polished=True)
+
+
+def _as_it_came(problem: ContactProblem, way: Condensation, candidate: Candidate) -> _Final:
+    """The candidate, its free motions put to rest as far as they are free."""
+    u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
+    if not _finite(candidate):
+        return _Final(u, force, tie, ())
+    shift, free = shift_to_least_norm(problem, way, Answer(u, force, None, tie))
+    return _Final(u + shift, force, tie, tuple(_free_motion(problem, direction) for direction in free.T))
+
+
+def _finite(candidate: Candidate) -> bool:
+    return all(np.all(np.isfinite(part)) for part in (candidate.displacement, candidate.normal_force, candidate.tie_force))
 
 
 def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:
@@ -214,21 +235,14 @@ def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:
 
 
 def _solution(
-    problem: ContactProblem,
-    method: Method,
-    candidate: Candidate,
-    polished: _Polished | None,
-    meter: _Meter,
-    started: float,
+    problem: ContactProblem, method: Method, candidate: Candidate, final: _Final, meter: _Meter, started: float
 ) -> Solution:
-    raw = None
-    final: Candidate | _Polished = candidate
-    if polished is not None:
-        final = polished
-        # The active-set method's own answer is the set; what came before its refinement is no other method's answer.
-        raw = None if method.kind == "active set" else _raw(problem, candidate)
+    answered = time.perf_counter()
     no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
     certificate = certify(problem, final.displacement, final.normal_force, no_friction, final.tie_force)
+    certified = time.perf_counter()
+    # The active-set method's own answer is the set; what came before its refinement is no other method's answer.
+    raw = _raw(problem, candidate) if final.polished and method.kind != "active set" else None
     return Solution(
         problem=problem,
         displacement=final.displacement,
@@ -236,11 +250,12 @@ def _solution(
         friction_force=no_friction,
         tie_force=final.tie_force,
         contact_status=contact_status(problem, certificate, None),
-        free_motions=polished.free_motions if polished else (),
+        free_motions=final.free_motions,
         certificate=certificate,
         method=method.name,
-        seconds=time.perf_counter() - started,
-        work=meter.read(candidate.iterations, polished.corrections if polished else 0),
+        seconds=certified - started,
+        certify_seconds=certified - answered,
+        work=meter.read(candidate.iterations, final.corrections),
         raw=raw,
         history=candidate.history,
     )

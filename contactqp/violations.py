@@ -1,7 +1,7 @@
 """What an answer violates: the worst contact or unknown, dimensionless, whatever the units and the scale of rows and unknowns.
 
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j and
-L_i = (|E_N||u| + |g|)_i + |E_i D|^2 |l_i| the size of the lengths that meet at contact i (`lengths_that_meet`), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
+L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
 as its size over L_i; 0/0 is 0.
 """
 
@@ -20,6 +20,8 @@ from contactqp.problem import ContactProblem, Vector
 
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14
+# Times the tolerance of 1e-9 this is what rounding leaves of the largest displacement, in the energy scale.
+SMALL_LENGTH = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def violations(problem: ContactProblem, answer: Answer) -> Violations:
     gap = (extend(problem.gap) - rows.normal @ u).double()
     tie_error = abs((rows.tie @ u - problem.tie_value).double())
     F = forces_that_meet(problem, answer)
-    gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement, answer.normal_force))
+    gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement))
     push = force_measure(problem.normal, answer.normal_force, F)
     cone, direction = _friction(problem, answer, F)
     return Violations(
@@ -74,7 +76,7 @@ def violations(problem: ContactProblem, answer: Answer) -> Violations:
         complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement, answer.tie_force)),
+        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement)),
         gap=gap,
         gap_measure=gap_measure,
         force_measure=push,
@@ -96,13 +98,15 @@ def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
-def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, force: Vector) -> Vector:
-    """L = |E||u| + |g| + |E D|^2 |l| with D = 1/sqrt(K_jj) [length].
+def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
+    """L = |E||u| + |g| + 1e-5 |E D| max_j |u_j / D_j| with D = 1/sqrt(K_jj) [length].
 
-    The last term is the length by which a force moves its own unknowns. A support at zero (u_j = 0 as a row) holds its
-    unknown at rounding; without that term rounding would be measured against itself.
+    The last term matters only where the first two vanish: a support at zero (u_j = 0 as a row) holds its unknown at the
+    rounding of the largest displacement, and without it that rounding would be measured against itself.
     """
-    return abs(rows) @ abs(displacement) + abs(limit) + own_compliance(problem, rows) * abs(force)
+    largest = np.max(np.sqrt(problem.stiffness.diagonal()) * abs(displacement))
+    rounding = SMALL_LENGTH * np.sqrt(own_compliance(problem, rows)) * largest
+    return abs(rows) @ abs(displacement) + abs(limit) + rounding
 
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:

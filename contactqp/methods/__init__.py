@@ -10,12 +10,13 @@ from contactqp.errors import BackendMissing, Unsupported
 from contactqp.methods import (
     active_set,
     augmented_lagrangian,
-    complementarity,
     lagrange_multiplier,
+    lemke,
     master_slave,
     modelled,
     penalty,
     perturbed_lagrangian,
+    projected_gauss_seidel,
     quadratic_program,
 )
 from contactqp.methods.method import Method, Settings
@@ -26,7 +27,8 @@ _MODULES = (
     active_set,
     quadratic_program,
     modelled,
-    complementarity,
+    lemke,
+    projected_gauss_seidel,
     master_slave,
     lagrange_multiplier,
     penalty,

@@ -18,7 +18,7 @@ from contactqp.existence import refuse_conflict
 from contactqp.methods.method import Method, Settings
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint
+from contactqp.saddle import BALANCED, SaddlePoint
 from contactqp.solution import Candidate
 
 # Relative excess or tension that a double-precision Delassus operator cannot tell from zero.
@@ -167,14 +167,17 @@ def _equilibrium_on(
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
     force = np.zeros(problem.contacts)
     force[closed] = on_set
-    length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
-    rigid = condensation.rigid.count > 0
     push = force / operator.row_scale[: problem.contacts]
-    if np.any(push < -ROUNDING * np.max(abs(push), initial=0.0)):
+    tension = max(ROUNDING * np.max(abs(push), initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0))
+    if np.any(push < -tension):
         return None
-    penetrated = condensation.normal @ x - problem.gap > ROUNDING * length
-    if np.any(penetrated[np.setdiff1d(np.arange(len(force)), closed)]) and rigid:
-        return None
+    # Where nothing floats, the anchored set is the set; where motions stay free, polishing moves them within the gaps.
+    if condensation.rigid.count and not saddle.free.shape[1]:
+        length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
+        penetrated = condensation.normal @ x - problem.gap > ROUNDING * length
+        penetrated[closed] = False
+        if np.any(penetrated):
+            return None
     return x, np.maximum(force, 0.0), tie_force
 
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from contactqp.errors import InvalidProblem
+from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.penalty import penalty_loop
 from contactqp.methods.textbook_algebra import (
@@ -20,7 +21,7 @@ from contactqp.methods.textbook_algebra import (
     spread,
     springs,
 )
-from contactqp.methods.textbook_loop import Step, active_set_loop
+from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 

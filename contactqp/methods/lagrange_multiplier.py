@@ -6,9 +6,10 @@ from functools import partial
 
 import numpy as np
 
+from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered, spread
-from contactqp.methods.textbook_loop import Step, active_set_loop
+from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
 
@@ -28,9 +29,7 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
     Raises
     ------
     NotConverged
-        The closed contacts do not hold the bodies.
-    NoEquilibrium
-        Ties contradict each other.
+        The closed contacts do not hold the bodies, or ties contradict each other.
     """
     return active_set_loop(NAME, problem, settings, partial(_enforce, problem))
 

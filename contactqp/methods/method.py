@@ -31,7 +31,9 @@ class Method:
     solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
     exact: bool = True  # promises the exact answer; otherwise approximate by design
     polish: bool = False  # its answer is polished on the contact set that it finds
-    corrections: int = 2  # of the contact set that polishing may make: two do not turn a backend into an active-set method
+    corrections: int = (
+        2  # of the contact set that polishing may make: two do not turn a backend into an active-set method
+    )
     scale: bool = False  # wants a nondimensional problem
     semidefinite: bool = True  # accepts a singular stiffness (bodies held by contact alone)
     sparse: bool = True  # works on sparse matrices without making them dense

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported
+from contactqp.methods.backends import BACKENDS, backend_options
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.quadratic_program import BACKENDS, backend_options, collected_words
+from contactqp.methods.quadratic_program import collected_words
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 

@@ -7,9 +7,10 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, contact_stiffness, solve_bordered, spread
-from contactqp.methods.textbook_loop import Step, active_set_loop
+from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged
+from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.problem import ContactProblem, Matrix, Vector
 
 Mask = NDArray[np.bool_]
@@ -17,6 +17,8 @@ Indices = NDArray[np.intp]
 
 # What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
 ROUNDING = 1e3 * float(np.finfo(float).eps)
+# Values of ties that repeat others are said twice, often in decimals: they agree to this part of their size or contradict.
+CONTRADICTION = 1e-9
 
 
 class SingularSystem(NotConverged):
@@ -40,11 +42,11 @@ def binding_rows(
 
     Raises
     ------
-    NoEquilibrium
+    NotConverged
         Ties contradict each other.
     """
     ties = independent_rows(problem.tie)
-    _refuse_contradiction(name, problem, ties)
+    refuse_contradiction(name, problem, ties)
     candidates = preference[closed[preference]]
     both = sp.csr_array(sp.vstack([problem.tie[ties], problem.normal[candidates]], format="csr"))
     kept = independent_rows(both)
@@ -53,14 +55,24 @@ def binding_rows(
     return rows, np.concatenate([problem.tie_value[ties], problem.gap[contacts]]), ties, contacts
 
 
-def _refuse_contradiction(name: str, problem: ContactProblem, ties: Indices) -> None:
-    if ties.size == problem.ties:
+def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> None:
+    """Whether the ties that follow from the `kept` ones say the same as they do: b_i = c'b where A_i = c'A.
+
+    Raises
+    ------
+    NotConverged
+        They do not, by more than a part CONTRADICTION of |b_i| + |c|'|b|: judged by the ties' own values, whatever the size of the
+        displacements, which may all vanish.
+    """
+    dropped = np.setdiff1d(np.arange(problem.ties), kept)
+    if dropped.size == 0:
         return
     A, b = problem.tie.toarray(), problem.tie_value
-    u = np.linalg.lstsq(A[ties], b[ties], rcond=None)[0]
-    wrong = np.abs(A @ u - b) > ROUNDING * (np.abs(A) @ np.abs(u) + np.abs(b))
+    weights = np.linalg.lstsq(A[kept].T, A[dropped].T, rcond=None)[0].T
+    off = np.abs(b[dropped] - weights @ b[kept])
+    wrong = off > CONTRADICTION * (np.abs(b[dropped]) + np.abs(weights) @ np.abs(b[kept]))
     if np.any(wrong):
-        raise NoEquilibrium(f"{name}: tie {int(np.flatnonzero(wrong)[0])} contradicts the other ties")
+        raise NotConverged(f"{name}: tie {int(dropped[wrong][0])} contradicts the other ties")
 
 
 def independent_rows(rows: Matrix) -> Indices:

@@ -1,37 +1,25 @@
 """The textbook's active-set loop around the five classical enforcements.
 
 The course chapter turns inequality contact into a sequence of equality problems: solve with the contacts that are
-thought closed; contacts that penetrate come in, contacts in tension go out; repeat until nothing changes. How a closed
-contact is enforced is the only thing in which master-slave, multipliers, penalty, perturbed and augmented Lagrangian
+thought closed; contacts that penetrate come in, contacts in tension go out; repeat until nothing changes. That can go in
+circles, or open so many contacts that a body comes loose; from there on `criss_cross` changes one contact at a time, which the
+textbook does not do. How a closed contact is enforced is the only thing in which master-slave, multipliers, penalty, perturbed and augmented Lagrangian
 differ, so each of them is one function from a set of closed contacts to a `Step`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from contactqp.errors import NotConverged
+from contactqp.methods.criss_cross import Enforcement, Step, change_one
 from contactqp.methods.method import Settings
-from contactqp.methods.textbook_algebra import ROUNDING, Indices, Mask, SingularSystem
+from contactqp.methods.textbook_algebra import ROUNDING, Mask, SingularSystem
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """The equality problem's answer for one set of closed contacts."""
-
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,), zero on the open contacts
-    tie_force: Vector  # (k,)
-    bound: Mask  # (m,) the closed contacts that took part; dependent rows may leave some out
-
-
-# A mask of the closed contacts, and an order of preference among them should their rows be dependent.
-Enforcement = Callable[[Mask, Indices], Step]
 
 
 def active_set_loop(
@@ -41,7 +29,7 @@ def active_set_loop(
     enforce: Enforcement,
     stiffness: float | Vector = 0.0,
 ) -> Candidate:
-    """Repeat `enforce` on the set of closed contacts until the set no longer changes.
+    """Repeat `enforce` on the set of closed contacts until the set no longer changes; one contact at a time after a cycle.
 
     The first set is that of the contacts penetrated in the free solution; of all contacts where the bodies float
     freely, so that there is no free solution.
@@ -59,69 +47,101 @@ def active_set_loop(
     Returns
     -------
     Candidate
-        `history` is the number of contacts that changed sides, one number an iteration. Not claimed where the loop
-        cycles, or where it stops at `settings.max_iter` (10 m + 20) or `settings.time_limit`.
+        `history` is the number of contacts whose sign is wrong, one number an iteration. Not claimed where even the criss-cross
+        steps cycle (rounding decides between sets), or where the loop stops at `settings.max_iter` (50 m + 200) or
+        `settings.time_limit`.
 
     Raises
     ------
     NotConverged
-        The system of some set is singular.
+        The first system is singular, or no contact can be exchanged for another.
     """
-    started, history, seen = time.perf_counter(), list[float](), set[bytes]()
-    limit = settings.max_iter or 10 * problem.contacts + 20
-    sizes = _Sizes.of(problem)
-    closed, preference = _warm_set(problem, settings), np.arange(problem.contacts)
-    while True:
-        step = enforce(closed, preference) if history else _first_step(enforce, closed, preference)
-        incoming, outgoing = _changes(problem, sizes, step, stiffness)
-        history.append(float(np.count_nonzero(incoming | outgoing)))
-        status = _stop(history, step.bound.tobytes() in seen, limit, settings, started)
-        if status:
-            return _candidate(step, history, f"{name}: {status}")
-        seen.add(step.bound.tobytes())
-        closed = (step.bound & ~outgoing) | incoming
-        # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
-        preference = np.argsort(~incoming, kind="stable")
+    loop = _Loop(name, problem, settings, enforce, stiffness)
+    try:
+        return loop.run()
+    except SingularSystem as error:
+        raise NotConverged(str(error), tuple(loop.history)) from None
 
 
-def _candidate(step: Step, history: list[float], status: str) -> Candidate:
-    return Candidate(
-        step.displacement,
-        step.normal_force,
-        step.tie_force,
-        iterations=len(history),
-        claimed=history[-1] == 0,
-        status=status,
-        history=tuple(history),
-    )
+class _Loop:
+    def __init__(
+        self, name: str, problem: ContactProblem, settings: Settings, enforce: Enforcement, stiffness: float | Vector
+    ) -> None:
+        self._name, self._problem, self._settings, self._enforce = name, problem, settings, enforce
+        self._stiffness, self._sizes = stiffness, _Sizes.of(problem)
+        self._started = time.perf_counter()
+        self._limit = settings.max_iter or 50 * problem.contacts + 200
+        self._textbook_steps: int | None = None  # how many there were, once the loop goes one contact at a time
+        self._seen: set[bytes] = set()
+        self.history: list[float] = []
+
+    def run(self) -> Candidate:
+        step = self._first_step()
+        while True:
+            incoming, outgoing = _changes(self._problem, self._sizes, step, self._stiffness)
+            self.history.append(float(np.count_nonzero(incoming | outgoing)))
+            status = self._stop(step.bound)
+            if status:
+                return self._candidate(step, status)
+            self._seen.add(step.bound.tobytes())
+            step = self._next_step(step, incoming, outgoing)
+
+    def _first_step(self) -> Step:
+        closed, order = _warm_set(self._problem, self._settings), np.arange(self._problem.contacts)
+        try:
+            return self._enforce(closed, order)
+        except SingularSystem:
+            if closed.all():
+                raise
+            return self._enforce(np.ones_like(closed), order)
+
+    def _next_step(self, step: Step, incoming: Mask, outgoing: Mask) -> Step:
+        if self._textbook_steps is None:
+            # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
+            preference = np.argsort(~incoming, kind="stable")
+            try:
+                following = self._enforce((step.bound & ~outgoing) | incoming, preference)
+                if following.bound.tobytes() not in self._seen:
+                    return following
+            except SingularSystem:  # too many contacts were opened at once
+                pass
+            self._textbook_steps = len(self.history)
+            self._seen = {step.bound.tobytes()}
+        return change_one(self._name, self._problem, self._enforce, step.bound, incoming | outgoing)
+
+    def _stop(self, bound: Mask) -> str:
+        """Why the loop ends here, or nothing."""
+        limit = self._settings.time_limit
+        if self.history[-1] == 0:
+            return "the set of closed contacts no longer changes"
+        if bound.tobytes() in self._seen:
+            return "the active-set loop cycles, even one contact at a time"
+        if len(self.history) >= self._limit:
+            return f"stopped after {self._limit} iterations"
+        if limit is not None and time.perf_counter() - self._started > limit:
+            return f"stopped after {limit:g} s"
+        return ""
+
+    def _candidate(self, step: Step, status: str) -> Candidate:
+        if self._textbook_steps is not None:
+            status += (
+                f" (the textbook's loop cycled after {self._textbook_steps} iterations; then one contact at a time)"
+            )
+        return Candidate(
+            step.displacement,
+            step.normal_force,
+            step.tie_force,
+            iterations=len(self.history),
+            claimed=self.history[-1] == 0,
+            status=f"{self._name}: {status}",
+            history=tuple(self.history),
+        )
 
 
 def _warm_set(problem: ContactProblem, settings: Settings) -> Mask:
     if settings.warm_start is None:
         return np.zeros(problem.contacts, dtype=bool)
     return np.asarray(settings.warm_start.normal_force > 0)
-
-
-def _first_step(enforce: Enforcement, closed: Mask, preference: Indices) -> Step:
-    try:
-        return enforce(closed, preference)
-    except SingularSystem:
-        if closed.all():
-            raise
-        return enforce(np.ones_like(closed), preference)
-
-
-def _stop(history: list[float], repeated: bool, limit: int, settings: Settings, started: float) -> str:
-    """Why the loop ends here, or nothing."""
-    if history[-1] == 0:
-        return "the set of closed contacts no longer changes"
-    if repeated:
-        return "the active-set loop cycles"
-    if len(history) >= limit:
-        return f"stopped after {limit} iterations"
-    if settings.time_limit is not None and time.perf_counter() - started > settings.time_limit:
-        return f"stopped after {settings.time_limit:g} s"
-    return ""
 
 
 @dataclass(frozen=True, eq=False)
