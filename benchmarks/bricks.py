@@ -64,19 +64,19 @@ def free_response(K: Array, f: Array) -> Array:
     return D * np.linalg.lstsq(K * np.outer(D, D), D * f, rcond=1e-15)[0]
 
 
-def light(rng: Generator, size: int | None = None) -> Array:
-    """1 - 10^-p, p from 0.2 to 5: the part of an approach that a gap lets pass before it closes.
+def light(rng: Generator, size: int | None = None, lightest: float = 5.0) -> Array:
+    """1 - 10^-p, p from 0.2 to `lightest`: the part of an approach that a gap lets pass before it closes.
 
     Lightly pressed contacts are where methods that look at the whole energy stop too early.
     """
-    return np.asarray(1 - 10.0 ** rng.uniform(-5, -0.2, size))
+    return np.asarray(1 - 10.0 ** rng.uniform(-lightest, -0.2, size))
 
 
-def fair_gaps(rng: Generator, K: Array, f: Array, E: Array) -> Array:
+def fair_gaps(rng: Generator, K: Array, f: Array, E: Array, lightest: float = 5.0) -> Array:
     """Not negative (rest is feasible), and such that some contacts close, many of them lightly."""
     approach = E @ free_response(K, f)
     typical = np.max(abs(approach), initial=0.0) or 1.0
-    part = np.where(rng.random(len(E)) < 0.25, rng.uniform(0.5, 2.0, len(E)), light(rng, len(E)))
+    part = np.where(rng.random(len(E)) < 0.25, rng.uniform(0.5, 2.0, len(E)), light(rng, len(E), lightest))
     if rng.random() < 0.5:  # one contact alone, lightly pressed; the others are far
         part = np.where(np.arange(len(E)) == np.argmax(approach), part, 2 * part + 1)
     return np.where(approach > 0, part * approach, 0.1 * part * typical)

@@ -146,7 +146,7 @@ def beam_supports_as_rows(rng: Generator) -> ContactProblem:
     held = K[np.ix_(inner := np.setdiff1d(np.arange(n), [0, n - 2]), inner)]
     nodes = 2 * rng.choice(np.arange(1, elements), min(elements - 1, int(rng.integers(1, 6))), replace=False)
     E = units(n, nodes, rng.choice([-1.0, 1.0], len(nodes)))
-    return ContactProblem(K, f, E, fair_gaps(rng, held, f[inner], E[:, inner]), tie=A)
+    return ContactProblem(K, f, E, fair_gaps(rng, held, f[inner], E[:, inner], 7), tie=A)
 
 
 @_in(well_posed=True)

@@ -68,8 +68,7 @@ __all__ = ["__version__", *sorted(_HOME)]
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'contactqp' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
-    return value
+    return getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

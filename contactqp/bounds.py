@@ -1,6 +1,6 @@
 """How far an answer is from the truth: proven bounds for frictionless problems.
 
-Let a(v, w) = v'Kw, |v|_K^2 = a(v, v), u* the solution and l*, nu* its forces. For any v that satisfies E v <= g, A v = b and any forces
+Let |v|_K^2 = v'Kv, u* the solution and l*, nu* its forces. For any v that satisfies E v <= g, A v = b and any forces
 l >= 0, nu with balanced resultants, let w solve K w = f - E'l - A'nu. With J the energy and D the dual energy,
 
     J(v) - J(u*)    = 1/2 |v - u*|^2 + l*'(g - E v)        (l* and u* are complementary, A v = b)
@@ -9,24 +9,31 @@ l >= 0, nu with balanced resultants, let w solve K w = f - E'l - A'nu. With J th
 
 and adding the first two, whose last terms are not negative,
 
-    |v - u*|^2 + |w - u*|^2 <= G^2 := |v - w|^2 + 2 l'(g - E v).                                           (1)
+    |v - u*|^2 + |w - u*|^2 <= G^2 := |v - w|^2 + 2 l'(g - E v).                                          (1)
 
-By the parallelogram identity the midpoint c = (v + w)/2 is nearer: |c - u*|^2 <= |v - w|^2/4 + l'(g - E v).      (2)
-Since w - u* = -K^+ (E'(l - l*) + A'(nu - nu*)), |l - l*|_W <= |w - u*|_K with |d|_W the energy norm of the response of the tied
-bodies to the contact forces d.                                                                                  (3)
+By the parallelogram identity the midpoint c = (v + w)/2 is nearer,
+
+    |c - u*|^2 <= |v - w|^2/4 + l'(g - E v).                                                               (2)
+
+Since w - u* = -K^+ (E'(l - l*) + A'(nu - nu*)),
+
+    |l - l*|_W <= |w - u*|_K,                                                                              (3)
+
+with |d|_W the energy norm of the response of the tied bodies to the contact forces d.
 From the first two lines also l_i* <= G^2 / (2 (g - E v)_i) where v is open; and with v_i, mu_i from
 K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A v_i = 0 on independent rows B,
 
-    |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                        (4)
+    |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                    (4)
 
-The pair (v, l) is got from the candidate's own set of closed contacts, with the refined answer on it (its forces, if none pulls,
-and its displacement, if it penetrates nowhere, make G a matter of rounding); where the candidate's set is wrong, from the candidate
-repaired: v closes its contacts, l loses its tensions. The bound of the candidate is its distance to the pair and the pair's own.
+The pair (v, l) is got from the candidate's own set of closed contacts, with the refined answer on it (its forces, if
+none pulls, and its displacement, if it penetrates nowhere, make G a matter of rounding); where the candidate's set is
+wrong, from the candidate repaired: v closes its contacts, l loses its tensions. The bound of the candidate is its
+distance to the pair and the pair's own.
 
-Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of large
-numbers. The refinement that computes them contracts by a measured factor q; the error that its last step d leaves is at most
-|d|_K q/(1-q), and |d|_K itself is added. Where q >= 1/2 nothing is proven and the reason is given. This is an a-posteriori estimate of
-rounding, not an interval enclosure.
+Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
+large numbers. The refinement that computes them contracts by a measured factor q; the error that its last step d
+leaves is at most |d|_K q/(1-q), and 2 |d|_K is added. Where q >= 1/2 nothing is proven and the reason is given. This
+is an a-posteriori estimate of rounding, not an interval enclosure.
 """
 
 from __future__ import annotations
@@ -45,11 +52,13 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
 from contactqp.violations import Answer, forces_that_meet, own_compliance
 
-# The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its energies.
+# The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its
+# energies.
 REPAIRS = 3
 # Contact forces whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
-# A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering accuracy.
+# A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
+# accuracy.
 TOUCHING = 1e-6
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5
@@ -66,7 +75,9 @@ class Bounds:
     force_bound: Vector | None = None
     energy_scale: float = 0.0  # |u*|_K or what is known of it
     force_scale: float = 0.0  # |l*|_W likewise
-    relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units, no row scale
+    relative_force_bound: Vector | None = (
+        None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units, no row scale
+    )
     rounding: float = 0.0  # what the refinement cannot tell from zero, in the square root of energy
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     reasons: tuple[str, ...] = ()
@@ -74,7 +85,7 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A feasible displacement v and admissible forces l with the distance between v and w, all seen from the candidate."""
+    """A feasible displacement v and admissible forces l, with v and w seen from the candidate."""
 
     to_middle: Extended  # (n,) c - u
     radius: float  # (2): |c - u*|_K
@@ -82,6 +93,7 @@ class _Pair:
     force: Extended  # (m,) l
     open_gap: Vector  # (m,) g - E v
     saddle: SaddlePoint
+    exact: bool  # both are the solution, to rounding
 
 
 class Unproven(Exception):
@@ -111,7 +123,8 @@ def _pair(problem: ContactProblem, answer: Answer, condensation: Condensation) -
         on_set, _, holds = polish(problem, condensation, closed, REPAIRS)
         if on_set.contraction >= CONTRACTION:
             raise Unproven(
-                f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
+                f"the refinement contracts by {on_set.contraction:.2g} only: "
+                "the stiffness is singular to working precision"
             )
         if holds:
             return _from_set(problem, answer, condensation, on_set)
@@ -125,7 +138,8 @@ def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Conden
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
     size = force * np.sqrt(delassus(condensation).compliance[: problem.contacts])
     pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
-    return [closed_contacts(problem, condensation, u, force), touching, pushing]
+    acting = np.flatnonzero(abs(size) > TOUCHING * np.max(abs(size), initial=0.0))  # of the wrong sign, perhaps
+    return [closed_contacts(problem, condensation, u, force), touching, pushing, acting]
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> _Pair:
@@ -133,10 +147,10 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     distance = _without_free_part(condensation, on_set.saddle, on_set.displacement - extend(answer.displacement))
     du, dl, _ = on_set.last_step
     step = extend(np.zeros(problem.contacts)).added_at(on_set.saddle.closed, dl)
-    allowance = 2 * _energy_norm(problem, extend(du)) + 2 * _force_norm(problem, condensation, step)
+    allowance = 2 * _energy_norm(problem, extend(du)) + 2 * sum(_force_norm(problem, condensation, step))
     allowance += _noise(problem, answer)
     gap = np.maximum(on_set.gap.double(), 0.0)
-    return _Pair(distance, allowance, allowance, on_set.normal_force.positive_part(), gap, on_set.saddle)
+    return _Pair(distance, allowance, allowance, on_set.normal_force.positive_part(), gap, on_set.saddle, exact=True)
 
 
 def _from_repair(
@@ -160,6 +174,7 @@ def _from_repair(
         force=force,
         open_gap=room,
         saddle=saddle,
+        exact=False,
     )
 
 
@@ -259,32 +274,57 @@ def _energy_norm(problem: ContactProblem, displacement: Extended) -> float:
 
 
 def _noise(problem: ContactProblem, answer: Answer) -> float:
-    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |K^+ d|_K <= |D d| / sqrt(lowest eigenvalue of DKD)."""
+    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
     scale = unit_diagonal_scale(problem.stiffness)
     return float(EPS / np.sqrt(RIGID_TOLERANCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair) -> Bounds:
+    rounding = 4 * _noise(problem, answer)
     middle = extend(answer.displacement) + pair.to_middle
     energy_scale = _energy_scale(problem, condensation, middle)
-    energy = _energy_norm(problem, pair.to_middle) + pair.radius
-    force_scale = _force_norm(problem, condensation, pair.force)
-    if force_scale <= VANISHING * energy_scale:
-        force_scale = 0.0
-    force_change = _force_norm(problem, condensation, extend(answer.normal_force) - pair.force)
-    force = force_change + pair.dual_radius
-    bound, reason = _force_bound(problem, answer, condensation, pair)
+    rounding += VANISHING * energy_scale
+    force_bound, reason = _force_bound(problem, answer, condensation, pair)
+    force_error, force_scale = _force_error(problem, answer, condensation, pair, energy_scale, rounding)
+    relative = None
+    if force_bound is not None and force_scale > 0:
+        relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / force_scale
     return Bounds(
-        energy_error=_relative(energy, energy_scale, pair.radius),
-        force_error=_relative(force, force_scale, pair.dual_radius),
-        force_bound=bound,
-        relative_force_bound=None if bound is None or force_scale == 0 else bound * np.sqrt(own_compliance(problem, problem.normal)) / force_scale,
+        energy_error=_relative(_energy_norm(problem, pair.to_middle) + pair.radius, energy_scale, pair.radius, np.inf),
+        force_error=force_error,
+        force_bound=force_bound,
         energy_scale=energy_scale,
         force_scale=force_scale,
-        rounding=4 * _noise(problem, answer) + VANISHING * energy_scale,
+        relative_force_bound=relative,
+        rounding=rounding,
         rigid_rounding=_rigid_rounding(problem, condensation, answer.displacement),
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
+
+
+def _force_error(
+    problem: ContactProblem,
+    answer: Answer,
+    condensation: Condensation,
+    pair: _Pair,
+    energy_scale: float,
+    rounding: float,
+) -> tuple[float, float]:
+    """(3) relative to |l*|_W, and |l*|_W, zero where the contact forces are what refinement leaves of zero.
+
+    Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
+    itself both are known, and the larger error is the bound.
+    """
+    change = extend(answer.normal_force) - pair.force
+    both = pair.exact and problem.ties > 0 and not condensation.rigid.count
+    errors, scales = [], []
+    for tied in (True, False) if both else (True,):
+        scale, uncertain = _force_norm(problem, condensation, pair.force, tied)
+        scale = 0.0 if scale <= VANISHING * energy_scale else scale
+        error = sum(_force_norm(problem, condensation, change, tied)) + pair.dual_radius
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain, rounding))
+        scales.append(scale)
+    return max(errors), scales[0]
 
 
 def _energy_scale(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> float:
@@ -301,20 +341,22 @@ def _rigid_rounding(problem: ContactProblem, condensation: Condensation, displac
     return float(64 * np.finfo(float).eps * np.sqrt(size @ (abs(problem.stiffness) @ size)))
 
 
-def _relative(error: float, scale: float, uncertainty: float) -> float:
-    """error over the least that the true scale can be; absolute where the scale vanishes."""
-    if scale == 0:
-        return error
-    return error / (scale - uncertainty) if scale > uncertainty else float("inf")
+def _relative(error: float, scale: float, uncertainty: float, rounding: float) -> float:
+    """error over the least that the true scale can be; absolute where that is zero, infinite where it may be zero."""
+    if scale > uncertainty:
+        return error / (scale - uncertainty)
+    return error if scale == 0 and uncertainty <= rounding else float("inf")
 
 
-def _force_norm(problem: ContactProblem, condensation: Condensation, force: Extended) -> float:
-    """|d|_W: the energy norm of the tied bodies' response to contact forces d."""
+def _force_norm(
+    problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
+) -> tuple[float, float]:
+    """|d|_W, the energy norm of the (tied) bodies' response to contact forces d, and a bound on its error."""
     if not np.any(force.double()):
-        return 0.0
+        return 0.0, 0.0
     load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
-    u, error = _response(problem, condensation, load, tied=True)
-    return _energy_norm(problem, u) + error
+    u, error = _response(problem, condensation, load, tied)
+    return _energy_norm(problem, u), error
 
 
 def _force_bound(

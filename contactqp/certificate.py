@@ -45,7 +45,9 @@ class Certificate:
     error_tolerance: float
     passed: bool
     proven: bool
-    violations: Violations | None = field(repr=False, default=None)  # contact by contact; None where the answer is not finite
+    violations: Violations | None = field(
+        repr=False, default=None
+    )  # contact by contact; None where the answer is not finite
 
     def __str__(self) -> str:
         verdict = "passed" if self.passed else "REFUSED"
@@ -93,7 +95,7 @@ def certify(
     >>> cq.certify(wall, displacement=[1e-3], normal_force=[142.5]).passed
     True
     >>> cq.certify(wall, displacement=[1e-3], normal_force=[-142.5]).failures[1]
-    'tension: contact 0 is held with a force of -142.5 (1 of the forces that meet there, tolerance 1e-09)'
+    'tension: contact 0 is held with a force of -142.5 (0.237 of the forces that meet there, tolerance 1e-09)'
     """
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
@@ -128,12 +130,15 @@ def _grazing(
 ) -> NDArray[np.bool_]:
     """Contacts whose gap and force both vanish.
 
-    Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where the energy of the
-    answer is known it must vanish against that too.
+    Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
+    the energy of the answer is known it must vanish against that too.
     """
     vanish = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
     if known.energy_scale > 0:
-        vanish &= abs(answer.normal_force) * np.sqrt(own_compliance(problem, problem.normal)) <= tolerance * known.energy_scale
+        vanish &= (
+            abs(answer.normal_force) * np.sqrt(own_compliance(problem, problem.normal))
+            <= tolerance * known.energy_scale
+        )
     return vanish
 
 
@@ -147,7 +152,9 @@ def contact_status(problem: ContactProblem, certificate: Certificate, answer_sli
     if problem.friction is not None and answer_slip is not None:
         frictional = (problem.friction > 0) & (status == "closed")
         size = np.linalg.norm(answer_slip, axis=1)
-        status[frictional] = np.where(size[frictional] > certificate.tolerance * np.max(size, initial=0.0), "slip", "stick")
+        status[frictional] = np.where(
+            size[frictional] > certificate.tolerance * np.max(size, initial=0.0), "slip", "stick"
+        )
     status[list(certificate.grazing)] = "grazing"
     return status
 
@@ -190,8 +197,9 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
 
 
 def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error_tolerance: float) -> Certificate:
+    figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
-        **dict.fromkeys(FIGURES, float("inf")),
+        **figures,
         energy_error=None,
         force_error=None,
         force_bound=None,
@@ -207,12 +215,16 @@ def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error
 
 
 def _not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
-    called = {"displacement": problem.dof_name, "normal_force": problem.contact_name, "friction_force": problem.contact_name}
+    called = {
+        "displacement": problem.dof_name,
+        "normal_force": problem.contact_name,
+        "friction_force": problem.contact_name,
+    }
     for name in ("displacement", "normal_force", "friction_force", "tie_force"):
         values = getattr(answer, name)
         if values is not None and not np.all(np.isfinite(values)):
             at = np.argwhere(~np.isfinite(values))[0]
-            where = called.get(name, lambda i: f"tie {i}")(int(at[0]))
+            where = called[name](int(at[0])) if name in called else f"tie {at[0]}"
             yield f"{name}: {values[tuple(at)]} at {where}"
 
 
@@ -234,7 +246,9 @@ def _failed_figures(
         i = where(name)
         if name == "equilibrium":
             missing = found.residual[i]
-            yield said(name, f"{problem.dof_name(i)} is out of balance by {missing:.6g}{force}", "forces that meet there")
+            yield said(
+                name, f"{problem.dof_name(i)} is out of balance by {missing:.6g}{force}", "forces that meet there"
+            )
         elif name == "penetration":
             text = f"{problem.contact_name(i)} is penetrated by {-found.gap[i]:.6g}{length}"
             yield said(name, text, "lengths that meet there")
@@ -257,8 +271,8 @@ def _failed_figures(
 
 
 def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
-    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that of a
-    # displacement without strain against the rounding of the displacement.
+    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
+    # of a displacement without strain against the rounding of the displacement.
     pairs = (
         ("energy_error", "displacement", known.energy_error, known.energy_scale, known.rigid_rounding),
         ("force_error", "contact forces", known.force_error, known.force_scale, tolerance * known.energy_scale),
@@ -275,9 +289,10 @@ def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, toler
     beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
     if relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath)):
         i = int(np.argmax(relative))
+        unit = _with_unit(problem.units.force)
         yield (
             f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
-            f"{_with_unit(problem.units.force)}, may be off by {known.force_bound[i]:.3g}{_with_unit(problem.units.force)} "
+            f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
             f"({relative[i]:.3g} of the contact forces, tolerance {tolerance:g})"
         )
 

@@ -45,25 +45,25 @@ class Condensation:
     """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.delassus: list[Any] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
+        self.delassus: list[
+            Any
+        ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
         self.factorisations = 0
         self.back_substitutions = 0
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         self._sparse = sp.csr_matrix(problem.stiffness)
         touched = _touched_unknowns(problem)
-        motions: Array | None = None
         self._partition(touched)
-        if self._factor is not None and self._factor.smallest_pivot < SUSPICIOUS_PIVOT:
-            motions = null_space(self._sparse)
-            fixing = _fixing_unknowns(motions, touched)
-            if fixing.size:
-                self._partition(np.union1d(touched, fixing))
         self.schur = self._schur_complement()
         self.scale = self._scale(unknown_scale(problem))
-        if motions is None and self._schur_smallest_pivot() < SUSPICIOUS_PIVOT:
+        motions = np.zeros((problem.dimension, 0))
+        if min(self._interior_smallest_pivot(), self._schur_smallest_pivot()) < SUSPICIOUS_PIVOT:
             motions = null_space(self._sparse)
-        if motions is None:
-            motions = np.zeros((problem.dimension, 0))
+            fixing = _fixing_unknowns(motions, touched, self._sparse.diagonal())
+            if fixing.size:
+                self._partition(np.union1d(touched, fixing))
+                self.schur = self._schur_complement()
+                self.scale = self._scale(unknown_scale(problem))
         self.rigid = RigidMotions(motions)
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
@@ -94,11 +94,14 @@ class Condensation:
         return np.asarray((S + S.T) / 2)
 
     def _scale(self, of_stiffness: Array) -> Array:
-        """1/sqrt(S_jj), or the scale that the stiffness gives where condensation left next to nothing of its diagonal."""
+        """1/sqrt(S_jj), or the scale of the stiffness where condensation left next to nothing of the diagonal."""
         before = self._sparse.diagonal()[self.retained]
         left = self.schur.diagonal()
         alive = left > NOTHING_LEFT * before
         return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
+
+    def _interior_smallest_pivot(self) -> float:
+        return 1.0 if self._factor is None else self._factor.smallest_pivot
 
     def _schur_smallest_pivot(self) -> float:
         if not len(self.schur):
@@ -134,7 +137,16 @@ class Condensation:
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
         """f_S, and K_ii^-1 f_i for `expand`."""
         inner = self._interior_solve(load[self.interior])
-        return load[self.retained] - self._coupling.T @ inner, inner
+        return self._balanced(load, load[self.retained] - self._coupling.T @ inner), inner
+
+    def _balanced(self, load: Vector, reduced: Vector) -> Vector:
+        """The condensed load, doing the load's own work on rigid motions, which rounding changes."""
+        if not self.rigid.count:
+            return reduced
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
+        change, *_ = np.linalg.lstsq(motions.T, missing, rcond=None)
+        return np.asarray(reduced + change / self.scale)
 
     def expand(self, retained: Vector, inner: Vector) -> Vector:
         """The full displacement from that of the retained unknowns; `inner` is K_ii^-1 f_i."""
@@ -189,7 +201,7 @@ class Condensation:
 
 
 def unknown_scale(problem: ContactProblem) -> Array:
-    """D (n,): 1/sqrt(K_jj); an unknown without stiffness takes the scale that gives its largest row entry the size of the others'."""
+    """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
     if "unknown_scale" in problem._shared:
         return np.asarray(problem._shared["unknown_scale"])
     D = unit_diagonal_scale(problem.stiffness)
@@ -217,7 +229,7 @@ def _same_matrix(one: Any, other: Any) -> bool:
         return True
     if one is None or other is None or one.shape != other.shape:
         return False
-    return abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0
+    return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)
 
 
 def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
@@ -225,14 +237,15 @@ def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
 
 
-def _fixing_unknowns(motions: Array, retained: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Unknowns that, held with the retained ones, leave no rigid motion to the interior."""
+def _fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
+    """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
     from scipy.linalg import null_space as dense_null_space
     from scipy.linalg import qr
 
     if not motions.shape[1]:
         return np.zeros(0, dtype=np.intp)
-    scaled = motions / np.max(abs(motions), axis=0)
+    scaled = motions * np.sqrt(np.where(diagonal > 0, diagonal, np.max(diagonal, initial=0.0) or 1.0))[:, None]
+    scaled = scaled / np.max(abs(scaled), axis=0)
     free = scaled
     if retained.size:
         free = scaled @ dense_null_space(scaled[retained], rcond=1e-10)

@@ -2,8 +2,9 @@
 
     W = [E; A] S_e^-1 [E; A]',    S_e = S + e Z Z'
 
-on the condensed unknowns, in the scale that gives S a unit diagonal and W too. Where bodies float, W would be infinite along
-their rigid motions Z: the springs e anchor them, and a proximal iteration (Rockafellar 1976) takes the anchors' force away.
+on the condensed unknowns, in the scale that gives S a unit diagonal and W too. Where bodies float, W would be
+infinite along their rigid motions Z: the springs e anchor them, and a proximal iteration (Rockafellar 1976) takes the
+anchors' force away.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Delassus:
         return np.asarray(1.0 / self.row_scale**2)
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
-        """Scaled displacement without contact forces, the rigid motions anchored at the scaled displacement `anchor`."""
+        """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""
         return self._solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
     def excess(self, displacement: Vector, limit: Vector) -> Vector:

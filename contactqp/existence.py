@@ -36,7 +36,9 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
     coordinates = _without_artefacts(_steepest(drive, normal, tie), normal, tie)
     motion = Z @ coordinates
-    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)) and drive @ coordinates > DRIVEN * np.max(abs(drive)):
+    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)) and drive @ coordinates > DRIVEN * np.max(
+        abs(drive)
+    ):
         raise NoEquilibrium(
             "the load drives a rigid motion that no contact or tie holds back: "
             f"{describe_motion(problem, motion / np.max(abs(motion)))}"
@@ -85,8 +87,8 @@ def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
 def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
     """Raise if no displacement satisfies E u <= g, A u = b; the message names rows that conflict.
 
-    The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict, and
-    its multipliers are Farkas' proof: a combination of the named rows that reads 0 <= -t.
+    The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict,
+    and its multipliers are Farkas' proof: a combination of the named rows that reads 0 <= -t.
     """
     from scipy.optimize import linprog
 
@@ -111,14 +113,15 @@ def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None
         return
     m, k = problem.contacts, problem.ties
     taking_part = np.flatnonzero(abs(answer.ineqlin.marginals) > 1e-9)
-    names = [problem.contact_name(i) if i < m else f"tie {(i - m) % k}" for i in taking_part]
+    names = [problem.contact_name(i) if i < m else f"tie {(i - m) % k}" for i in taking_part.tolist()]
     raise NoEquilibrium(f"no displacement satisfies these constraints together: {_listed(names)}")
 
 
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     """A motion in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > 1e-9 * np.max(abs(motion)))
-    order = moving[np.argsort(-abs(motion[moving]), kind="stable")]
+    # Rounded, so that unknowns that move alike are named in their own order.
+    order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     return _listed([f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order])
 
 

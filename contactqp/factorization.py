@@ -17,10 +17,13 @@ Array = NDArray[np.float64]
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300
-# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked for.
-SUSPICIOUS_PIVOT = 1e-10
-# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true matrix
-# then tells whether the factors are good enough.
+# Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
+SOFT = 1e-10
+# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
+# for.
+SUSPICIOUS_PIVOT = 1e-8
+# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
+# matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
 # Rounding of the data leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown; a spring 1e-13 times
 # softer than what it holds stays above this.
@@ -112,7 +115,9 @@ def factorise(matrix: Any) -> Factorization:
 class RigidMotions:
     """The null space of K."""
 
-    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown, whatever its unit
+    motions: (
+        Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown, whatever its unit
+    )
 
     @property
     def count(self) -> int:
@@ -127,8 +132,8 @@ class RigidMotions:
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
     """Which columns z satisfy K z = 0 to rounding: |K z|_j <= RIGID_TOLERANCE (|K||z|)_j at every unknown j.
 
-    `matrix` has a diagonal of about one. An unknown at rest among unknowns at rest has a scale of rounding itself: it is
-    measured against the largest motion.
+    `matrix` has a diagonal of about one. An unknown at rest among unknowns at rest has a scale of rounding itself: it
+    is measured against the largest motion.
     """
     forces = abs(_forces(matrix, motions))
     scale = np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions), axis=0, initial=0.0))
@@ -184,7 +189,7 @@ def _lowest_dense(scaled: Array) -> Array:
     from scipy.linalg import eigh
 
     values, vectors = eigh(scaled)
-    soft = values <= SUSPICIOUS_PIVOT
+    soft = values <= SOFT
     lowest, others = vectors[:, soft], vectors[:, ~soft]
     for _ in range(2):
         # Refinement takes out what rounding mixed in of the stiff motions.
@@ -194,7 +199,7 @@ def _lowest_dense(scaled: Array) -> Array:
 
 def _lowest_sparse(scaled: Any) -> Array:
     """Inverse subspace iteration on K + shift: the block doubles until it holds a vector that is not rigid."""
-    shifted = SuperLU(sp.csr_matrix(scaled + SUSPICIOUS_PIVOT * sp.identity(scaled.shape[0])))
+    shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
     random = np.random.default_rng(0)
     width = 8
     while True:
@@ -202,10 +207,10 @@ def _lowest_sparse(scaled: Any) -> Array:
         for _ in range(4):
             block, _ = np.linalg.qr(shifted.solve(block))
         values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
-        if values[-1] > SUSPICIOUS_PIVOT or width >= scaled.shape[0]:
+        if values[-1] > SOFT or width >= scaled.shape[0]:
             break
         width = min(2 * width, scaled.shape[0])
-    lowest = block @ rotation[:, values <= SUSPICIOUS_PIVOT]
+    lowest = block @ rotation[:, values <= SOFT]
     for _ in range(2):
         # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
         lowest = lowest - shifted.solve(_forces(scaled, lowest))

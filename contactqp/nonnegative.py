@@ -1,8 +1,9 @@
 """The dual of a strictly convex contact problem: min 1/2 l'Wl - h'l over l_i >= 0 for contacts, l_i free for ties.
 
 The dual active-set method of Goldfarb and Idnani (1983) in terms of W: each step closes the most penetrated contact and
-opens those whose force it drives through zero, so the energy rises strictly and no set of contacts comes twice. It ends after finitely
-many steps, with redundant contacts too: a row that depends on closed ones replaces one of them instead of joining them.
+opens those whose force it drives through zero, so the energy rises strictly and no set of contacts comes twice. It
+ends after finitely many steps, with redundant contacts too: a row that depends on closed ones replaces one of them
+instead of joining them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """From a set of closed contacts to the answer on it, refined until rounding is gone.
 
 The condensed saddle-point system acts as an approximate inverse; residuals are formed on the full problem in extended
-precision and corrections added in extended precision (mixed-precision refinement; Higham 2002, chapter 12), so the answer is
-right to the last digits of double precision as long as eps * condition number < 1.
+precision and corrections added in extended precision (mixed-precision refinement; Higham 2002, chapter 12), so the
+answer is right to the last digits of double precision as long as eps * condition number < 1.
 """
 
 from __future__ import annotations
@@ -47,7 +47,10 @@ class OnSet:
 def answer_on(
     problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], start: Vector | None = None
 ) -> OnSet:
-    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined (from `start`, whose free motions stay)."""
+    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
+
+    Free motions of the start stay as they are.
+    """
     rows = extended_rows(problem)
     saddle = SaddlePoint(condensation, closed)
     u = extend(np.zeros(problem.dimension) if start is None else start)
@@ -98,7 +101,7 @@ def closed_contacts(problem: ContactProblem, condensation: Condensation, u: Vect
 def polish(
     problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], max_corrections: int
 ) -> tuple[OnSet, int, bool]:
-    """The refined answer on a set of closed contacts, the corrections of the set that it took, and whether its signs hold.
+    """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
 
     A correction opens the contacts held in tension and closes those that are penetrated. Redundant contacts first
     get forces without tension, where such forces exist, and those with none leave the set.
@@ -127,13 +130,13 @@ def polish(
         corrections += 1
 
 
-def _wrong(problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _wrong(
+    problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts in tension and contacts penetrated, beyond rounding."""
     length = abs(problem.normal) @ abs(answer.displacement.double()) + abs(problem.gap)
     penetrated = np.flatnonzero(-answer.gap.double() > ROUNDING * length)
-    doubles = Answer(
-        answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double()
-    )
+    doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
     return np.flatnonzero(_push(problem, doubles) < -ROUNDING), np.setdiff1d(penetrated, closed)
 
 
@@ -170,7 +173,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     share, missing = nnls((columns / length[:, None]).T, resultant / size, maxiter=30 * len(columns))
     if missing > 1e-9:
         return closed
-    return closed[share[: len(closed)] > 1e-12]
+    return np.asarray(closed[share[: len(closed)] > 1e-12])
 
 
 def without_noise(condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector]:
@@ -195,7 +198,7 @@ def least_displacement(problem: ContactProblem, condensation: Condensation, answ
 
 
 def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, answer: Answer) -> tuple[Vector, Array]:
-    """The motion, among those that neither forces nor stiffness resist, that takes an answer to its least norm within the gaps.
+    """The motion that nothing resists and that takes an answer to its least norm within the gaps.
 
     Returns the shift (n,) and an orthonormal basis (n, q) of the motions.
     """
@@ -221,7 +224,7 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
 
 def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
     """Contacts with a force beyond rounding."""
-    return np.flatnonzero(_push(problem, answer) > ROUNDING)
+    return np.asarray(np.flatnonzero(_push(problem, answer) > ROUNDING))
 
 
 def _push(problem: ContactProblem, answer: Answer) -> Vector:

@@ -39,7 +39,7 @@ class Units:
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class ContactProblem:
-    """One contact problem: min 1/2 u'Ku - f'u subject to E_N u <= g and A u = b, with Coulomb data if there is friction.
+    """One contact problem: min 1/2 u'Ku - f'u subject to E_N u <= g and A u = b, with Coulomb data for friction.
 
     Parameters
     ----------
@@ -159,7 +159,8 @@ class ContactProblem:
     ) -> ContactProblem:
         """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
 
-        `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness indefinite by a few digits of what it was before; it still is this problem.
+        `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
+        indefinite by a few digits of what it was before; it still is this problem.
         """
         kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None)
@@ -316,7 +317,8 @@ def _stiffness(value: Any) -> tuple[Matrix, float]:
         at = int(np.flatnonzero(outside)[0])
         i, j = int(coo.row[at]), int(coo.col[at])
         raise InvalidProblem(
-            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(coo.data[at]):.6g} exceeds sqrt(K[{i}, {i}] K[{j}, {j}]) = {pair[at]:.6g}"
+            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(coo.data[at]):.6g} "
+            f"exceeds sqrt(K[{i}, {i}] K[{j}, {j}]) = {pair[at]:.6g}"
         )
     difference = abs(K - K.T).tocoo()
     asymmetry = 0.0
@@ -341,7 +343,8 @@ def _stiffness(value: Any) -> tuple[Matrix, float]:
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:
     scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
     eigenvalues = np.linalg.eigvalsh(K / np.outer(scale, scale))
-    # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by SYMMETRY_TOLERANCE.
+    # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
+    # SYMMETRY_TOLERANCE.
     if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
@@ -370,8 +373,14 @@ def _friction(
         i = int(np.argmin(coefficient))
         raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
     origin = np.zeros((m, per_contact)) if slip_origin is None else _array("slip_origin", slip_origin)
-    if origin.size != m * per_contact or origin.ndim not in (1, 2) or (origin.ndim == 2 and origin.shape != (m, per_contact)):
-        raise InvalidProblem(f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}")
+    if (
+        origin.size != m * per_contact
+        or origin.ndim not in (1, 2)
+        or (origin.ndim == 2 and origin.shape != (m, per_contact))
+    ):
+        raise InvalidProblem(
+            f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
+        )
     _finite("slip_origin", origin)
     return E_T, coefficient, _frozen(origin.reshape(m, per_contact))
 

@@ -1,12 +1,12 @@
-"""The equality-constrained problem on a set of closed contacts, solved where the set may be redundant or leave motions free.
+"""The equality-constrained problem on a set of closed contacts that may be redundant or leave motions free.
 
     [ S    E_B'  A' ] [ x   ]   [ r ]
     [ E_B  0     0  ] [ l_B ] = [ e ]       B: the closed contacts
     [ A    0     0  ] [ nu  ]   [ a ]
 
 is solved by the null-space method on the condensed unknowns (Nocedal and Wright 2006, section 16.2): with
-[E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). Rows that depend on others get no force; motions that
-neither S nor a row of the set resists (found from the rigid motions of K, never from small eigenvalues) stay at rest.
+[E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). Rows that depend on others get no force;
+motions that neither S nor a row resists (found from the rigid motions of K, not from small eigenvalues) stay at rest.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class SaddlePoint:
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
     def drive(self, load: Vector, size: Vector) -> Vector:
-        """The scaled motion (p,) along which a condensed load drives what is free, zero where that is rounding of `size`."""
+        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
         if not self.free.shape[1]:
             return np.zeros(len(load))
         motion = self.free @ (self.free.T @ (load * self._scale))

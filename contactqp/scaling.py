@@ -4,8 +4,8 @@ With u = l D y, D = 1/sqrt(K_jj) and rows of unit length in the energy, min 1/2 
 
     min 1/2 y'(DKD)y - (D f / l)'y   subject to   (E_i D / r_i) y <= g_i / (l r_i),   r_i = |E_i D|,
 
-whose stiffness has a unit diagonal and whose rows have unit length in any system of units. The length l (the square root of
-an energy) makes loads and gaps of order one; forces come back as l_i = l y_i / r_i.
+whose stiffness has a unit diagonal and whose rows have unit length in any system of units. The length l (the square
+root of an energy) makes loads and gaps of order one; forces come back as l_i = l y_i / r_i.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     normal, contacts = _unit_rows(problem.normal, D)
     tie, ties = _unit_rows(problem.tie, D)
     load, gap, value = D * _without_idle_part(problem), problem.gap / contacts, problem.tie_value / ties
-    length = max(np.max(abs(load), initial=0.0), np.max(-gap, initial=0.0), np.max(abs(value), initial=0.0))
-    if length == 0.0:
-        length = 1.0
+    length = float(np.max(np.concatenate([abs(load), -gap, abs(value)]), initial=0.0)) or 1.0
     K = problem.stiffness
     stiffness = sp.csc_array(sp.diags(D) @ K @ sp.diags(D)) if sp.issparse(K) else K * np.outer(D, D)
-    twin = problem.transformed(stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length)
-    return twin, Scaling(D, contacts, ties, float(length))
+    twin = problem.transformed(
+        stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length
+    )
+    return twin, Scaling(D, contacts, ties, length)
 
 
 def _without_idle_part(problem: ContactProblem) -> Array:
-    """The load, zero where it is the rounding of larger loads: on an unknown without stiffness that alone would drive it away."""
+    """The load, zero where it is the rounding of larger ones on an unknown without stiffness, which it would drive."""
     rounding = 16 * np.finfo(float).eps * problem.load_size
     bare = problem.stiffness.diagonal() == 0
     return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)

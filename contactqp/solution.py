@@ -21,7 +21,7 @@ class Candidate:
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,) l_N, positive in compression
     tie_force: Vector  # (k,) nu
-    iterations: int = 0
+    iterations: int | None = 0  # None: the backend does not say
     claimed: bool = True  # does the method itself call this solved?
     status: str = ""  # the backend's own words
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
@@ -33,7 +33,7 @@ class Work:
 
     factorisations: int = 0  # of the stiffness
     back_substitutions: int = 0  # right-hand sides solved with them
-    iterations: int = 0  # of the method
+    iterations: int | None = 0  # of the method; None where it does not say
     retained: int = 0  # unknowns of the problem that the method saw
     polish_corrections: int = 0  # changes of the method's contact set while polishing
 
@@ -95,7 +95,9 @@ class Solution:
         problem = self.problem
         if problem.tangent is None or problem.slip_origin is None:
             return None
-        return np.asarray((problem.tangent @ self.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin)
+        return np.asarray(
+            (problem.tangent @ self.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+        )
 
     @property
     def energy(self) -> float:

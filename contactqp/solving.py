@@ -57,10 +57,11 @@ def solve(
     tolerance : float
         Of the method, relative, on the nondimensional problem.
     condense : bool or "auto"
-        Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is smaller.
+        Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is
+        smaller.
     polish : bool
-        Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their set corrected twice.
-        `solution.raw` is the answer before it.
+        Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
+        set corrected twice. `solution.raw` is the answer before it.
     time_limit : float, optional
         Seconds, for methods that can stop.
     max_iter : int, optional
@@ -70,7 +71,8 @@ def solve(
     algorithm : str, optional
         The outer law of friction.
     **options
-        What the method names in its `options`: `penalty` [force / length], `perturbation` [force / length], `update`, `solver`.
+        What the method names in its `options`: `penalty` [force / length], `perturbation` [force / length], `update`,
+        `solver`.
 
     Raises
     ------
@@ -86,7 +88,8 @@ def solve(
     Examples
     --------
     >>> import contactqp as cq
-    >>> bars = cq.ContactProblem(stiffness=[[157500.0, 0.0], [0.0, 315000.0]], load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3])
+    >>> K = [[157500.0, 0.0], [0.0, 315000.0]]
+    >>> bars = cq.ContactProblem(stiffness=K, load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3])
     >>> solution = cq.solve(bars)
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
@@ -112,7 +115,8 @@ def solve(
     if not final.polished and not candidate.claimed:
         refuse_conflict(problem, way)
         reason = candidate.status or "it stopped before it had an answer"
-        raise NotConverged(f"{method}: {reason} (after {candidate.iterations} iterations)", candidate.history, solution)
+        count = "" if candidate.iterations is None else f" (after {candidate.iterations} iterations)"
+        raise NotConverged(f"{method}: {reason.removeprefix(f'{method}: ')}{count}", candidate.history, solution)
     if chosen.exact and not solution.certificate.passed:
         refuse_conflict(problem, way)
         failures = "; ".join(solution.certificate.failures)
@@ -128,7 +132,7 @@ class _Meter:
         self._problem = problem
         self._before = (known.factorisations, known.back_substitutions) if known else (0, 0)
 
-    def read(self, iterations: int, corrections: int) -> Work:
+    def read(self, iterations: int | None, corrections: int) -> Work:
         way = condensation_of(self._problem)
         return Work(
             factorisations=way.factorisations - self._before[0],
@@ -160,9 +164,13 @@ def _refuse_unsupported(problem: ContactProblem, method: Method, settings: Setti
     if not settings.tolerance > 0:
         raise InvalidProblem(f"tolerance: expected a positive number, got {settings.tolerance}")
     if problem.frictional:
-        raise Unsupported(f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)")
+        raise Unsupported(
+            f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)"
+        )
     if algorithm is not None:
-        raise Unsupported(f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none")
+        raise Unsupported(
+            f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none"
+        )
 
 
 def _run(
@@ -173,7 +181,8 @@ def _run(
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {wanted!r}")
     if not problem.contacts and not problem.ties:
         return _linear(problem, way)
-    # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing lies inside.
+    # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing lies
+    # inside.
     smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
     condensed = smaller if wanted == "auto" else bool(wanted)
     if not condensed:
@@ -226,7 +235,9 @@ def _as_it_came(problem: ContactProblem, way: Condensation, candidate: Candidate
 
 
 def _finite(candidate: Candidate) -> bool:
-    return all(np.all(np.isfinite(part)) for part in (candidate.displacement, candidate.normal_force, candidate.tie_force))
+    return all(
+        np.all(np.isfinite(part)) for part in (candidate.displacement, candidate.normal_force, candidate.tie_force)
+    )
 
 
 def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:

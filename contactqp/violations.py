@@ -1,8 +1,8 @@
-"""What an answer violates: the worst contact or unknown, dimensionless, whatever the units and the scale of rows and unknowns.
+"""What an answer violates: the worst contact or unknown, without dimension, in any units and any scale of rows.
 
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j and
-L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap
-as its size over L_i; 0/0 is 0.
+L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
+both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from contactqp.problem import ContactProblem, Vector
 
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14
+# A motion along which K's rounding makes up this part of the forces cannot be judged by them.
+NOTHING_BUT_ROUNDING = 0.1
 # Times the tolerance of 1e-9 this is what rounding leaves of the largest displacement, in the energy scale.
 SMALL_LENGTH = 1e-5
 
@@ -86,7 +88,7 @@ def violations(problem: ContactProblem, answer: Answer) -> Violations:
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
-    return abs(problem.stiffness) @ abs(answer.displacement) + _outer_forces(problem, answer)
+    return np.asarray(abs(problem.stiffness) @ abs(answer.displacement) + _outer_forces(problem, answer))
 
 
 def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
@@ -106,11 +108,11 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     """
     largest = np.max(np.sqrt(problem.stiffness.diagonal()) * abs(displacement))
     rounding = SMALL_LENGTH * np.sqrt(own_compliance(problem, rows)) * largest
-    return abs(rows) @ abs(displacement) + abs(limit) + rounding
+    return np.asarray(abs(rows) @ abs(displacement) + abs(limit) + rounding)
 
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
-    """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest of the body at rest [length / force]."""
+    """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
     diagonal = problem.stiffness.diagonal()
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     return np.asarray(rows.multiply(rows) @ compliance)
@@ -133,7 +135,12 @@ def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
 def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vector, Vector]:
     """Coulomb's law, contact by contact: how far outside the cone, and how far from opposing the slip."""
     none = np.zeros(problem.contacts)
-    if problem.tangent is None or problem.friction is None or problem.slip_origin is None or answer.friction_force is None:
+    if (
+        problem.tangent is None
+        or problem.friction is None
+        or problem.slip_origin is None
+        or answer.friction_force is None
+    ):
         return none, none
     force = answer.friction_force
     slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
@@ -148,14 +155,15 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
 
 def _direction(vectors: Array) -> Array:
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:
     """max_j |E_T' v|_j / F_j of one tangential force vector v a contact."""
     width = force.shape[1]
     blocks = sp.csr_matrix(
-        (force.ravel(), (np.repeat(np.arange(len(force)), width), np.arange(force.size))), shape=(len(force), force.size)
+        (force.ravel(), (np.repeat(np.arange(len(force)), width), np.arange(force.size))),
+        shape=(len(force), force.size),
     )
     spread = abs(blocks @ sp.csr_matrix(problem.tangent)).tocoo()
     measure = np.zeros(len(force))
@@ -167,18 +175,18 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
 
     By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
-    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer depends on no
-    choice of basis, unit or scale.
+    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
+    depends on no choice of basis, unit or scale.
     """
     if not rigid.count:
         return 0.0
     from scipy.sparse.csgraph import connected_components
 
     rows = extended_rows(problem)
-    u, force, tie = extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force)
+    force, tie = extend(answer.normal_force), extend(answer.tie_force)
     outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
-    # K z is zero but for the rounding of K; under a large rigid displacement that rounding is part of the residual's work.
-    stray = np.array([(rows.stiffness @ extend(z)).dot(u) for z in rigid.motions.T])
+    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    stray = np.array([abs((rows.stiffness @ extend(z)).double()) @ abs(answer.displacement) for z in rigid.motions.T])
     size = _outer_forces(problem, answer)
     _, body = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
     worst = 0.0
@@ -186,23 +194,31 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
         members = np.flatnonzero(body == b)
         moving = np.any(rigid.motions[members] != 0, axis=0)
         motions = rigid.motions[np.ix_(members, moving)]
-        worst = max(worst, _worst_resultant(motions, motions.T @ outer.double()[members] - stray[moving], size[members]))
+        work = motions.T @ outer.double()[members]
+        worst = max(worst, _worst_resultant(motions, work, stray[moving], size[members]))
     return worst
 
 
-def _worst_resultant(motions: Array, work: Vector, size: Vector) -> float:
-    """max over coordinates a of |work'a| / |motions a|'size."""
+def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) -> float:
+    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size."""
     # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
     kept = values > 1e-10 * values[0]
-    if not np.any(kept):
+    basis = left[:, kept]
+    weight = right[kept] / values[kept, None]
+    work, stray = weight @ work, abs(weight) @ stray
+    forces = np.sum(abs(basis), axis=0)
+    # Where next to no force acts along a motion, what the rounding of K holds is all there is to see.
+    seen = stray < NOTHING_BUT_ROUNDING * forces
+    if not np.any(seen):
         return 0.0
-    basis, work = left[:, kept], (right[kept] @ work) / values[kept]
-    single = abs(work) / np.sum(abs(basis), axis=0)
-    if basis.shape[1] == 1 or np.max(single) <= NO_RESULTANT:
-        return float(np.max(single))
+    basis, work, stray, forces = basis[:, seen], work[seen], stray[seen], forces[seen]
+    worst = float(np.max(np.maximum(abs(work) - stray, 0.0) / forces))
+    if len(work) == 1 or worst <= NO_RESULTANT:
+        return worst
     direction = _worst_direction(basis, work / np.max(abs(work)))
-    return float(max(abs(work @ direction) / np.sum(abs(basis @ direction)), np.max(single)))
+    combined = max(abs(work @ direction) - stray @ abs(direction), 0.0) / np.sum(abs(basis @ direction))
+    return float(max(combined, worst))
 
 
 def _worst_direction(basis: Array, weight: Vector) -> Vector:

@@ -44,7 +44,9 @@ def body_on_spring_in_mid_air() -> cq.ContactProblem:
     )
 
 
-def cantilever(elements: int = 400, length: float = 1.0, bending: float = 1.0, pressure: float = 1.0) -> cq.ContactProblem:
+def cantilever(
+    elements: int = 400, length: float = 1.0, bending: float = 1.0, pressure: float = 1.0
+) -> cq.ContactProblem:
     """A clamped Euler-Bernoulli beam under uniform load on a stop at its tip, unknowns (w, theta) a node.
 
     The stop's force is R = 3EI/L^3 (q L^4/(8EI) - g), exact for this element with consistent loads.

@@ -42,7 +42,7 @@ def test_the_exact_answer_passes_and_is_proven() -> None:
 WRONG = {
     "flipped sign": lambda u, f: (u, -f),
     "forces off by 0.1 %": lambda u, f: (u, 1.001 * f),
-    "ignored contact": lambda u, f: (np.linalg.solve(truss().stiffness, truss().load), 0 * f),
+    "ignored contact": lambda _, f: (np.linalg.solve(truss().stiffness, truss().load), 0 * f),
     "penetration of 1e-6": lambda u, f: (u * [1.0, 1 + 4e-6], f),
     "NaN displacement": lambda u, f: (u * np.nan, f),
     "NaN force": lambda u, f: (u, f * np.nan),
@@ -66,7 +66,9 @@ def test_tension_is_named_with_its_contact_and_unit() -> None:
     right = _right(truss())
     certificate = cq.certify(truss(), right["displacement"], -right["normal_force"])
     assert certificate.tension > 0.1
-    assert any("floor" in failure and "kN" in failure for failure in certificate.failures if failure.startswith("tension"))
+    assert any(
+        "floor" in failure and "kN" in failure for failure in certificate.failures if failure.startswith("tension")
+    )
 
 
 def test_a_tensile_force_in_equilibrium_is_refused() -> None:
@@ -89,8 +91,10 @@ def test_beam_force_ten_percent_off_passes_every_residual_test_and_is_refused() 
     force = 1.1 * solution.normal_force
     answer = np.linalg.solve(problem.stiffness, problem.load - problem.normal.T @ force)
     # Put the tip back on the stop by a rigid-looking correction that the stiff bending terms hide.
-    answer += (problem.gap[0] - answer[-2]) * np.linalg.solve(problem.stiffness, problem.normal.toarray()[0]) / (
-        np.linalg.solve(problem.stiffness, problem.normal.toarray()[0])[-2]
+    answer += (
+        (problem.gap[0] - answer[-2])
+        * np.linalg.solve(problem.stiffness, problem.normal.toarray()[0])
+        / (np.linalg.solve(problem.stiffness, problem.normal.toarray()[0])[-2])
     )
     certificate = cq.certify(problem, answer, force)
     figures = {name: getattr(certificate, name) for name in FIGURES}
@@ -226,7 +230,9 @@ exponents = st.integers(-6, 6)
 
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 40), floating=st.booleans(), data=st.data())
-def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(seed: int, floating: bool, data: st.DataObject) -> None:
+def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(
+    seed: int, floating: bool, data: st.DataObject
+) -> None:
     problem, u, force = _candidate(seed, floating)
     n, m = problem.dimension, problem.contacts
     unknowns = 10.0 ** np.array(data.draw(st.lists(exponents, min_size=n, max_size=n)), dtype=float)

@@ -114,7 +114,7 @@ def test_a_motion_that_nothing_drives_is_left_at_rest_and_listed() -> None:
 
 
 def test_least_displacement_does_not_penetrate() -> None:
-    """Two loose masses without load, the first in overlap with a wall: it is pushed out just so, and nothing else moves."""
+    """Two loose masses without load, the first in overlap with a wall: it is pushed out, and nothing else moves."""
     problem = cq.ContactProblem(stiffness=np.zeros((2, 2)), load=[0.0, 0.0], normal=[[1.0, 0.0]], gap=[-0.25])
     solution = cq.solve(problem)
     assert solution.displacement == pytest.approx([-0.25, 0.0], abs=1e-15)

@@ -1,8 +1,8 @@
 """Changes of contact state along one leg of a load path, found exactly.
 
-While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have neither gap
-nor force, which of them close follows from the contact problem in rates: contacts that carry force stay closed,
-those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
+While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have
+neither gap nor force, which of them close follows from the contact problem in rates: contacts that carry force stay
+closed, those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ class _State:
     undecided: Indices
 
 
-def events_of_leg(
-    problem: ContactProblem, start: Vector, end: Vector, first: Solution, method: str
-) -> list[Event]:
+def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: Solution, method: str) -> list[Event]:
     """Every event of one leg, its time counted from 0 at the start of the leg to 1 at its end."""
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")
@@ -102,7 +100,9 @@ def _rates_on(direction: ContactProblem, way: Condensation, closed: Indices) -> 
     rates = answer_on(direction, way, closed)
     load, inner = way.reduce_load(direction.load)
     if np.any(rates.saddle.drive(load, way.reduced_problem(direction, load, inner).load_size)):
-        raise Unsupported("follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead")
+        raise Unsupported(
+            "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
+        )
     return rates
 
 

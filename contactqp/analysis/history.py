@@ -86,7 +86,9 @@ class History(Sequence[Solution]):
         return np.array([solution.friction_force for solution in self])
 
     def __repr__(self) -> str:
-        return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g}, {len(self.events)} events)"
+        return (
+            f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g}, {len(self.events)} events)"
+        )
 
 
 def static_energies(solutions: Sequence[Solution]) -> list[Energies]:

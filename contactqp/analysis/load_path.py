@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,8 @@ def follow_path(
 ) -> History:
     """Follow a piecewise-linear load path from rest.
 
-    The load goes from zero to `loads[0]` while the pseudo-time t goes from 0 to 1, on to `loads[1]` until t = 2, and so on;
-    `problem.load` is not used.
+    The load goes from zero to `loads[0]` while the pseudo-time t goes from 0 to 1, on to `loads[1]` until t = 2, and
+    so on; `problem.load` is not used.
 
     Parameters
     ----------
@@ -51,7 +52,8 @@ def follow_path(
     Raises
     ------
     Unsupported
-        Friction (not in this version); exact events with a method that is approximate by design, or where the motion jumps.
+        Friction (not in this version); exact events with a method that is approximate by design, or where the motion
+        jumps.
     NoEquilibrium
         At the first load that nothing holds.
 
@@ -71,7 +73,7 @@ def follow_path(
         raise Unsupported("follow_path: Coulomb friction (not in this version)")
     solutions = [solve(problem.replace(load=corners[0]), method=method, **options)]
     times, found = [0.0], []
-    for leg, (start, end) in enumerate(zip(corners, corners[1:], strict=False)):
+    for leg, (start, end) in enumerate(pairwise(corners)):
         fractions = [(i + 1) / count for i in range(count)]
         if events == "exact":
             exact = events_of_leg(problem, start, end, solutions[-1], method)

@@ -1,9 +1,9 @@
 """Our own method: the primal-dual active set on the Delassus operator, safeguarded by a finite dual active-set method.
 
-The primal-dual active set (Hintermueller, Ito and Kunisch 2003) takes the contacts with W_ii l_i > gap_i as closed, solves, and
-repeats; few steps, and many contacts change in each. Where it comes back to a set it has seen, Goldfarb and Idnani's method, which ends
-after finitely many steps, takes over. Bodies held by contact alone are anchored by soft springs whose force a
-proximal iteration removes; every pass ends with a look at the true equilibrium on the set that it found.
+The primal-dual active set (Hintermueller, Ito and Kunisch 2003) takes the contacts with W_ii l_i > gap_i as closed,
+solves, and repeats; few steps, and many contacts change in each. Where it comes back to a set it has seen, Goldfarb and
+Idnani's method, which ends after finitely many steps, takes over. Bodies held by contact alone are anchored by soft
+springs whose force a proximal iteration removes; every pass ends with a look at the true equilibrium on its set.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     size = condensation.reduced_problem(problem, load, inner).load_size
     m = problem.contacts
     limit = settings.max_iter or 50 * m + 200
-    anchor = _rigid_answer(problem, condensation, operator, load)
+    anchor = _rigid_answer(problem, operator, load)
     force = _warm(settings, operator, m)
     steps = 0
     for _ in range(PROXIMAL_STEPS):
@@ -67,7 +67,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     raise NotConverged(f"active-set: no contact set was found in {steps} steps")
 
 
-def _rigid_answer(problem: ContactProblem, condensation: Condensation, operator: Delassus, load: Vector) -> Vector:
+def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> Vector:
     """Where the bodies would go if they were rigid: max f'Z a over E Z a <= g, scaled; the place to anchor them.
 
     Under a light load a stiff body crosses a wide gap: far more than the anchors' springs would let it go in a step.

@@ -52,8 +52,8 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
     Options
     -------
     penalty : float or (m,) array, optional
-        beta [force / length]; by default 100 times 1 / sum_j (E_ij^2 / K_jj), which estimates the stiffness
-        that contact i feels from above, and exists for bodies that float as well.
+        beta [force / length]; by default 1 / sum_j (E_ij^2 / K_jj), which estimates the stiffness that contact i
+        feels from above, and exists for bodies that float as well; 100 times that with Uzawa.
     update : "simultaneous" or "uzawa"
 
     Returns
@@ -75,7 +75,7 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
         raise InvalidProblem(f"{NAME}: update: expected 'simultaneous' or 'uzawa', got {update!r}")
     given = settings.options.get("penalty")
     if given is None:
-        beta = default_penalty(problem)
+        beta = default_penalty(problem, UZAWA_STIFFENING if update == "uzawa" else 1.0)
     else:
         beta = contact_stiffness(NAME, "penalty", given, problem.contacts, zero=update == "simultaneous")
     if update == "uzawa":
@@ -83,8 +83,8 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
     return active_set_loop(NAME, problem, settings, partial(_enforce, problem, beta))
 
 
-def default_penalty(problem: ContactProblem) -> Vector:
-    """beta_i = 100 / sum_j (E_ij^2 / K_jj), (m,) [force / length].
+def default_penalty(problem: ContactProblem, stiffening: float) -> Vector:
+    """beta_i = stiffening / sum_j (E_ij^2 / K_jj), (m,) [force / length].
 
     An unknown without stiffness of its own counts with the largest stiffness of the problem; if nothing has any, every
     beta finds the answer in one iteration and 1 is taken.
@@ -92,14 +92,14 @@ def default_penalty(problem: ContactProblem) -> Vector:
     diagonal = problem.stiffness.diagonal()
     stiffest = float(diagonal.max()) or 1.0
     softness = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
-    return np.asarray(UZAWA_STIFFENING / softness)
+    return np.asarray(stiffening / softness)
 
 
 def _enforce(problem: ContactProblem, beta: Vector, closed: Mask, preference: Indices) -> Step:
     rows, values, ties, contacts = binding_rows(NAME, problem, closed, preference)
     bound = spread(np.ones(contacts.size), contacts, problem.contacts) > 0
     matrix, load = springs(problem, bound, beta)
-    displacement, force = solve_bordered(NAME, matrix, load, rows, values)
+    displacement, force = solve_bordered(NAME, matrix, load, rows, values, refined=True)
     return Step(
         displacement,
         normal_force=spread(force[ties.size :], contacts, problem.contacts),
@@ -115,7 +115,7 @@ def _uzawa(problem: ContactProblem, settings: Settings, beta: Vector) -> Candida
     force = np.zeros(problem.contacts) if warm is None else np.maximum(warm.normal_force, 0.0)
     status, inner = "", dataclasses.replace(settings, max_iter=None)
     while not status:
-        step = penalty_loop(NAME, problem.replace(gap=problem.gap - force / beta), inner, beta)
+        step = penalty_loop(NAME, problem.replace(gap=problem.gap - force / beta), inner, beta, refined=True)
         updated = np.maximum(step.normal_force, 0.0)
         history.append(max(_relative_change(force, updated), _violation(problem, step.displacement, updated)))
         force, inner = updated, dataclasses.replace(inner, warm_start=step)

@@ -34,7 +34,7 @@ class Backend:
     warm_start: bool = False  # takes a displacement to start from
     fixed: tuple[tuple[str, Any], ...] = ()  # settings that are always made, each with its reason beside it
     status: tuple[str, ...] = ()  # where its own words are in Solution.extras
-    iterations: tuple[str, ...] = ()
+    iterations: tuple[str, ...] = ()  # where its count of them is there; empty: qpsolvers does not hand it on
     note: str = ""
 
 
@@ -126,6 +126,7 @@ BACKENDS = (
         "pip install 'contactqp[backends]'",
         tolerances=("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
         time_limit="time_limit",
+        needs_inequality=True,  # without rows it can divide by zero and take the process with it
         warm_start=True,
         status=("info", "status"),
         iterations=("info", "iter"),

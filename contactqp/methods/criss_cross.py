@@ -1,26 +1,29 @@
 """One contact at a time, by least index: the criss-cross method, for sets on which the textbook's loop goes in circles.
 
-Of the contacts whose sign is wrong, the one of least index changes sides. Where its row follows from those of closed contacts, the
-closed contact of least index that stands in its way opens for it; where opening it would let a body go, the open contact of least index
-that the body would run into closes instead. No set comes twice in exact arithmetic (Klafszky and Terlaky 1992; den
-Hertog, Roos and Terlaky 1993), redundant contacts and floating bodies included; without exchanges it is Murty's method (1974).
+Of the contacts whose sign is wrong, the one of least index changes sides. Where its row follows from those of closed
+contacts, the closed contact of least index that stands in its way opens for it; where opening it would let a body go,
+the open contact of least index that the body would run into closes instead. No set comes twice in exact arithmetic
+(Klafszky and Terlaky 1992; den Hertog, Roos and Terlaky 1993), redundant contacts and floating bodies included;
+without exchanges it is Murty's method (1974).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.condensation import condense, unknown_scale
 from contactqp.errors import NotConverged
 from contactqp.factorization import null_space
 from contactqp.methods.textbook_algebra import Indices, Mask, SingularSystem
 from contactqp.problem import ContactProblem, Vector
 
-# Parts of a dependent row, and approaches of a unit motion, below this are rounding.
+# Parts of a dependent row of unit length, and what such rows feel of unit motions, below this are rounding.
 NEGLIGIBLE = 1e-10
 
 
@@ -38,73 +41,104 @@ class Step:
 Enforcement = Callable[[Mask, Indices], Step]
 
 
-def change_one(name: str, problem: ContactProblem, enforce: Enforcement, closed: Mask, wrong: Mask) -> Step:
-    """The step on the next set: the `wrong` contact of least index changes sides, with an exchange where it must.
+@dataclass(frozen=True, eq=False)
+class Sets:
+    """The sets of closed contacts of one problem, and their equality problems."""
 
-    Parameters
-    ----------
-    closed : (m,) mask
-        A set with independent rows that holds the bodies.
+    name: str
+    problem: ContactProblem
+    enforce: Enforcement
+    normal: NDArray[np.float64]  # (m, n) and
+    tie: NDArray[np.float64]  # (k, n): rows of unit length, in unknowns whose stiffness has a unit diagonal
+    rigid: NDArray[np.float64]  # (n, r) orthonormal motions that the stiffness does not feel, in these unknowns
 
-    Raises
-    ------
-    NotConverged
-        No contact can be exchanged: the constraints conflict, or nothing stops a body that the load drives.
-    """
-    changing = int(np.flatnonzero(wrong)[0])
-    order = np.argsort(np.arange(len(closed)) == changing, kind="stable")  # in doubt, it is the one left out
-    flipped = closed ^ wrong & (np.arange(len(closed)) == changing)
-    if closed[changing]:
-        try:
-            return enforce(flipped, order)
-        except SingularSystem:
-            other = _next_stop(name, problem, closed, changing)
-    else:
-        step = enforce(flipped, order)
-        if step.bound[changing]:
-            return step
-        other = _in_the_way(name, problem, closed, changing)
-    flipped[other] = not flipped[other]
-    return enforce(flipped, order)
+    @classmethod
+    def of(cls, name: str, problem: ContactProblem, enforce: Enforcement) -> Sets:
+        D = unknown_scale(problem)
+        rigid = np.zeros((problem.dimension, 0))
+        if condense(problem).rigid.count:
+            rigid = np.linalg.qr(null_space(problem.stiffness) / D[:, None])[0]
+        return cls(name, problem, enforce, _unit(problem.normal, D), _unit(problem.tie, D), rigid)
+
+    def step(self, closed: Mask, preference: Indices) -> Step:
+        """The equality problem of a set.
+
+        Raises
+        ------
+        SingularSystem
+            The set does not hold the bodies: told from the motions themselves, which rounding may hide in the system.
+        """
+        r = self.rigid.shape[1]
+        if r:
+            felt = np.linalg.svd(np.vstack([self.normal[closed], self.tie]) @ self.rigid, compute_uv=False)
+            if np.count_nonzero(felt > NEGLIGIBLE) < r:
+                raise SingularSystem(f"{self.name}: the bodies are not held by the contacts that are closed")
+        return self.enforce(closed, preference)
+
+    def change_one(self, closed: Mask, wrong: Mask) -> Step:
+        """The step on the next set: the `wrong` contact of least index changes sides, with an exchange where it must.
+
+        Parameters
+        ----------
+        closed : (m,) mask
+            A set with independent rows that holds the bodies.
+
+        Raises
+        ------
+        NotConverged
+            No contact can be exchanged: the constraints conflict, or nothing stops a body that the load drives.
+        """
+        changing = np.arange(len(closed)) == np.flatnonzero(wrong)[0]
+        preference = np.argsort(changing, kind="stable")  # in doubt, it is the one left out
+        changed: Mask = closed ^ changing
+        if np.any(closed & changing):
+            try:
+                return self.step(changed, preference)
+            except SingularSystem:
+                other = self._next_stop(changed, changing)
+        else:
+            step = self.step(changed, preference)
+            if np.any(step.bound & changing):
+                return step
+            other = self._in_the_way(closed, changing)
+        changed[other] = not changed[other]
+        return self.step(changed, preference)
+
+    def carried(self, forces: Vector) -> Vector:
+        """What the rounding of forces (n,) makes of contact forces (m,): a floating body hands all of it to its contacts."""
+        if not self.rigid.shape[1]:
+            return np.zeros(self.problem.contacts)
+        D = unknown_scale(self.problem)
+        felt = abs(self.normal @ self.rigid) > NEGLIGIBLE
+        length = np.linalg.norm((self.problem.normal @ sp.diags(D)).toarray(), axis=1)
+        return np.asarray(16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (D * forces))) / length)
+
+    def _in_the_way(self, closed: Mask, entering: Mask) -> int:
+        """With E_i = c'[E_B; A], the least k in B with c_k > 0: unless one of them gives way, E_i u cannot decrease."""
+        rows = np.vstack([self.normal[closed], self.tie])
+        weights = np.linalg.lstsq(rows.T, self.normal[entering][0], rcond=None)[0][: np.count_nonzero(closed)]
+        blocking = np.flatnonzero(closed)[weights > NEGLIGIBLE]
+        if blocking.size == 0:
+            raise NotConverged(f"{self.name}: {self._named(entering)} is penetrated and no closed contact can give way")
+        return int(blocking[0])
+
+    def _next_stop(self, others: Mask, leaving: Mask) -> int:
+        """The open contact of least index that is approached by the rigid motion that leaves contact i alone."""
+        rows = np.vstack([self.normal[others], self.tie, self.normal[leaving]]) @ self.rigid
+        opening = np.append(np.zeros(len(rows) - 1), -1.0)
+        coordinates = np.linalg.lstsq(rows, opening, rcond=NEGLIGIBLE)[0]
+        if np.linalg.norm(rows @ coordinates - opening) > np.sqrt(NEGLIGIBLE):
+            raise NotConverged(f"{self.name}: the system of equations is singular without {self._named(leaving)}")
+        approach = self.normal @ self.rigid @ (coordinates / np.linalg.norm(coordinates))
+        ahead = np.flatnonzero(~others & ~leaving & (approach > NEGLIGIBLE))
+        if ahead.size == 0:
+            raise NotConverged(f"{self.name}: nothing stops the body that the load drives off {self._named(leaving)}")
+        return int(ahead[0])
+
+    def _named(self, contact: Mask) -> str:
+        return self.problem.contact_name(int(np.flatnonzero(contact)[0]))
 
 
-def _in_the_way(name: str, problem: ContactProblem, closed: Mask, entering: int) -> int:
-    """With E_i = c'[E_B; A], the least k in B with c_k > 0: without giving way there, E_i u cannot decrease."""
-    B = np.flatnonzero(closed)
-    rows = _unit(sp.vstack([problem.normal[B], problem.tie]))
-    row = _unit(problem.normal[[entering]])[0]
-    weights = np.linalg.lstsq(rows.T, row, rcond=None)[0][: B.size]
-    positive = B[weights > NEGLIGIBLE]
-    if positive.size == 0:
-        raise NotConverged(f"{name}: {problem.contact_name(entering)} penetrates and no closed contact can give way")
-    return int(positive[0])
-
-
-def _next_stop(name: str, problem: ContactProblem, closed: Mask, leaving: int) -> int:
-    """The open contact of least index that approaches in the rigid motion by which a body leaves contact i."""
-    Z = np.linalg.qr(null_space(problem.stiffness))[0]
-    held = closed.copy()
-    held[leaving] = False
-    rows = (
-        np.vstack(
-            [_unit(sp.vstack([problem.tie, problem.normal[np.flatnonzero(held)]])), _unit(problem.normal[[leaving]])]
-        )
-        @ Z
-    )
-    opens = np.append(np.zeros(len(rows) - 1), -1.0)
-    coordinates = np.linalg.lstsq(rows, opens, rcond=NEGLIGIBLE)[0]
-    if np.linalg.norm(rows @ coordinates - opens) > np.sqrt(NEGLIGIBLE):
-        raise NotConverged(f"{name}: the system of equations is singular without {problem.contact_name(leaving)}")
-    motion = Z @ (coordinates / np.linalg.norm(coordinates))
-    approach = _unit(problem.normal) @ motion
-    ahead = np.flatnonzero(~closed & (approach > NEGLIGIBLE))
-    if ahead.size == 0:
-        raise NotConverged(
-            f"{name}: nothing stops the body that the load drives away from {problem.contact_name(leaving)}"
-        )
-    return int(ahead[0])
-
-
-def _unit(rows: sp.spmatrix) -> NDArray[np.float64]:
-    dense = np.asarray(rows.toarray())
-    return dense / np.linalg.norm(dense, axis=1, keepdims=True)
+def _unit(rows: Any, D: Vector) -> NDArray[np.float64]:
+    dense = np.asarray((rows @ sp.diags(D)).toarray())
+    return np.asarray(dense / np.linalg.norm(dense, axis=1, keepdims=True))

@@ -36,7 +36,7 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
 
 def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step:
     rows, values, ties, contacts = binding_rows(NAME, problem, closed, preference)
-    displacement, force = solve_bordered(NAME, problem.stiffness, problem.load, rows, values)
+    displacement, force = solve_bordered(NAME, problem.stiffness, problem.load, rows, values, refined=True)
     return Step(
         displacement,
         normal_force=spread(force[ties.size :], contacts, problem.contacts),

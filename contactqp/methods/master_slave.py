@@ -42,7 +42,7 @@ def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step
     B, offset = transformation(rows, values, slaves)
     K = problem.stiffness
     reduced = B.T @ (K @ B) if sp.issparse(K) else B.T @ (B.T @ K).T
-    displacement = B @ solve_linear(NAME, reduced, B.T @ (problem.load - K @ offset)) + offset
+    displacement = B @ solve_linear(NAME, reduced, B.T @ (problem.load - K @ offset), refined=True) + offset
     force = np.linalg.solve(rows[:, slaves].toarray().T, (problem.load - K @ displacement)[slaves])
     return Step(
         displacement,

@@ -96,9 +96,9 @@ def _values(values: Any, size: int, status: str) -> Vector:
     return vector
 
 
-def _iterations(model: Any) -> int:
+def _iterations(model: Any) -> int | None:
     count = model.solver_stats.num_iters if model.solver_stats is not None else None
-    return int(count or 0)
+    return None if count is None else int(count)
 
 
 METHODS = (

@@ -50,15 +50,19 @@ def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
     return penalty_loop(NAME, problem, settings, beta)
 
 
-def penalty_loop(name: str, problem: ContactProblem, settings: Settings, beta: Vector) -> Candidate:
+def penalty_loop(
+    name: str, problem: ContactProblem, settings: Settings, beta: Vector, *, refined: bool = False
+) -> Candidate:
     """The active-set loop around eq. 2.25, for methods that build on it."""
-    return active_set_loop(name, problem, settings, partial(_enforce, name, problem, beta), stiffness=beta)
+    return active_set_loop(name, problem, settings, partial(_enforce, name, problem, beta, refined), stiffness=beta)
 
 
-def _enforce(name: str, problem: ContactProblem, beta: Vector, closed: Mask, preference: Indices) -> Step:
+def _enforce(
+    name: str, problem: ContactProblem, beta: Vector, refined: bool, closed: Mask, preference: Indices
+) -> Step:
     rows, values, ties, _ = binding_rows(name, problem, np.zeros_like(closed), preference)
     matrix, load = springs(problem, closed, beta)
-    displacement, tie_force = solve_bordered(name, matrix, load, rows, values)
+    displacement, tie_force = solve_bordered(name, matrix, load, rows, values, refined=refined)
     penetration = problem.normal @ displacement - problem.gap
     return Step(
         displacement,

@@ -99,7 +99,7 @@ def collected_words() -> Iterator[list[str]]:
     words.extend(printed.getvalue().split("\n")[:1] if printed.getvalue() else [])
 
 
-def _candidate(problem: ContactProblem, solution: Any, iterations: int, status: str) -> Candidate:
+def _candidate(problem: ContactProblem, solution: Any, iterations: int | None, status: str) -> Candidate:
     displacement, force, tie_force = (
         _values(values, size, status)
         for values, size in (
@@ -131,9 +131,9 @@ def _said(extras: Any, path: tuple[str, ...]) -> str:
     return str(_found(extras, path)) if path and _found(extras, path) is not None else ""
 
 
-def _iterations(extras: Any, backend: Backend) -> int:
+def _iterations(extras: Any, backend: Backend) -> int | None:
     count = _found(extras, backend.iterations) if backend.iterations else None
-    return int(count) if isinstance(count, (int, float)) and math.isfinite(count) else 0
+    return int(count) if isinstance(count, (int, float)) and math.isfinite(count) else None
 
 
 def _note(backend: Backend) -> str:

@@ -1,10 +1,10 @@
 """The textbook's active-set loop around the five classical enforcements.
 
 The course chapter turns inequality contact into a sequence of equality problems: solve with the contacts that are
-thought closed; contacts that penetrate come in, contacts in tension go out; repeat until nothing changes. That can go in
-circles, or open so many contacts that a body comes loose; from there on `criss_cross` changes one contact at a time, which the
-textbook does not do. How a closed contact is enforced is the only thing in which master-slave, multipliers, penalty, perturbed and augmented Lagrangian
-differ, so each of them is one function from a set of closed contacts to a `Step`.
+thought closed; contacts that penetrate come in, contacts in tension go out; repeat until nothing changes. That can go
+in circles, or open so many contacts that a body comes loose; from there on `criss_cross` changes one contact at a time,
+which the textbook does not do. How a closed contact is enforced is the only thing in which master-slave, multipliers,
+penalty, perturbed and augmented Lagrangian differ, so each is one function from a set of closed contacts to a `Step`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.methods.criss_cross import Enforcement, Step, change_one
+from contactqp.methods.criss_cross import Enforcement, Sets, Step
 from contactqp.methods.method import Settings
 from contactqp.methods.textbook_algebra import ROUNDING, Mask, SingularSystem
 from contactqp.problem import ContactProblem, Matrix, Vector
@@ -29,7 +29,7 @@ def active_set_loop(
     enforce: Enforcement,
     stiffness: float | Vector = 0.0,
 ) -> Candidate:
-    """Repeat `enforce` on the set of closed contacts until the set no longer changes; one contact at a time after a cycle.
+    """Repeat `enforce` on the set of closed contacts until it no longer changes; one contact at a time after a cycle.
 
     The first set is that of the contacts penetrated in the free solution; of all contacts where the bodies float
     freely, so that there is no free solution.
@@ -47,9 +47,9 @@ def active_set_loop(
     Returns
     -------
     Candidate
-        `history` is the number of contacts whose sign is wrong, one number an iteration. Not claimed where even the criss-cross
-        steps cycle (rounding decides between sets), or where the loop stops at `settings.max_iter` (50 m + 200) or
-        `settings.time_limit`.
+        `history` is the number of contacts whose sign is wrong, one number an iteration. Not claimed where even the
+        criss-cross steps cycle (rounding decides between sets), or where the loop stops at `settings.max_iter`
+        (50 m + 200) or `settings.time_limit`.
 
     Raises
     ------
@@ -67,7 +67,8 @@ class _Loop:
     def __init__(
         self, name: str, problem: ContactProblem, settings: Settings, enforce: Enforcement, stiffness: float | Vector
     ) -> None:
-        self._name, self._problem, self._settings, self._enforce = name, problem, settings, enforce
+        self._name, self._problem, self._settings = name, problem, settings
+        self._sets = Sets.of(name, problem, enforce)
         self._stiffness, self._sizes = stiffness, _Sizes.of(problem)
         self._started = time.perf_counter()
         self._limit = settings.max_iter or 50 * problem.contacts + 200
@@ -78,7 +79,7 @@ class _Loop:
     def run(self) -> Candidate:
         step = self._first_step()
         while True:
-            incoming, outgoing = _changes(self._problem, self._sizes, step, self._stiffness)
+            incoming, outgoing = _changes(self._sets, self._sizes, step, self._stiffness)
             self.history.append(float(np.count_nonzero(incoming | outgoing)))
             status = self._stop(step.bound)
             if status:
@@ -89,25 +90,25 @@ class _Loop:
     def _first_step(self) -> Step:
         closed, order = _warm_set(self._problem, self._settings), np.arange(self._problem.contacts)
         try:
-            return self._enforce(closed, order)
+            return self._sets.step(closed, order)
         except SingularSystem:
             if closed.all():
                 raise
-            return self._enforce(np.ones_like(closed), order)
+            return self._sets.step(np.ones_like(closed), order)
 
     def _next_step(self, step: Step, incoming: Mask, outgoing: Mask) -> Step:
         if self._textbook_steps is None:
             # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
             preference = np.argsort(~incoming, kind="stable")
             try:
-                following = self._enforce((step.bound & ~outgoing) | incoming, preference)
+                following = self._sets.step((step.bound & ~outgoing) | incoming, preference)
                 if following.bound.tobytes() not in self._seen:
                     return following
             except SingularSystem:  # too many contacts were opened at once
                 pass
             self._textbook_steps = len(self.history)
             self._seen = {step.bound.tobytes()}
-        return change_one(self._name, self._problem, self._enforce, step.bound, incoming | outgoing)
+        return self._sets.change_one(step.bound, incoming | outgoing)
 
     def _stop(self, bound: Mask) -> str:
         """Why the loop ends here, or nothing."""
@@ -124,9 +125,7 @@ class _Loop:
 
     def _candidate(self, step: Step, status: str) -> Candidate:
         if self._textbook_steps is not None:
-            status += (
-                f" (the textbook's loop cycled after {self._textbook_steps} iterations; then one contact at a time)"
-            )
+            status += f" (one contact at a time after {self._textbook_steps} iterations)"
         return Candidate(
             step.displacement,
             step.normal_force,
@@ -159,7 +158,7 @@ class _Sizes:
     def forces(self, problem: ContactProblem, step: Step) -> Vector:
         """F_j, the size of the forces that meet at unknown j (n,) [force]."""
         u, force, tie_force = np.abs(step.displacement), np.abs(step.normal_force), np.abs(step.tie_force)
-        return np.asarray(self.stiffness @ u + self.normal.T @ force + self.tie.T @ tie_force + np.abs(problem.load))
+        return np.asarray(self.stiffness @ u + self.normal.T @ force + self.tie.T @ tie_force + problem.load_size)
 
     def tremor(self, forces: Vector) -> tuple[Vector, Vector]:
         """What rounding makes of a force and of a displacement that should be zero, (n,) each [force], [length].
@@ -172,15 +171,16 @@ class _Sizes:
         return shaken, softness * shaken
 
 
-def _changes(problem: ContactProblem, sizes: _Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
+def _changes(sets: Sets, sizes: _Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
     """Open contacts that penetrate and closed contacts in tension, both by more than rounding."""
-    closed = step.bound
+    problem, closed = sets.problem, step.bound
     if problem.contacts == 0:
         return closed, closed
     normal, forces = sizes.normal, sizes.forces(problem, step)
     shaken, moved = sizes.tremor(forces)
     # A force is noise when it is at one of the contact's unknowns j: min over j of the noise there / |E_ij|.
     noise = np.minimum.reduceat((ROUNDING * forces + shaken)[normal.indices] / normal.data, normal.indptr[:-1])
+    noise = noise + sets.carried(forces)
     length = ROUNDING * (normal @ np.abs(step.displacement) + np.abs(problem.gap)) + normal @ moved
     penetration = problem.normal @ step.displacement - problem.gap
     incoming = ~closed & (penetration > length)

@@ -79,8 +79,8 @@ def test_what_cannot_be_followed_is_refused() -> None:
         cq.follow_path(truss(), [[60.0, -100.0]], events="some")
     with pytest.raises(cq.InvalidProblem, match="loads"):
         cq.follow_path(truss(), [])
+    loose = cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
     with pytest.raises(cq.Unsupported, match="jumps"):
-        loose = cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
         cq.follow_path(loose, [[1.0]], events="exact")
 
 

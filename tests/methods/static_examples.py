@@ -39,9 +39,7 @@ TRUSS = ContactProblem(
 )
 TRUSS_FORCE = ratio(180933933661, 5980300000)
 # Example 2.13: two bars that meet over a gap of 1 mm, P = 300 kN.
-TWO_BARS = ContactProblem(
-    stiffness=np.diag([157500.0, 315000.0]), load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3]
-)
+TWO_BARS = ContactProblem(stiffness=np.diag([157500.0, 315000.0]), load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3])
 # A body that nothing but the obstacle holds.
 HELD = ContactProblem(stiffness=[[0.0]], load=[2.0], normal=[[1.0]], gap=[0.5])
 DUPLICATE = ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0], [1.0]], gap=[1e-3, 1e-3])
@@ -64,6 +62,42 @@ EXAMPLES = (
     Example("tied", TIED, (0.5, 0.5), (0.0, 0.0), (0.5,)),
     Example("tied and touching", TIED_TOUCHING, (0.2, 0.2), (0.6, 0.0), (0.2,)),
     Example("no constraint", FREE, (1.0, 0.0), (0.0, 0.0)),
+)
+
+
+def supported_bar(size: float) -> Example:
+    """K alone is singular, the tie is its support, where the displacement is zero; the other end meets a stop."""
+    K = np.array([[size, -size], [-size, size]])
+    bar = ContactProblem(K, [0.0, 3 * size], normal=[[0.0, 1.0]], gap=[1.0], tie=[[1.0, 0.0]])
+    return Example(f"supported, {size:g}", bar, (0.0, 1.0), (0.0, 2 * size), (size,))
+
+
+# A beam element (EI = L = 1) clamped at its left end by ties; its right end meets a stop.
+CLAMPED = ContactProblem(
+    stiffness=[[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]],
+    load=[0.0, 0, -1, 0],
+    normal=[[0.0, 0, -1, 0]],
+    gap=[0.25],
+    tie=[[1.0, 0, 0, 0], [0, 1, 0, 0]],
+)
+SUPPORTED = (
+    *map(supported_bar, (1.0, 1e-7, 1e9)),
+    Example("clamped beam", CLAMPED, (0.0, 0.0, -0.25, -0.375), (0.0, 0.0, -0.25, 0.0), (-0.75, -0.75)),
+)
+# The second tie says what the first does; together they pull the two unit springs half a unit apart.
+REPEATED_TIES = Example(
+    "repeated ties",
+    ContactProblem(
+        stiffness=np.eye(2),
+        load=[1.0, 0.0],
+        normal=[[1.0, 0.0]],
+        gap=[9.0],
+        tie=[[1.0, -1.0], [-2.0, 2.0]],
+        tie_value=[0.5, -1.0],
+    ),
+    (0.75, 0.25),
+    (0.0, 0.0),
+    (0.25, 0.0),
 )
 
 

@@ -14,7 +14,7 @@ from contactqp.methods.method import Method, Settings
 from contactqp.methods.quadratic_program import BACKENDS, METHODS, Backend, backend_options, solve_quadratic_program
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
-from tests.methods.static_examples import EXAMPLES, FREE, TWO_BARS, Example, require_answer
+from tests.methods.static_examples import EXAMPLES, FREE, TWO_BARS, Example, require_answer, require_near
 
 INSTALLED = tuple(method for method in METHODS if method.installed)
 BACKEND = {backend.name: backend for backend in BACKENDS}
@@ -221,3 +221,28 @@ def test_unconstrained_problems_stay_with_the_backend() -> None:
     candidate = solve_quadratic_program(BACKEND["clarabel"], soft, Settings())
     assert "LSQR" not in candidate.status
     assert candidate.displacement == pytest.approx([1.0, 1.0], rel=1e-6)
+
+
+@every_backend
+def test_iterations_are_counted_or_said_to_be_unknown(method: Method) -> None:
+    count = method.solve(TWO_BARS, Settings()).iterations
+    assert (count is None) == (not BACKEND[method.name].iterations)
+    assert count is None or count > 0
+
+
+@every_backend
+@pytest.mark.parametrize("ties", [1, 2])
+def test_ties_without_any_contact(method: Method, ties: int) -> None:
+    problem = ContactProblem(
+        np.diag([1.0, 2.0, 4.0]),
+        [1.0, -1.0, 2.0],
+        np.zeros((0, 3)),
+        [],
+        tie=np.eye(3)[:ties],
+        tie_value=[0.5, 0.25][:ties],
+    )
+    candidate = method.solve(problem, Settings())
+    middle = -0.5 if ties == 1 else 0.25
+    require_near("displacement", candidate.displacement, [0.5, middle, 0.5], 1e-6)
+    require_near("tie force", candidate.tie_force, [0.5, -1.5][:ties], 1e-6)
+    assert candidate.normal_force.shape == (0,)

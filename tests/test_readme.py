@@ -1,0 +1,46 @@
+"""What the README shows runs and says what it claims."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+
+import pytest
+
+import contactqp as cq
+
+README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
+
+
+def _block(language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    assert found is not None
+    return found.group(1)
+
+
+def test_the_python_example_prints_what_its_comments_say(capsys: pytest.CaptureFixture[str]) -> None:
+    scope: dict[str, object] = {}
+    exec(compile(_block("python"), "README.md", "exec"), scope)
+    printed = capsys.readouterr().out
+    assert "[30.25499284]" in printed
+    assert "passed, proven" in printed
+    assert "REFUSED" in printed
+    assert "kN" in printed
+    soft = scope["soft"]
+    assert isinstance(soft, cq.Solution)
+    assert soft.certificate.force_error == pytest.approx(0.071, abs=5e-4)
+
+
+def test_the_case_example_is_a_scene(tmp_path: pathlib.Path) -> None:
+    case = tmp_path / "bar.toml"
+    case.write_text(_block("toml"))
+    assert cq.run(cq.load_scene(case))[-1].normal_force == pytest.approx([142.5], rel=1e-12)
+
+
+def test_the_method_table_names_methods_that_exist() -> None:
+    names = {method.name for method in cq.methods()}
+    table = README.split("## Methods")[1].split("## Command line")[0]
+    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    named = {name for row in rows for name in re.findall(r"`([a-z-]+)`", row)}
+    assert len(named) >= 15
+    assert named <= names
