@@ -26,6 +26,8 @@ SLACK = 16 * EPS
 # An exact answer that floats cannot hold to this is no well-posed problem for a method that returns floats.
 REPRESENTABLE = 1e-7
 VERDICTS = ("right", "refused", "wrong", "denied", "crashed", "unsupported")
+# Seconds for a method that can stop; all of these problems take it milliseconds.
+PATIENCE = 5.0
 NOISE = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
@@ -123,6 +125,8 @@ def attempt(problem: cq.ContactProblem, method: str) -> tuple[Any, BaseException
     """The solution, or None and what was raised."""
     name, _, way = method.partition(" ")
     options: dict[str, Any] = {"update": way} if way else {}
+    if find(name).kind == "quadratic program" and "no time limit" not in find(name).note:
+        options["time_limit"] = PATIENCE  # HiGHS cycles for ever on some of these
     for knob in find(name).required:
         options[knob] = 1e4 * _contact_stiffness(problem)
     try:
@@ -221,7 +225,8 @@ def _claims_an_answer(problem: cq.ContactProblem, name: str) -> bool:
     if not method.exact or method.kind == "active set":
         return False
     try:
-        return method.solve(nondimensional(problem)[0] if method.scale else problem, Settings()).claimed
+        patient = Settings(time_limit=PATIENCE if "no time limit" not in method.note else None)
+        return method.solve(nondimensional(problem)[0] if method.scale else problem, patient).claimed
     except Exception:  # noqa: BLE001  anything but an answer is a refusal here
         return False
 

@@ -38,8 +38,8 @@ def run(names: list[str], problems: int, methods: tuple[str, ...], jobs: int) ->
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
         for report in pool.imap(_task, tasks, chunksize=4):
             reports.append(report)
-            if len(reports) % 100 == 0 and sys.stderr.isatty():
-                print(f"\r{len(reports)} of {len(tasks)}", end="", file=sys.stderr)
+            if len(reports) % 100 == 0:
+                print(f"{len(reports)} of {len(tasks)} problems", file=sys.stderr)
     return reports
 
 

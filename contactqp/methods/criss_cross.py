@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,17 +49,27 @@ class Sets:
     name: str
     problem: ContactProblem
     enforce: Enforcement
-    normal: NDArray[np.float64]  # (m, n) and
-    tie: NDArray[np.float64]  # (k, n): rows of unit length, in unknowns whose stiffness has a unit diagonal
-    rigid: NDArray[np.float64]  # (n, r) orthonormal motions that the stiffness does not feel, in these unknowns
 
-    @classmethod
-    def of(cls, name: str, problem: ContactProblem, enforce: Enforcement) -> Sets:
-        D = unknown_scale(problem)
-        rigid = np.zeros((problem.dimension, 0))
-        if condense(problem).rigid.count:
-            rigid = np.linalg.qr(null_space(problem.stiffness) / D[:, None])[0]
-        return cls(name, problem, enforce, _unit(problem.normal, D), _unit(problem.tie, D), rigid)
+    @cached_property
+    def rigid(self) -> NDArray[np.float64]:
+        """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
+        if not condense(self.problem).rigid.count:
+            return np.zeros((self.problem.dimension, 0))
+        return np.linalg.qr(null_space(self.problem.stiffness) / self._scale[:, None])[0]
+
+    @cached_property
+    def normal(self) -> NDArray[np.float64]:
+        """(m, n) rows of the contacts, of unit length in these unknowns."""
+        return _unit(self.problem.normal, self._scale)
+
+    @cached_property
+    def tie(self) -> NDArray[np.float64]:
+        """(k, n) rows of the ties, likewise."""
+        return _unit(self.problem.tie, self._scale)
+
+    @cached_property
+    def _scale(self) -> Vector:
+        return unknown_scale(self.problem)
 
     def step(self, closed: Mask, preference: Indices) -> Step:
         """The equality problem of a set.
@@ -105,13 +116,12 @@ class Sets:
         return self.step(changed, preference)
 
     def carried(self, forces: Vector) -> Vector:
-        """What the rounding of forces (n,) makes of contact forces (m,): a floating body hands all of it to its contacts."""
+        """What rounding of forces (n,) makes of contact forces (m,): a floating body hands all to its contacts."""
         if not self.rigid.shape[1]:
             return np.zeros(self.problem.contacts)
-        D = unknown_scale(self.problem)
         felt = abs(self.normal @ self.rigid) > NEGLIGIBLE
-        length = np.linalg.norm((self.problem.normal @ sp.diags(D)).toarray(), axis=1)
-        return np.asarray(16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (D * forces))) / length)
+        length = np.linalg.norm((self.problem.normal @ sp.diags(self._scale)).toarray(), axis=1)
+        return np.asarray(16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (self._scale * forces))) / length)
 
     def _in_the_way(self, closed: Mask, entering: Mask) -> int:
         """With E_i = c'[E_B; A], the least k in B with c_k > 0: unless one of them gives way, E_i u cannot decrease."""

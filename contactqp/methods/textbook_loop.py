@@ -68,7 +68,7 @@ class _Loop:
         self, name: str, problem: ContactProblem, settings: Settings, enforce: Enforcement, stiffness: float | Vector
     ) -> None:
         self._name, self._problem, self._settings = name, problem, settings
-        self._sets = Sets.of(name, problem, enforce)
+        self._sets = Sets(name, problem, enforce)
         self._stiffness, self._sizes = stiffness, _Sizes.of(problem)
         self._started = time.perf_counter()
         self._limit = settings.max_iter or 50 * problem.contacts + 200

@@ -25,7 +25,7 @@ BETWEEN = ContactProblem(
 
 
 def sets(problem: ContactProblem) -> Sets:
-    return Sets.of("multiplier", problem, partial(_enforce, problem))
+    return Sets("multiplier", problem, partial(_enforce, problem))
 
 
 def mask(problem: ContactProblem, *contacts: int) -> np.ndarray:
