@@ -38,7 +38,9 @@ NOTHING_LEFT = 1e-8
 # Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
 CONDENSED_ROUNDING = 1e-6
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
-UNRESISTED = 1e-11
+UNRESISTED = 1e-9
+# Motions that the retained unknowns hold by less than this part of the best held one get an unknown more to hold them.
+HARDLY_HELD = 1e-4
 
 
 class Condensation:
@@ -56,15 +58,14 @@ class Condensation:
         self._partition(touched)
         self.schur = self._schur_complement()
         self.scale = self._scale(unknown_scale(problem))
-        motions = np.zeros((problem.dimension, 0))
+        self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         if min(self._interior_smallest_pivot(), self._schur_smallest_pivot()) < SUSPICIOUS_PIVOT:
-            motions = null_space(self._sparse)
-            fixing = _fixing_unknowns(motions, touched, self._sparse.diagonal())
+            self.rigid = null_space(self._sparse)
+            fixing = _fixing_unknowns(self.rigid.motions, touched, self._sparse.diagonal())
             if fixing.size:
                 self._partition(np.union1d(touched, fixing))
                 self.schur = self._schur_complement()
                 self.scale = self._scale(unknown_scale(problem))
-        self.rigid = RigidMotions(motions)
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
         self.tie = problem.tie[:, self.retained].toarray()
@@ -189,7 +190,7 @@ class Condensation:
         twin.__dict__ |= self.__dict__
         twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
         twin._sparse = sp.csr_matrix(self.schur)
-        twin.rigid = RigidMotions(self.rigid.motions[self.retained])
+        twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
         twin._partition(np.arange(len(self.retained)))
         return twin
 
@@ -248,7 +249,7 @@ def _fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array
     scaled = scaled / np.max(abs(scaled), axis=0)
     free = scaled
     if retained.size:
-        free = scaled @ dense_null_space(scaled[retained], rcond=1e-10)
+        free = scaled @ dense_null_space(scaled[retained], rcond=HARDLY_HELD)
     if not free.shape[1]:
         return np.zeros(0, dtype=np.intp)
     _, _, pivots = qr(free.T, mode="economic", pivoting=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.condensation import Condensation
+from contactqp.condensation import Condensation, unknown_scale
 from contactqp.errors import NoEquilibrium
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
@@ -30,15 +30,19 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     if not Z.shape[1] or not np.any(problem.load):
         return
     Z = Z / np.max(abs(Z), axis=0)
+    balanced = max(BALANCED, condensation.rigid.uncertainty)
     drive = problem.load @ Z
-    if np.all(abs(drive) <= BALANCED * (abs(problem.load) @ abs(Z))):
+    if np.all(abs(drive) <= balanced * (abs(problem.load) @ abs(Z))):
         return
     normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
     coordinates = _without_artefacts(_steepest(drive, normal, tie), normal, tie)
     motion = Z @ coordinates
-    if problem.load @ motion > BALANCED * (abs(problem.load) @ abs(motion)) and drive @ coordinates > DRIVEN * np.max(
-        abs(drive)
-    ):
+    scale = unknown_scale(problem)
+    rounding = max(
+        balanced * (abs(problem.load) @ abs(motion)),
+        condensation.rigid.uncertainty * np.linalg.norm(scale * problem.load) * np.linalg.norm(motion / scale),
+    )
+    if problem.load @ motion > rounding and drive @ coordinates > DRIVEN * np.max(abs(drive)):
         raise NoEquilibrium(
             "the load drives a rigid motion that no contact or tie holds back: "
             f"{describe_motion(problem, motion / np.max(abs(motion)))}"

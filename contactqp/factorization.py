@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 DENSE_SIZE = 300
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
+# Rounding of K mixes motions this far apart in energy by MIXED over their distance.
+MIXING = 1e-6
+MIXED = 64 * np.finfo(float).eps
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
 # for.
 SUSPICIOUS_PIVOT = 1e-8
@@ -115,13 +118,17 @@ def factorise(matrix: Any) -> Factorization:
 class RigidMotions:
     """The null space of K."""
 
-    motions: (
-        Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown, whatever its unit
-    )
+    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
+    softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
 
     @property
     def count(self) -> int:
         return int(self.motions.shape[1])
+
+    @property
+    def uncertainty(self) -> float:
+        """How much of the softest elastic motion a rigid one may contain: K's rounding cannot tell them apart."""
+        return MIXED / self.softest if self.softest < MIXING else 0.0
 
     @cached_property
     def basis(self) -> Array:
@@ -146,46 +153,50 @@ def _forces(matrix: Any, motions: Array) -> Array:
     return np.column_stack([(rows @ extend(z)).double() for z in motions.T]) if motions.size else np.zeros_like(motions)
 
 
-def null_space(matrix: Any) -> Array:
-    """A basis (n, r) of the null space of a positive semidefinite matrix, component by component of its graph."""
+def null_space(matrix: Any) -> RigidMotions:
+    """The null space of a positive semidefinite matrix, component by component of its graph."""
     from scipy.sparse.csgraph import connected_components
 
     graph = sp.csr_matrix(matrix)
     count, label = connected_components(graph, directed=False)
     order = np.argsort(label, kind="stable")
     bounds = np.searchsorted(label[order], np.arange(count + 1))
-    columns, rows, values, found = [], [], [], 0
+    columns, rows, values, found, softest = [], [], [], 0, 1.0
     for c in range(count):
         members = order[bounds[c] : bounds[c + 1]]
         local = _null_space_of_component(graph[members][:, members])
-        for column in local.T:
+        softest = min(softest, local.softest) if local.count else softest
+        for column in local.motions.T:
             rows.append(members)
             columns.append(np.full(len(members), found))
             values.append(column)
             found += 1
     if not found:
-        return np.zeros((graph.shape[0], 0))
+        return RigidMotions(np.zeros((graph.shape[0], 0)))
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray())
+    return RigidMotions(np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray()), softest)
 
 
-def _null_space_of_component(component: Any) -> Array:
+def _null_space_of_component(component: Any) -> RigidMotions:
     size = component.shape[0]
     if size == 1:
-        return np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0))
+        return RigidMotions(np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0)))
     # Powers of two scale without rounding: a matrix that is exactly singular stays so.
     scale = 2.0 ** np.round(np.log2(unit_diagonal_scale(component)))
     scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
-    lowest = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
+    lowest, next_energy = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
     if not lowest.shape[1]:
-        return lowest
+        return RigidMotions(lowest)
     # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
-    _, rotation = np.linalg.eigh(lowest.T @ _forces(scaled, lowest))
+    energies, rotation = np.linalg.eigh(lowest.T @ _forces(scaled, lowest))
     lowest = lowest @ rotation
-    return np.asarray(scale[:, None] * lowest[:, is_rigid(scaled, lowest)])
+    rigid = is_rigid(scaled, lowest)
+    softest = float(np.min(energies[~rigid], initial=next_energy))
+    return RigidMotions(np.asarray(scale[:, None] * lowest[:, rigid]), max(softest, np.finfo(float).tiny))
 
 
-def _lowest_dense(scaled: Array) -> Array:
+def _lowest_dense(scaled: Array) -> tuple[Array, float]:
+    """Soft motions, and the energy of the first that is not."""
     from scipy.linalg import eigh
 
     values, vectors = eigh(scaled)
@@ -194,10 +205,10 @@ def _lowest_dense(scaled: Array) -> Array:
     for _ in range(2):
         # Refinement takes out what rounding mixed in of the stiff motions.
         lowest = lowest - others @ ((others.T @ _forces(scaled, lowest)) / values[~soft, None])
-    return np.asarray(lowest)
+    return lowest, float(np.min(values[~soft], initial=1.0))
 
 
-def _lowest_sparse(scaled: Any) -> Array:
+def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
     """Inverse subspace iteration on K + shift: the block doubles until it holds a vector that is not rigid."""
     shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
     random = np.random.default_rng(0)
@@ -214,4 +225,4 @@ def _lowest_sparse(scaled: Any) -> Array:
     for _ in range(2):
         # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
         lowest = lowest - shifted.solve(_forces(scaled, lowest))
-    return np.asarray(lowest)
+    return lowest, float(np.min(values[values > SOFT], initial=1.0))

@@ -21,7 +21,9 @@ from contactqp.problem import Vector
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
 # The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
-BALANCED = 1e-11
+BALANCED = 1e-10
+# So is a push of this part of all forces on motions that lie where no force acts.
+IDLE = 256 * np.finfo(float).eps
 
 
 class SaddlePoint:
@@ -32,6 +34,7 @@ class SaddlePoint:
 
         self.closed = np.asarray(closed, dtype=np.intp)
         self._scale = condensation.scale
+        self._uncertainty = condensation.rigid.uncertainty
         ties = condensation.tie if tied else condensation.tie[:0]
         rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
         self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
@@ -89,6 +92,8 @@ class SaddlePoint:
         """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
         if not self.free.shape[1]:
             return np.zeros(len(load))
-        motion = self.free @ (self.free.T @ (load * self._scale))
-        work = float((load * self._scale) @ motion)
-        return motion if work > BALANCED * float((size * self._scale) @ abs(motion)) else np.zeros(len(load))
+        push, size = self.free.T @ (load * self._scale), size * self._scale
+        motion = self.free @ push
+        part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
+        rounding = max(part * float(size @ abs(motion)), float(idle * (push @ push) ** 0.5 * (size @ size) ** 0.5))
+        return motion if float(push @ push) > rounding else np.zeros(len(load))

@@ -101,7 +101,7 @@ def solve(
     meter = _Meter(problem)
     way = condensation_of(problem)
     refuse_driven_motion(problem, way)
-    if way.rigid.count and not chosen.semidefinite:
+    if not chosen.semidefinite and SaddlePoint(way, np.zeros(0, dtype=np.intp)).free.shape[1]:
         raise Unsupported(f"{method}: bodies held by contact alone (the stiffness is singular); try active-set")
     try:
         candidate = _run(problem, chosen, settings, way, condense)

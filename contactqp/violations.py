@@ -195,7 +195,8 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
         moving = np.any(rigid.motions[members] != 0, axis=0)
         motions = rigid.motions[np.ix_(members, moving)]
         work = motions.T @ outer.double()[members]
-        worst = max(worst, _worst_resultant(motions, work, stray[moving], size[members]))
+        mixed = rigid.uncertainty * (abs(motions).T @ size[members])
+        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members]))
     return worst
 
 
@@ -217,8 +218,8 @@ def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) 
     if len(work) == 1 or worst <= NO_RESULTANT:
         return worst
     direction = _worst_direction(basis, work / np.max(abs(work)))
-    combined = max(abs(work @ direction) - stray @ abs(direction), 0.0) / np.sum(abs(basis @ direction))
-    return float(max(combined, worst))
+    net = float(abs(work @ direction) - stray @ abs(direction))
+    return max(net / float(np.sum(abs(basis @ direction))), worst)
 
 
 def _worst_direction(basis: Array, weight: Vector) -> Vector:

@@ -75,7 +75,7 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
 
 def _rigid_motions(problem: ContactProblem) -> Dense:
     """Orthonormal basis (n, r) of the motions that neither stiffness nor ties feel: K Z = 0 and A Z = 0."""
-    return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness))[0])[1]
+    return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness).motions)[0])[1]
 
 
 def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:

@@ -55,7 +55,7 @@ class Sets:
         """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
         if not condense(self.problem).rigid.count:
             return np.zeros((self.problem.dimension, 0))
-        return np.linalg.qr(null_space(self.problem.stiffness) / self._scale[:, None])[0]
+        return np.linalg.qr(null_space(self.problem.stiffness).motions / self._scale[:, None])[0]
 
     @cached_property
     def normal(self) -> NDArray[np.float64]:

@@ -72,7 +72,10 @@ def _times(problem: ContactProblem, rung: Rung, repeats: int) -> list[float]:
 
 
 def call(problem: ContactProblem, rung: Rung) -> Outcome:
-    """One timed call of solve. Errors of contactqp are outcomes; all others are bugs and are not caught."""
+    """One timed call of solve. Errors of contactqp are outcomes; all others are bugs and are not caught.
+
+    The time is that to the answer; certifying it, and the raw answer behind it, is not the method's.
+    """
     fresh = _fresh(problem)
     solution: Solution | None = None
     error: ContactQPError | None = None
@@ -81,7 +84,8 @@ def call(problem: ContactProblem, rung: Rung) -> Outcome:
         solution = solve(fresh, rung.method.name, **rung.options)
     except ContactQPError as raised:
         solution, error = getattr(raised, "solution", None), raised
-    return Outcome(solution, error, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return Outcome(solution, error, seconds if solution is None else solution.seconds - solution.certify_seconds)
 
 
 def _fresh(problem: ContactProblem) -> ContactProblem:

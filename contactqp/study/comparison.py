@@ -62,7 +62,7 @@ def compare(
     -------
     Comparison
         A method that fails is a row with the reason, not an exception. Each method is called twice and the second call
-        is timed, certificate included, unless the first one takes seconds.
+        is timed, without its certificate, unless the first one takes seconds.
 
     Raises
     ------

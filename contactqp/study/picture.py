@@ -116,7 +116,7 @@ def _draw_panel(
         )
     panel.set_ylim(LEAST_ERROR / 3, 10)
     panel.set_ylabel(label)
-    panel.set_xlabel("run time of one solve, certificate included [ms]")
+    panel.set_xlabel("run time to the answer, without its certificate [ms]")
     across = panel.get_yaxis_transform()
     panel.text(0.02, LEAST_ERROR * 1.6, "no error in double precision", transform=across, fontsize="x-small")
 

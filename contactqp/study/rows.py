@@ -50,7 +50,9 @@ class Row:
     error_displacement_max: float | None = _column("largest true error of an unknown, relative to the largest unknown")
     error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
     error_measure: str = _column("relative, or which errors are absolute or measured otherwise, and why", "")
-    seconds: float | None = _column("run time of solve on a fresh problem, certificate included; median of the repeats")
+    seconds: float | None = _column(
+        "run time of solve on a fresh problem, certificate not included; median of the repeats"
+    )
     repeats: int = _column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
     claimed: bool | None = _column("whether the method itself called its raw answer solved")
     flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
