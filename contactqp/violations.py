@@ -23,7 +23,7 @@ NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
 NOTHING_BUT_ROUNDING = 0.1
 # Times the tolerance of 1e-9 this is what rounding leaves of the largest displacement, in the energy scale.
-SMALL_LENGTH = 1e-5
+SMALL_LENGTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +101,29 @@ def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
 
 
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
-    """L = |E||u| + |g| + 1e-5 |E D| max_j |u_j / D_j| with D = 1/sqrt(K_jj) [length].
+    """L_i = (|E||u| + |g|)_i + 1e-6 |E_i D| max_j |u_j / D_j| with D = 1/sqrt(K_jj), j in the bodies of row i [length].
 
     The last term matters only where the first two vanish: a support at zero (u_j = 0 as a row) holds its unknown at the
-    rounding of the largest displacement, and without it that rounding would be measured against itself.
+    rounding of its body's largest displacement, and without it that rounding would be measured against itself.
     """
-    largest = np.max(np.sqrt(problem.stiffness.diagonal()) * abs(displacement))
-    rounding = SMALL_LENGTH * np.sqrt(own_compliance(problem, rows)) * largest
+    body = bodies(problem)
+    largest = np.zeros(int(body.max()) + 1)
+    np.maximum.at(largest, body, np.sqrt(problem.stiffness.diagonal()) * abs(displacement))
+    entries = rows.tocoo()
+    of_bodies = np.zeros(rows.shape[0])
+    np.maximum.at(of_bodies, entries.row, largest[body[entries.col]])
+    rounding = SMALL_LENGTH * np.sqrt(own_compliance(problem, rows)) * of_bodies
     return np.asarray(abs(rows) @ abs(displacement) + abs(limit) + rounding)
+
+
+def bodies(problem: ContactProblem) -> NDArray[np.intp]:
+    """(n,) the number of the body, a connected part of K, that each unknown belongs to."""
+    from scipy.sparse.csgraph import connected_components
+
+    if "bodies" not in problem._shared:
+        _, problem._shared["bodies"] = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
+    body: NDArray[np.intp] = problem._shared["bodies"]
+    return body
 
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
@@ -180,15 +195,13 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     """
     if not rigid.count:
         return 0.0
-    from scipy.sparse.csgraph import connected_components
-
     rows = extended_rows(problem)
     force, tie = extend(answer.normal_force), extend(answer.tie_force)
     outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
     stray = np.array([abs((rows.stiffness @ extend(z)).double()) @ abs(answer.displacement) for z in rigid.motions.T])
     size = _outer_forces(problem, answer)
-    _, body = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
+    body = bodies(problem)
     worst = 0.0
     for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
         members = np.flatnonzero(body == b)

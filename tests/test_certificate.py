@@ -309,3 +309,31 @@ def test_certificates_cannot_be_changed() -> None:
     certificate = cq.certify(truss(), **_right(truss()))
     with pytest.raises(dataclasses.FrozenInstanceError):
         certificate.passed = True  # type: ignore[misc]
+
+
+def test_a_heavy_neighbour_hides_nothing() -> None:
+    """A body 1e12 times as stiff, moved 1 m, stands beside: what is wrong in the light one is still seen."""
+    heavy = cq.ContactProblem(
+        stiffness=np.diag([1.0, 1e12]),
+        load=[3e-8, 1e12],
+        normal=[[1.0, 0.0]],
+        gap=[1e-8],
+        tie=[[0.0, 1.0]],
+        tie_value=[1.0],
+    )
+    right = cq.solve(heavy)
+    assert right.certificate.passed
+    u, force, tie = right.displacement, right.normal_force, right.tie_force
+    assert cq.certify(heavy, u * [1 + 1e-6, 1.0], force, tie_force=tie).penetration > 1e-7
+    assert not cq.certify(heavy, u, 1.001 * force, tie_force=tie).passed
+
+
+def test_a_support_held_as_a_row_may_move_by_rounding() -> None:
+    """u_0 = 0 as a tie, met to 1e-19 beside displacements of 1e-3: rounding is not measured against itself."""
+    K = 1e5 * np.array([[1.0, -1.0], [-1.0, 2.0]])
+    problem = cq.ContactProblem(K, [0.0, 200.0], [[0.0, 1.0]], [5e-4], tie=[[1.0, 0.0]])
+    solution = cq.solve(problem)
+    moved = solution.displacement + [1e-19, 0.0]
+    assert cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed
+    moved = solution.displacement + [1e-9, 0.0]
+    assert not cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed

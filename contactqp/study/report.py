@@ -145,7 +145,7 @@ def _settings(tolerances: Sequence[float], repeats: int) -> dict[str, Any]:
         stiffenings=list(STIFFENINGS),
         uzawa_iterations=list(UZAWA_ITERATIONS),
         repeats=f"at most {repeats}, fewer once {ENOUGH} s are spent",
-        timing="wall clock of solve on a fresh problem, without its certificate; median of the repeats after one warm-up",
+        timing="wall clock of solve on a fresh problem, without its certificate; median after one warm-up",
     )
 
 
