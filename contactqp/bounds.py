@@ -38,7 +38,7 @@ is an a-posteriori estimate of rounding, not an interval enclosure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
-from contactqp.factorization import RIGID_TOLERANCE, unit_diagonal_scale
+from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
 from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
@@ -57,6 +57,8 @@ from contactqp.violations import Answer, forces_that_meet, own_compliance
 REPAIRS = 3
 # Contact forces whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
+# An energy norm of forces that is this part of their size is rounding.
+FELT = 64 * np.finfo(float).eps
 # A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
 # accuracy.
 TOUCHING = 1e-6
@@ -80,6 +82,8 @@ class Bounds:
     )
     rounding: float = 0.0  # what the refinement cannot tell from zero, in the square root of energy
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
+    force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
+    suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 
 
@@ -110,7 +114,7 @@ def bounds(problem: ContactProblem, answer: Answer, condensation: Condensation) 
         pair = _pair(problem, answer, condensation)
         return _from_pair(problem, answer, condensation, pair)
     except Unproven as reason:
-        return _none(str(reason))
+        return replace(_none(str(reason)), suspicious=str(reason))
 
 
 def _none(reason: str) -> Bounds:
@@ -276,7 +280,7 @@ def _energy_norm(problem: ContactProblem, displacement: Extended) -> float:
 def _noise(problem: ContactProblem, answer: Answer) -> float:
     """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
     scale = unit_diagonal_scale(problem.stiffness)
-    return float(EPS / np.sqrt(RIGID_TOLERANCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
+    return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair) -> Bounds:
@@ -284,11 +288,15 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     middle = extend(answer.displacement) + pair.to_middle
     energy_scale = _energy_scale(problem, condensation, middle)
     rounding += VANISHING * energy_scale
+    force_size = _force_size(problem, pair.force.double())
+    # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
+    # nothing.
+    force_rounding = FELT * force_size if condensation.rigid.count or problem.ties else 0.0
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
-    force_error, force_scale = _force_error(problem, answer, condensation, pair, energy_scale, rounding)
+    force_error, force_scale = _force_error(problem, answer, condensation, pair, energy_scale, rounding, force_rounding)
     relative = None
     if force_bound is not None and force_scale > 0:
-        relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / force_scale
+        relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(force_scale, force_size)
     return Bounds(
         energy_error=_relative(_energy_norm(problem, pair.to_middle) + pair.radius, energy_scale, pair.radius, np.inf),
         force_error=force_error,
@@ -297,9 +305,15 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         force_scale=force_scale,
         relative_force_bound=relative,
         rounding=rounding,
+        force_rounding=force_rounding,
         rigid_rounding=_rigid_rounding(problem, condensation, answer.displacement),
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
+
+
+def _force_size(problem: ContactProblem, force: Vector) -> float:
+    """|D E'l|: the contact forces at their own unknowns, in the square root of energy."""
+    return float(np.linalg.norm(unit_diagonal_scale(problem.stiffness) * (problem.normal.T @ force)))
 
 
 def _force_error(
@@ -309,6 +323,7 @@ def _force_error(
     pair: _Pair,
     energy_scale: float,
     rounding: float,
+    force_rounding: float,
 ) -> tuple[float, float]:
     """(3) relative to |l*|_W, and |l*|_W, zero where the contact forces are what refinement leaves of zero.
 
@@ -320,9 +335,9 @@ def _force_error(
     errors, scales = [], []
     for tied in (True, False) if both else (True,):
         scale, uncertain = _force_norm(problem, condensation, pair.force, tied)
-        scale = 0.0 if scale <= VANISHING * energy_scale else scale
+        scale = 0.0 if scale <= max(VANISHING * energy_scale, force_rounding) else scale
         error = sum(_force_norm(problem, condensation, change, tied)) + pair.dual_radius
-        errors.append(_relative(error, scale, pair.dual_radius + uncertain, rounding))
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain, rounding + force_rounding))
         scales.append(scale)
     return max(errors), scales[0]
 

@@ -97,6 +97,8 @@ def certify(
     >>> cq.certify(wall, displacement=[1e-3], normal_force=[-142.5]).failures[1]
     'tension: contact 0 is held with a force of -142.5 (0.237 of the forces that meet there, tolerance 1e-09)'
     """
+    refuse_not_positive("tolerance", tolerance)
+    refuse_not_positive("error_tolerance", error_tolerance)
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
@@ -157,6 +159,12 @@ def contact_status(problem: ContactProblem, certificate: Certificate, answer_sli
         )
     status[list(certificate.grazing)] = "grazing"
     return status
+
+
+def refuse_not_positive(name: str, value: Any) -> None:
+    """Raise unless a number is positive and finite."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
+        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
 
 
 def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
@@ -271,6 +279,8 @@ def _failed_figures(
 
 
 def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
+    if known.suspicious is not None:
+        yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
     # of a displacement without strain against the rounding of the displacement.
     pairs = (
@@ -282,7 +292,8 @@ def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, toler
             continue
         limit = tolerance if scale > 0 else absolute
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
-        if not (value <= limit or value * (scale or 1.0) <= known.rounding):
+        beneath = known.rounding + (known.force_rounding if name == "force_error" else 0.0)
+        if not (value <= limit or value * (scale or 1.0) <= beneath):
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
     relative = known.relative_force_bound

@@ -112,6 +112,7 @@ def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None
         b_ub=right / size,
         bounds=[(None, None)] * count + [(0, None)],
         method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if answer.x is None or answer.x[-1] <= COMPATIBLE:
         return

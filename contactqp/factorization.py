@@ -22,15 +22,18 @@ SOFT = 1e-10
 # Rounding of K mixes motions this far apart in energy by MIXED over their distance.
 MIXING = 1e-6
 MIXED = 64 * np.finfo(float).eps
+# What is more mixed than this is refused rather than forgiven.
+MIXED_AT_MOST = 1e-6
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
 # for.
 SUSPICIOUS_PIVOT = 1e-8
 # Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
 # matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
-# Rounding of the data leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown; a spring 1e-13 times
-# softer than what it holds stays above this.
-RIGID_TOLERANCE = 32 * np.finfo(float).eps
+# Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
+# alternate, well below half an eps of |z|'|K||z|.
+RIGID_FORCE = 32 * np.finfo(float).eps
+RIGID_ENERGY = 0.5 * np.finfo(float).eps
 
 
 class Factorization(Protocol):
@@ -128,7 +131,7 @@ class RigidMotions:
     @property
     def uncertainty(self) -> float:
         """How much of the softest elastic motion a rigid one may contain: K's rounding cannot tell them apart."""
-        return MIXED / self.softest if self.softest < MIXING else 0.0
+        return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
 
     @cached_property
     def basis(self) -> Array:
@@ -137,14 +140,18 @@ class RigidMotions:
 
 
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
-    """Which columns z satisfy K z = 0 to rounding: |K z|_j <= RIGID_TOLERANCE (|K||z|)_j at every unknown j.
+    """Which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
 
-    `matrix` has a diagonal of about one. An unknown at rest among unknowns at rest has a scale of rounding itself: it
-    is measured against the largest motion.
+    |K z|_j <= RIGID_FORCE (|K||z|)_j at every unknown j, and z'Kz <= RIGID_ENERGY |z|'|K||z|: a soft spring at one end
+    of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
+    diagonal of about one. An unknown at rest among unknowns at rest is measured against the largest motion.
     """
-    forces = abs(_forces(matrix, motions))
-    scale = np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions), axis=0, initial=0.0))
-    return np.asarray(np.all(forces <= RIGID_TOLERANCE * scale, axis=0))
+    forces = _forces(matrix, motions)
+    size = abs(matrix) @ abs(motions)
+    largest = np.max(abs(motions), axis=0, initial=0.0)
+    still = np.all(abs(forces) <= RIGID_FORCE * np.maximum(size, largest), axis=0)
+    energy, scale = np.sum(motions * forces, axis=0), np.sum(abs(motions) * size, axis=0)
+    return np.asarray(still & (energy <= RIGID_ENERGY * scale))
 
 
 def _forces(matrix: Any, motions: Array) -> Array:

@@ -19,7 +19,7 @@ from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
-from contactqp.violations import Answer, force_measure, forces_that_meet, own_compliance
+from contactqp.violations import Answer, force_measure, forces_that_meet, lengths_that_meet, own_compliance
 
 # Refinement stops when a sweep no longer halves the correction; good sets need three or four.
 MAX_SWEEPS = 12
@@ -103,38 +103,66 @@ def polish(
 ) -> tuple[OnSet, int, bool]:
     """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
 
-    A correction opens the contacts held in tension and closes those that are penetrated. Redundant contacts first
-    get forces without tension, where such forces exist, and those with none leave the set.
+    A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
+    that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
+    tension, where such forces exist, and contacts with none leave the set.
     """
     seen: set[bytes] = set()
     corrections = 0
     while True:
         answer = answer_on(problem, condensation, closed)
+        proposal = None
         if answer.saddle.redundant:
-            lean = _without_tension(condensation, answer)
-            if len(lean) < len(closed):
-                closed = lean
-                answer = answer_on(problem, condensation, closed)
-        if answer.saddle.free.shape[1]:
-            answer, _ = least_displacement(problem, condensation, answer)
-        tension, penetrated = _wrong(problem, answer, closed)
-        reached, driven = _reached_by_drive(problem, condensation, answer)
-        if not (tension.size or penetrated.size or driven):
-            return answer, corrections, True
-        penetrated = np.union1d(penetrated, reached)
+            if not _ties_are_met(problem, answer):
+                return answer, corrections, False
+            proposal = _exchanged(problem, answer)
+            if proposal is None:
+                lean = _without_tension(condensation, answer)
+                if len(lean) < len(closed):
+                    closed = lean
+                    answer = answer_on(problem, condensation, closed)
+        if proposal is None:
+            if answer.saddle.free.shape[1]:
+                answer, _ = least_displacement(problem, condensation, answer)
+            tension, penetrated = _wrong(problem, answer, closed)
+            reached, driven = _reached_by_drive(problem, condensation, answer)
+            if not (tension.size or penetrated.size or driven):
+                return answer, corrections, True
+            penetrated = np.union1d(penetrated, reached)
+            proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         seen.add(closed.tobytes())
-        proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         if corrections >= max_corrections or proposal.tobytes() in seen:
             return answer, corrections, False
         closed = proposal
         corrections += 1
 
 
+def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
+    u = answer.displacement.double()
+    missing = abs((extend(problem.tie_value) - extended_rows(problem).tie @ answer.displacement).double())
+    return bool(np.all(missing <= ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)))
+
+
+def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
+    """A redundant set in which its most penetrated dependent contact replaces the contact that must give way to it.
+
+    None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
+    """
+    closed = answer.saddle.closed
+    dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
+    excess = (-answer.gap.double() / length)[closed[dependent]]
+    if not np.any(excess > ROUNDING):
+        return None
+    leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.normal_force.double()[closed])
+    return closed if leaving is None else np.delete(closed, leaving)
+
+
 def _wrong(
     problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts in tension and contacts penetrated, beyond rounding."""
-    length = abs(problem.normal) @ abs(answer.displacement.double()) + abs(problem.gap)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
     penetrated = np.flatnonzero(-answer.gap.double() > ROUNDING * length)
     doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
     return np.flatnonzero(_push(problem, doubles) < -ROUNDING), np.setdiff1d(penetrated, closed)
@@ -176,12 +204,16 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     return np.asarray(closed[share[: len(closed)] > 1e-12])
 
 
-def without_noise(condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector]:
-    """Contact and tie forces in double precision, those beneath the refinement's rounding set to zero."""
-    force = np.concatenate([answer.normal_force.positive_part().double(), answer.tie_force.double()])
-    size = np.sqrt(delassus(condensation).compliance) * abs(force)
-    force[size <= INVISIBLE * np.max(size, initial=0.0)] = 0.0
-    return force[: len(answer.normal_force)], force[len(answer.normal_force) :]
+def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
+    """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
+    u, push, tie = answer.displacement.double(), answer.normal_force.positive_part().double(), answer.tie_force.double()
+    root = np.sqrt(problem.stiffness.diagonal())
+    force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
+    loads = np.divide(abs(problem.load), root, out=np.zeros_like(root), where=root > 0)
+    largest = max(np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads))
+    u[(root > 0) & (root * abs(u) < INVISIBLE * largest)] = 0.0
+    force[size * abs(force) <= INVISIBLE * largest] = 0.0
+    return u, force[: len(push)], force[len(push) :]
 
 
 def least_displacement(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[OnSet, Array]:

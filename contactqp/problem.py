@@ -25,6 +25,8 @@ Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types 
 
 # Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
 SYMMETRY_TOLERANCE = 1e-6
+# Rows are squared on the way.
+LARGEST_ENTRY = 1e150
 # Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
 
@@ -298,6 +300,11 @@ def _refuse_zero_rows(name: str, rows: Any, called: Any) -> None:
     empty = np.flatnonzero(np.diff(rows.indptr) == 0)
     if empty.size:
         raise InvalidProblem(f"{name}: the row of {called(int(empty[0]))} is zero; it constrains nothing")
+    largest = abs(rows).max(axis=1).toarray().ravel() if rows.shape[0] else np.ones(1)
+    extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
+    if extreme.size:
+        i = int(extreme[0])
+        raise InvalidProblem(f"{name}: the row of {called(i)} has the size {largest[i]:.3g}; its square is no double")
 
 
 def _stiffness(value: Any) -> tuple[Matrix, float]:
@@ -311,7 +318,8 @@ def _stiffness(value: Any) -> tuple[Matrix, float]:
         j = int(np.argmin(diagonal))
         raise InvalidProblem(f"stiffness: expected positive semidefinite, got K[{j}, {j}] = {diagonal[j]:.6g}")
     coo = K.tocoo()
-    pair = np.sqrt(diagonal[coo.row] * diagonal[coo.col])
+    root = np.sqrt(diagonal)
+    pair = root[coo.row] * root[coo.col]
     outside = np.abs(coo.data) > (1 + SYMMETRY_TOLERANCE) * pair
     if np.any(outside):
         at = int(np.flatnonzero(outside)[0])
@@ -323,7 +331,7 @@ def _stiffness(value: Any) -> tuple[Matrix, float]:
     difference = abs(K - K.T).tocoo()
     asymmetry = 0.0
     if difference.nnz:
-        relative = difference.data / np.sqrt(diagonal[difference.row] * diagonal[difference.col])
+        relative = difference.data / (root[difference.row] * root[difference.col])
         worst = int(np.argmax(relative))
         asymmetry = float(relative[worst])
         if asymmetry > SYMMETRY_TOLERANCE:

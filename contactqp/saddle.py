@@ -41,14 +41,11 @@ class SaddlePoint:
         rows = rows * self._row_scale[:, None]
         self._S = condensation.schur * np.outer(self._scale, self._scale)
         size = len(self._S)
-        if len(rows):
-            Q, R, pivots = qr(rows.T, pivoting=True)
-            diagonal = abs(np.diag(R))
-            rank = int(np.sum(diagonal > DEPENDENT * max(size, len(rows))))
-        else:
-            Q, R, pivots, rank = np.eye(size), np.zeros((size, 0)), np.zeros(0, dtype=int), 0
-        self.independent = np.asarray(pivots[:rank], dtype=np.intp)  # rows, contacts first, that carry the set
+        self._rows = rows
+        self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
+        rank = len(self.independent)
         self.redundant = rank < len(rows)
+        Q, R = qr(rows[self.independent].T) if rank else (np.eye(size), np.zeros((size, 0)))
         self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
         self.free = self._unresisted(condensation, rows)
         self._hessian = self._factorise_hessian()
@@ -88,6 +85,24 @@ class SaddlePoint:
         force = (force.T * self._row_scale).T
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
+    def exchange(self, entering: int, force: Vector) -> int | None:
+        """The closed contact that must open for a dependent one, at position `entering`, to take its share.
+
+        With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
+        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
+        conflict.
+        """
+        from scipy.linalg import solve_triangular
+
+        share = solve_triangular(self._R, self._Y.T @ self._rows[entering])
+        contacts = self.independent < len(self.closed)
+        gives = np.flatnonzero(contacts & (share > DEPENDENT * len(self._rows)))
+        if not gives.size:
+            return None
+        positions = self.independent[gives]
+        ratios = force[positions] / self._row_scale[positions] / share[gives]
+        return int(positions[np.argmin(ratios)])
+
     def drive(self, load: Vector, size: Vector) -> Vector:
         """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
         if not self.free.shape[1]:
@@ -97,3 +112,22 @@ class SaddlePoint:
         part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
         rounding = max(part * float(size @ abs(motion)), float(idle * (push @ push) ** 0.5 * (size @ size) ** 0.5))
         return motion if float(push @ push) > rounding else np.zeros(len(load))
+
+
+def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of independent rows of unit length that span all of them, as many of `first` among them as can be."""
+    chosen = first[_independent(rows[first])]
+    others = np.setdiff1d(np.arange(len(rows)), first)
+    basis, _ = np.linalg.qr(rows[chosen].T)
+    beyond = rows[others] - (rows[others] @ basis) @ basis.T
+    return np.concatenate([others[_independent(beyond)], chosen]).astype(np.intp)
+
+
+def _independent(rows: Array) -> NDArray[np.intp]:
+    from scipy.linalg import qr
+
+    if not rows.size:
+        return np.zeros(0, dtype=np.intp)
+    R, pivots = qr(rows.T, mode="r", pivoting=True)
+    rank = int(np.sum(abs(np.diag(R)) > DEPENDENT * max(rows.shape)))
+    return np.sort(pivots[:rank]).astype(np.intp)

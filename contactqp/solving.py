@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate import certify, contact_status
+from contactqp.certificate import certify, contact_status, refuse_not_positive
 from contactqp.condensation import Condensation
 from contactqp.condensation import condense as condensation_of
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, Unsupported
@@ -95,6 +95,7 @@ def solve(
     (array([95.]), True)
     """
     started = time.perf_counter()
+    _refuse_arguments(tolerance, condense, polish, time_limit, max_iter, warm_start)
     chosen = find(method)
     settings = Settings(tolerance, max_iter, time_limit, _start(problem, warm_start), options)
     _refuse_unsupported(problem, chosen, settings, algorithm)
@@ -143,6 +144,22 @@ class _Meter:
         )
 
 
+def _refuse_arguments(
+    tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any, warm_start: Any
+) -> None:
+    refuse_not_positive("tolerance", tolerance)
+    if time_limit is not None:
+        refuse_not_positive("time_limit", time_limit)
+    if max_iter is not None and (isinstance(max_iter, bool) or not isinstance(max_iter, int) or max_iter < 1):
+        raise InvalidProblem(f"max_iter: expected a positive integer, got {max_iter!r}")
+    if not (isinstance(condense, bool) or condense == "auto"):
+        raise InvalidProblem(f"condense: expected True, False or 'auto', got {condense!r}")
+    if not isinstance(polish, bool):
+        raise InvalidProblem(f"polish: expected True or False, got {polish!r}")
+    if warm_start is not None and not isinstance(warm_start, Solution):
+        raise InvalidProblem(f"warm_start: expected a Solution, got {type(warm_start).__name__}")
+
+
 def _start(problem: ContactProblem, warm_start: Solution | None) -> Candidate | None:
     if warm_start is None:
         return None
@@ -161,8 +178,6 @@ def _refuse_unsupported(problem: ContactProblem, method: Method, settings: Setti
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
         raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
-    if not settings.tolerance > 0:
-        raise InvalidProblem(f"tolerance: expected a positive number, got {settings.tolerance}")
     if problem.frictional:
         raise Unsupported(
             f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)"
@@ -177,8 +192,6 @@ def _run(
     problem: ContactProblem, method: Method, settings: Settings, way: Condensation, wanted: bool | str
 ) -> Candidate:
     """The method's candidate in the unknowns of the problem, whatever it was shown."""
-    if wanted not in (True, False, "auto"):
-        raise InvalidProblem(f"condense: expected True, False or 'auto', got {wanted!r}")
     if not problem.contacts and not problem.ties:
         return _linear(problem, way)
     # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing lies
@@ -221,8 +234,7 @@ def _polished(problem: ContactProblem, way: Condensation, method: Method, candid
         return None
     answer, free = least_displacement(problem, way, answer)
     motions = tuple(_free_motion(problem, direction) for direction in free.T)
-    force, tie = without_noise(way, answer)
-    return _Final(answer.displacement.double(), force, tie, motions, corrections, polished=True)
+    return _Final(*without_noise(problem, way, answer), motions, corrections, polished=True)
 
 
 def _as_it_came(problem: ContactProblem, way: Condensation, candidate: Candidate) -> _Final:

@@ -22,8 +22,8 @@ from contactqp.problem import ContactProblem, Vector
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
 NOTHING_BUT_ROUNDING = 0.1
-# Times the tolerance of 1e-9 this is what rounding leaves of the largest displacement, in the energy scale.
-SMALL_LENGTH = 1e-6
+# A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
+ROUNDING_OF_LENGTH = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +101,11 @@ def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
 
 
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
-    """L_i = (|E||u| + |g|)_i + 1e-6 |E_i D| max_j |u_j / D_j| with D = 1/sqrt(K_jj), j in the bodies of row i [length].
+    """L_i = (|E||u| + |g|)_i, infinite where that is zero [length].
 
-    The last term matters only where the first two vanish: a support at zero (u_j = 0 as a row) holds its unknown at the
-    rounding of its body's largest displacement, and without it that rounding would be measured against itself.
+    It is zero where it is no more than the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies
+    that the row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
+    measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
     """
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
@@ -112,8 +113,9 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     entries = rows.tocoo()
     of_bodies = np.zeros(rows.shape[0])
     np.maximum.at(of_bodies, entries.row, largest[body[entries.col]])
-    rounding = SMALL_LENGTH * np.sqrt(own_compliance(problem, rows)) * of_bodies
-    return np.asarray(abs(rows) @ abs(displacement) + abs(limit) + rounding)
+    length = abs(rows) @ abs(displacement) + abs(limit)
+    zero = length <= ROUNDING_OF_LENGTH * np.sqrt(own_compliance(problem, rows)) * of_bodies
+    return np.where(zero, np.inf, length)
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:

@@ -57,6 +57,8 @@ def find(name: str) -> Method:
     BackendMissing
         It exists and its package is not installed; the pip command is given.
     """
+    if not isinstance(name, str):
+        raise Unsupported(f"method: expected a name, got {name!r}")
     if name not in _REGISTRY:
         near = difflib.get_close_matches(name, _REGISTRY, n=3) or sorted(_REGISTRY)
         raise Unsupported(f"no method is called {name!r}; nearest: {', '.join(near)}")

@@ -8,17 +8,19 @@ springs whose force a proximal iteration removes; every pass ends with a look at
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation, condense
 from contactqp.delassus import Delassus, delassus
-from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.existence import refuse_conflict
+from contactqp.errors import NotConverged
 from contactqp.methods.method import Method, Settings
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import BALANCED, SaddlePoint
+from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate
 
 # Relative excess or tension that a double-precision Delassus operator cannot tell from zero.
@@ -33,38 +35,46 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
 
     Raises
     ------
-    NoEquilibrium
-        The constraints conflict; the message names them.
     NotConverged
-        `max_iter` steps did not suffice (by default 50 for each contact and 200 more).
+        No set was found: the constraints conflict, or `max_iter` steps (by default 50 for each contact and 200 more)
+        did not suffice.
     """
     condensation = condense(problem)
     operator = delassus(condensation)
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_problem(problem, load, inner).load_size
-    m = problem.contacts
-    limit = settings.max_iter or 50 * m + 200
+    limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
     anchor = _rigid_answer(problem, operator, load)
-    force = _warm(settings, operator, m)
+    force = _warm(settings, operator, problem.contacts)
     steps = 0
     for _ in range(PROXIMAL_STEPS):
+        if steps >= limit:
+            raise NotConverged(f"active-set: no contact set was found in {steps} steps")
         free = operator.free_response(load, anchor)
         try:
             force, taken = _closed_by(operator, problem, free, force, limit - steps)
-        except Infeasible:
-            refuse_conflict(problem, condensation)
-            raise NoEquilibrium("the constraints conflict to rounding: no displacement satisfies all of them") from None
+        except Infeasible:  # or so it looks through the anchors' springs
+            break
         steps += taken
-        displaced = operator.displaced(free, force)
-        closed = np.flatnonzero(force[:m] > 0)
+        anchor = operator.displaced(free, force)
+        closed = np.flatnonzero(force[: problem.contacts] > 0)
         answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
             x, normal_force, tie_force = answer
             return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
-        if steps >= limit:
+        if not condensation.rigid.count:
             break
-        anchor = displaced
-    raise NotConverged(f"active-set: no contact set was found in {steps} steps")
+    return _without_anchors(problem, settings, steps)
+
+
+def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
+    """Lemke's finite pivoting, which needs no anchors: for bodies whose stiffnesses lie too far apart for them."""
+    from contactqp.methods.lemke import solve_lemke
+
+    twin, scaling = nondimensional(problem)
+    candidate = scaling.unscale(solve_lemke(twin, replace(settings, warm_start=None, options={})))
+    pivots = candidate.iterations or 0
+    return replace(candidate, iterations=steps + pivots, status=f"by {pivots} pivots of Lemke's method")
 
 
 def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> Vector:

@@ -1,0 +1,101 @@
+"""Redundant, conflicting, nearly equal and far-apart rows; soft supports; stacks of loose bodies: right or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.factorization import null_space
+
+
+def test_of_two_parallel_contacts_the_nearer_carries() -> None:
+    """The stops are 8e-15 apart, and the farther one has the larger row."""
+    problem = cq.ContactProblem(np.eye(2), [-5e4, 1e4], [[0.0, 128.0], [0.0, 1 / 64]], [1e-12, 0.0])
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([0.0, 640000.0], rel=1e-12)
+    assert solution.certificate.proven
+
+
+@pytest.mark.parametrize("d", [1e-13, 1e-9, 1e-8, 1e-7])
+def test_dependent_rows_that_differ_in_their_last_digits(d: float) -> None:
+    """A tie and two contacts say u1 <= -d, a third contact u1 <= 0: the third never carries."""
+    K = [[2.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 1.0]]
+    E = [[1.0, -1.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]
+    solution = cq.solve(cq.ContactProblem(K, [0.0, -1.0, 8000.0], E, [0.5, 0.0, -d], tie=[[-1.0, -1.0, 1.0]]))
+    assert solution.normal_force[1] == 0.0
+    assert solution.displacement[1] == pytest.approx(-d, rel=1e-9)
+    assert solution.certificate.proven
+
+
+def test_what_cannot_be_repaired_does_not_pass() -> None:
+    """Opposite walls that leave no room: no displacement near the candidate is feasible, and that speaks against it."""
+    problem = cq.ContactProblem(np.eye(1), [0.0], [[1.0], [-1.0]], [1.0, -1.0 - 1e-12])
+    certificate = cq.certify(problem, [1.0], [0.0, 1.0])
+    assert not certificate.passed
+    assert not certificate.proven
+
+
+def test_conflicts_by_a_hair_are_named() -> None:
+    problem = cq.ContactProblem(np.eye(2), [0.0, 0.0], [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - 1e-8])
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1"):
+        cq.solve(problem)
+
+
+@pytest.mark.parametrize("softness", [1e-9, 1e-12])
+@pytest.mark.parametrize("springs", [100, 1000])
+def test_a_soft_support_is_a_support(springs: int, softness: float) -> None:
+    """Its force is spread over all unknowns of the lowest motion; its energy is not."""
+    K = sp.diags([np.r_[1.0, np.full(springs - 1, 2.0), 1.0], -np.ones(springs), -np.ones(springs)], [0, 1, -1]).tolil()
+    assert null_space(K).count == 1
+    K[0, 0] += softness
+    assert null_space(K).count == 0
+
+
+@pytest.mark.parametrize("stiffness", [(1e6, 1e-6, 1e6), (1e-6, 1e6, 1e-6), (1.0, 1e9, 1e-3, 1e6, 1e-9, 1.0)])
+def test_stacks_of_loose_bodies_with_far_apart_stiffness(stiffness: tuple[float, ...]) -> None:
+    """Each block of two masses and a spring rests on the one before: forces 2, 4, ... from the top."""
+    count = len(stiffness)
+    K = sp.block_diag([k * np.array([[1.0, -1.0], [-1.0, 1.0]]) for k in stiffness]).toarray()
+    E = np.zeros((count, 2 * count))
+    E[0, 0] = -1.0
+    for i in range(1, count):
+        E[i, 2 * i - 1], E[i, 2 * i] = 1.0, -1.0
+    problem = cq.ContactProblem(K, np.full(2 * count, -1.0), E, np.zeros(count))
+    assert cq.solve(problem).normal_force == pytest.approx([2.0 * (count - i) for i in range(count)], rel=1e-9)
+
+
+def test_forces_on_rigid_motions_strain_nothing_and_pass() -> None:
+    mass = cq.ContactProblem(
+        np.diag([2.0, 2.0, 0.0]), [1.0, 0.0, -10.0], [[1.0, 1.0, -1.0]], [0.0], tie=[[1.0, 1.0, 0.0]]
+    )
+    solution = cq.solve(mass)
+    assert solution.normal_force == pytest.approx([10.0])
+    assert not cq.certify(mass, solution.displacement, [10.01], tie_force=solution.tie_force).passed
+
+
+def test_rows_whose_squares_are_no_doubles_are_refused() -> None:
+    with pytest.raises(cq.InvalidProblem, match="contact 0 has the size"):
+        cq.ContactProblem([[1.0]], [1.0], [[1e-310]], [0.1])
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [dict(tolerance=float("nan")), dict(tolerance="a"), dict(max_iter=0), dict(polish="no"), dict(condense=1),
+     dict(warm_start=3), dict(time_limit=-1.0)],
+)  # fmt: skip
+def test_arguments_are_checked(argument: dict[str, object]) -> None:
+    problem = cq.ContactProblem([[1.0]], [1.0], [[1.0]], [0.1])
+    with pytest.raises(cq.InvalidProblem):
+        cq.solve(problem, **argument)  # type: ignore[arg-type]
+
+
+def test_a_thousand_unknowns_held_by_contact_alone() -> None:
+    """A floating chain of 1000 springs pressed on a wall: the wall carries the whole load."""
+    n = 1001
+    K = sp.diags([np.r_[1.0, np.full(n - 2, 2.0), 1.0], -np.ones(n - 1), -np.ones(n - 1)], [0, 1, -1])
+    problem = cq.ContactProblem(K.tocsc(), np.full(n, 1e-3), np.eye(1, n, n - 1), [0.5])
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([1.001], rel=1e-12)
+    assert solution.certificate.proven
