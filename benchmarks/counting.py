@@ -47,11 +47,11 @@ def rates(reports: Iterable[Report], methods: Iterable[str]) -> dict[str, tuple[
 
 
 def ratios(reports: Iterable[Report]) -> dict[tuple[str, str], np.ndarray]:
-    """(figure, kind) -> bound / true error on well-posed problems, of true errors well above rounding."""
+    """(figure, kind) -> bound / true error on well-posed problems; of errors well above rounding, infinite bounds aside."""
     found: dict[tuple[str, str], list[float]] = defaultdict(list)
     for report in reports:
         for b in report.bounds if report.well_posed else ():
-            if MEANINGFUL <= b.error < np.inf:
+            if b.error >= MEANINGFUL and b.bound < np.inf:
                 found[b.figure, b.kind].append(b.bound / b.error)
     return {key: np.array(values) for key, values in sorted(found.items())}
 
@@ -174,8 +174,10 @@ def _method_lines(reports: list[Report], methods: list[str]) -> Iterator[str]:
 def _bound_lines(reports: list[Report]) -> Iterator[str]:
     below = Counter((b.figure, b.kind) for r in reports for b in r.bounds if b.below)
     compared = Counter((b.figure, b.kind) for r in reports for b in r.bounds)
-    heads = f"{'compared':>10s}{'below':>8s}{'median ratio':>14s}{'99 %':>10s}{'max':>10s}"
+    unbounded = Counter((b.figure, b.kind) for r in reports for b in r.bounds if b.bound == np.inf)
+    heads = f"{'compared':>10s}{'below':>8s}{'infinite':>10s}{'median ratio':>14s}{'99 %':>10s}{'max':>10s}"
     yield f"{'bound':14s}{'of answers':12s}{heads}"
     for (figure, kind), values in ratios(reports).items():
         numbers = f"{np.median(values):>14.3g}{np.percentile(values, 99):>10.3g}{np.max(values):>10.3g}"
-        yield f"{figure:14s}{kind:12s}{compared[figure, kind]:>10d}{below[figure, kind]:>8d}{numbers}"
+        key = (figure, kind)
+        yield f"{figure:14s}{kind:12s}{compared[key]:>10d}{below[key]:>8d}{unbounded[key]:>10d}{numbers}"

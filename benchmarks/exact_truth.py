@@ -87,6 +87,14 @@ class Truth:
         """Whether |u*|_K and |l*|_W are next to nothing and judged against `size`."""
         return self._sizes[0] <= TINY * self.size, self._sizes[1] <= TINY * self.size
 
+    @cached_property
+    def force_size(self) -> float:
+        """The largest contact force, or the one that the size of the problem stands for where that is next to nothing."""
+        if not self.tiny[1]:
+            return float(np.max(abs(floats(self.force))))
+        compliance = max(number(self.compliance[i, i]) for i in range(self.compliance.nrows()))
+        return self.size / np.sqrt(compliance) if self.size > 0 < compliance else 1.0
+
     def rounded(self) -> tuple[np.ndarray, np.ndarray]:
         """The displacement and the forces in the nearest floats."""
         return floats(self.displacement), floats(self.force)

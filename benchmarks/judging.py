@@ -124,7 +124,7 @@ def _truth(problem: cq.ContactProblem, solution: Any) -> tuple[Truth | None, str
 def attempt(problem: cq.ContactProblem, method: str) -> tuple[Any, BaseException | None]:
     """The solution, or None and what was raised."""
     name, _, way = method.partition(" ")
-    options: dict[str, Any] = {"update": way} if way else {}
+    options: dict[str, Any] = {"update": way, "max_iter": 100} if way else {}  # 100 show whether it converges
     if find(name).kind == "quadratic program" and "no time limit" not in find(name).note:
         options["time_limit"] = PATIENCE  # HiGHS cycles for ever on some of these
     for knob in find(name).required:
@@ -201,7 +201,7 @@ def _bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterat
         if (bound := getattr(certificate, figure)) is not None:
             yield Bounded(figure, source, float(bound), min(relative, absolute) if tiny else relative)
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
-        scale = float(np.max(abs(floats(truth.force)))) or 1.0
+        scale = truth.force_size
         worst = int(np.argmax(errors.contact - certificate.force_bound))
         bound = float(certificate.force_bound[worst])
         yield Bounded("force_bound", source, bound / scale, float(errors.contact[worst]) / scale)

@@ -50,7 +50,7 @@ from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
 from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint
-from contactqp.violations import Answer, forces_that_meet, own_compliance
+from contactqp.violations import Answer, forces_that_meet, lengths_that_meet, own_compliance
 
 # The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its
 # energies.
@@ -138,7 +138,7 @@ def _pair(problem: ContactProblem, answer: Answer, condensation: Condensation) -
 def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Condensation) -> list[NDArray[np.intp]]:
     """The contacts closed by gap and force together, and, should these disagree, by either alone."""
     u, force = answer.displacement, answer.normal_force
-    length = abs(problem.normal) @ abs(u) + abs(problem.gap)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
     size = force * np.sqrt(delassus(condensation).compliance[: problem.contacts])
     pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
@@ -188,7 +188,7 @@ def _close(
     """The nearest displacement (in energy) on which the set is closed, the set growing by what this penetrates."""
     rows = extended_rows(problem)
     start = extend(answer.displacement)
-    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     for _ in range(problem.contacts + 1):
         saddle = SaddlePoint(condensation, closed)
         step = extend(np.zeros(problem.dimension))
@@ -288,6 +288,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     middle = extend(answer.displacement) + pair.to_middle
     energy_scale = _energy_scale(problem, condensation, middle)
     rounding += VANISHING * energy_scale
+    energy_scale = 0.0 if energy_scale <= rounding else energy_scale
     force_size = _force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
     # nothing.
@@ -298,7 +299,9 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if force_bound is not None and force_scale > 0:
         relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(force_scale, force_size)
     return Bounds(
-        energy_error=_relative(_energy_norm(problem, pair.to_middle) + pair.radius, energy_scale, pair.radius, np.inf),
+        energy_error=_relative(
+            _energy_norm(problem, pair.to_middle) + pair.radius, energy_scale, pair.radius, rounding
+        ),
         force_error=force_error,
         force_bound=force_bound,
         energy_scale=energy_scale,
@@ -378,7 +381,7 @@ def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: _Pair
 ) -> tuple[Vector | None, str | None]:
     """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
-    length = abs(problem.normal) @ abs(answer.displacement) + abs(problem.gap)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     active = np.flatnonzero(pair.open_gap <= ROUNDING * length)
     saddle = SaddlePoint(condensation, active)
     if saddle.redundant:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import UNRESISTED, Condensation
+from contactqp.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.delassus import delassus
 from contactqp.extended import Extended, extend, extended_rows
 from contactqp.factorization import Array
@@ -207,11 +207,11 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
     """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
     u, push, tie = answer.displacement.double(), answer.normal_force.positive_part().double(), answer.tie_force.double()
-    root = np.sqrt(problem.stiffness.diagonal())
+    root = 1.0 / unknown_scale(problem)
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
-    loads = np.divide(abs(problem.load), root, out=np.zeros_like(root), where=root > 0)
+    loads = abs(problem.load) / root
     largest = max(np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads))
-    u[(root > 0) & (root * abs(u) < INVISIBLE * largest)] = 0.0
+    u[root * abs(u) < INVISIBLE * largest] = 0.0
     force[size * abs(force) <= INVISIBLE * largest] = 0.0
     return u, force[: len(push)], force[len(push) :]
 
@@ -221,7 +221,7 @@ def least_displacement(problem: ContactProblem, condensation: Condensation, answ
 
     Returns the answer there and an orthonormal basis (n, q) of those motions.
     """
-    u, force, tie = answer.displacement.double(), answer.normal_force.double(), answer.tie_force.double()
+    u, force, tie = without_noise(problem, condensation, answer)
     shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
     if not free.shape[1]:
         return answer, free

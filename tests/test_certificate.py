@@ -333,7 +333,7 @@ def test_a_support_held_as_a_row_may_move_by_rounding() -> None:
     K = 1e5 * np.array([[1.0, -1.0], [-1.0, 2.0]])
     problem = cq.ContactProblem(K, [0.0, 200.0], [[0.0, 1.0]], [5e-4], tie=[[1.0, 0.0]])
     solution = cq.solve(problem)
-    moved = solution.displacement + [1e-19, 0.0]
+    moved = solution.displacement + np.array([1e-19, 0.0])
     assert cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed
-    moved = solution.displacement + [1e-9, 0.0]
+    moved = solution.displacement + np.array([1e-9, 0.0])
     assert not cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed

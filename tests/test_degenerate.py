@@ -99,3 +99,35 @@ def test_a_thousand_unknowns_held_by_contact_alone() -> None:
     solution = cq.solve(problem)
     assert solution.normal_force == pytest.approx([1.001], rel=1e-12)
     assert solution.certificate.proven
+
+
+def test_a_loose_body_beside_a_touching_one_stays_at_its_least_displacement() -> None:
+    """Two floating springs: one is pressed on a stop, the other, under balanced loads, is free."""
+    K = sp.block_diag(
+        [9.0 * np.array([[1.0, -1.0], [-1.0, 1.0]]), 4.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])]
+    ).toarray()
+    E = [
+        [-1.0, 1.0, 1.0, 1.0],
+        [1.0, -1.0, 0.0, 0.0],
+        [-1.0, -1.0, 0.0, -1.0],
+        [0.0, 0.0, 0.0, 1.0],
+        [0.0, 1.0, -1.0, 0.0],
+    ]
+    solution = cq.solve(cq.ContactProblem(K, [-4.0, 4.0, 0.0, 8.0], E, [2.0, 0.0, 0.0, 0.0, 1.0]))
+    assert solution.displacement == pytest.approx([-2 / 9, 2 / 9, 0.0, 0.0], abs=1e-15)
+    assert [motion.description for motion in solution.free_motions] == ["unknown 0 by +1, unknown 1 by +1"]
+
+
+def test_nothing_moves_and_nothing_pushes() -> None:
+    """A tie takes the whole load: the displacement is zero, and so are its energy and the contact forces."""
+    problem = cq.ContactProblem(
+        [[8.0, -8.0], [-8.0, 9.0]],
+        [-6.0, 6.0],
+        [[-1.0, 1.0], [0.0, -1.0], [1.0, -1.0]],
+        [0.0, 0.0, 1.0],
+        tie=[[1.0, -1.0]],
+    )
+    solution = cq.solve(problem)
+    assert solution.tie_force == pytest.approx([-6.0])
+    assert not np.any(solution.displacement)
+    assert not cq.certify(problem, [1e-3, 1e-3], np.zeros(3), tie_force=[-6.0]).passed
