@@ -49,7 +49,7 @@ from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
 from contactqp.polishing import ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint
+from contactqp.saddle import SaddlePoint, saddle_point
 from contactqp.violations import Answer, forces_that_meet, lengths_that_meet, own_compliance
 
 # The set of closed contacts is repaired, not searched for: a candidate whose set is further off has the bound of its
@@ -190,7 +190,7 @@ def _close(
     start = extend(answer.displacement)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     for _ in range(problem.contacts + 1):
-        saddle = SaddlePoint(condensation, closed)
+        saddle = saddle_point(condensation, closed)
         step = extend(np.zeros(problem.dimension))
         for _ in range(4):
             gap = extend(problem.gap) - rows.normal @ (start + step)
@@ -237,7 +237,7 @@ def _response(
     K u + A'eta = P force and A u = 0 where tied, K u = P force where not; P leaves the rigid part of the force out.
     """
     rows = extended_rows(problem)
-    saddle = SaddlePoint(condensation, np.zeros(0, dtype=np.intp), tied)
+    saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
     force = _without_rigid_part(condensation, force)
     u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
     last = np.inf
@@ -383,7 +383,7 @@ def _force_bound(
     """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     active = np.flatnonzero(pair.open_gap <= ROUNDING * length)
-    saddle = SaddlePoint(condensation, active)
+    saddle = saddle_point(condensation, active)
     if saddle.redundant:
         return None, "the closed contacts and ties are redundant: their forces are not unique"
     m, count = problem.contacts, len(active)

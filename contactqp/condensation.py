@@ -50,6 +50,7 @@ class Condensation:
         self.delassus: list[
             Any
         ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
+        self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
         self.factorisations = 0
         self.back_substitutions = 0
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)

@@ -18,7 +18,7 @@ from contactqp.extended import Extended, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint
+from contactqp.saddle import SaddlePoint, saddle_point
 from contactqp.violations import Answer, force_measure, forces_that_meet, lengths_that_meet, own_compliance
 
 # Refinement stops when a sweep no longer halves the correction; good sets need three or four.
@@ -52,7 +52,7 @@ def answer_on(
     Free motions of the start stay as they are.
     """
     rows = extended_rows(problem)
-    saddle = SaddlePoint(condensation, closed)
+    saddle = saddle_point(condensation, closed)
     u = extend(np.zeros(problem.dimension) if start is None else start)
     force, tie = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
     size_of = _CorrectionSize(problem, condensation, closed)
@@ -237,7 +237,7 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
     none = np.zeros((problem.dimension, 0))
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), none
-    scaled = SaddlePoint(condensation, pushing_contacts(problem, answer)).free
+    scaled = saddle_point(condensation, pushing_contacts(problem, answer)).free
     if not scaled.shape[1]:
         return np.zeros(problem.dimension), none
     motions = condensation.rigid.motions

@@ -20,6 +20,8 @@ from contactqp.problem import Vector
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
+# Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
+KEPT = 6
 # The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
 BALANCED = 1e-10
 # So is a push of this part of all forces on motions that lie where no force acts.
@@ -112,6 +114,17 @@ class SaddlePoint:
         part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
         rounding = max(part * float(size @ abs(motion)), float(idle * (push @ push) ** 0.5 * (size @ size) ** 0.5))
         return motion if float(push @ push) > rounding else np.zeros(len(load))
+
+
+def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
+    """The factorisation for a set of closed contacts; the last few are kept, since polish and certificate ask alike."""
+    kept: dict[tuple[bytes, bool], SaddlePoint] = condensation.saddles
+    key = (np.asarray(closed, dtype=np.intp).tobytes(), tied)
+    if key not in kept:
+        if len(kept) >= KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = SaddlePoint(condensation, closed, tied)
+    return kept[key]
 
 
 def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:

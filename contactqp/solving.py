@@ -17,7 +17,7 @@ from contactqp.methods import Method, Settings, find
 from contactqp.polishing import closed_contacts, least_displacement, shift_to_least_norm, without_noise
 from contactqp.polishing import polish as polish_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint
+from contactqp.saddle import saddle_point
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
 from contactqp.violations import Answer
@@ -102,7 +102,7 @@ def solve(
     meter = _Meter(problem)
     way = condensation_of(problem)
     refuse_driven_motion(problem, way)
-    if not chosen.semidefinite and SaddlePoint(way, np.zeros(0, dtype=np.intp)).free.shape[1]:
+    if not chosen.semidefinite and saddle_point(way, np.zeros(0, dtype=np.intp)).free.shape[1]:
         raise Unsupported(f"{method}: bodies held by contact alone (the stiffness is singular); try active-set")
     try:
         candidate = _run(problem, chosen, settings, way, condense)
@@ -211,7 +211,7 @@ def _linear(problem: ContactProblem, way: Condensation) -> Candidate:
     """Without contacts and ties there is one linear system and nothing to choose."""
     none = np.zeros(0)
     load, inner = way.reduce_load(problem.load)
-    x, _, _ = SaddlePoint(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
+    x, _, _ = saddle_point(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
     return Candidate(way.expand(x, inner), none, none, status="a linear system")
 
 

@@ -19,7 +19,7 @@ from contactqp.errors import NotConverged
 from contactqp.methods.method import Method, Settings
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import BALANCED, SaddlePoint
+from contactqp.saddle import BALANCED, saddle_point
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate
 
@@ -171,7 +171,7 @@ def _equilibrium_on(
     closed: NDArray[np.intp],
 ) -> tuple[Vector, Vector, Vector] | None:
     """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
-    saddle = SaddlePoint(condensation, closed)
+    saddle = saddle_point(condensation, closed)
     if np.any(saddle.drive(load, size)):
         return None
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
