@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
+from contactqp.methods import methods
 from contactqp.scene.claims import Claim
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
@@ -191,6 +192,10 @@ def _contacts_fit(scene: Scene, unknowns: Unknowns) -> None:
         touched = {name for node in contact.touched for name in of_node(scene, node)}
         if unknowns.fixed.issuperset(touched):
             raise SceneError(f"contacts[{i}] ({contact.name!r}): expected a node that can move, got fixed ones only")
+        if contact.friction and len(scene.axes) == 1:
+            raise SceneError(
+                f"contacts[{i}].friction ({contact.name!r}): expected a scene of two axes or three, got one"
+            )
 
 
 def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
@@ -227,6 +232,25 @@ def _claims_fit(scene: Scene, unknowns: Unknowns) -> None:
     for key in ("expect", "published"):
         for i, claim in enumerate(getattr(scene, key)):
             _claim_fits(f"{key}[{i}]", claim, scene, places)
+            if claim.method is not None:
+                _method_fits(f"{key}[{i}]", claim.method, claim.knobs)
+    for i, study in enumerate(scene.study):
+        _method_fits(f"study[{i}]", study.method, dict([study.knob]))
+
+
+def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
+    """The method exists, and its knobs are its own, of values that it can have."""
+    known = {method.name: method for method in methods()}
+    if name not in known:
+        raise SceneError(f"{where}.method: {unknown(name, known, 'method')}")
+    for knob, stated in knobs.items():
+        if knob not in (*known[name].options, "tolerance", "update"):
+            raise SceneError(f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(known[name].options)}")
+        for value in stated if isinstance(stated, tuple) else (stated,):
+            size: Any = getattr(value, "si", value)
+            # Without a penalty the augmented Lagrangian is the Lagrange multiplier method.
+            if not isinstance(size, str) and (size < 0 or (size == 0 and not known[name].exact)):
+                raise SceneError(f"{where}.{knob}: expected positive values, got {float(size):g}")
 
 
 def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:

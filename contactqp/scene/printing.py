@@ -11,6 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from contactqp.methods import Method
 from contactqp.scene.expectations import Comparison, Shown
@@ -77,10 +78,10 @@ def _trial(judgement: Judgement) -> list[str]:
     return [str(judgement.trial), "passed" if judgement.solution.certificate.passed else "refuses"]
 
 
-def _comparison(row: Comparison) -> list[str]:
-    mark = "[green]met[/green]" if row.ok else "[red]NOT MET[/red]"
+def _comparison(row: Comparison) -> list[str | Text]:
+    mark = Text("met", style="green") if row.ok else Text("NOT MET", style="red")
     if row.verdict is not None:
-        mark = f"{row.verdict}, as stated" if row.ok else f"[red]NOT {row.verdict}, as stated[/red]"
+        mark = Text(f"{row.verdict}, as stated") if row.ok else Text(f"NOT {row.verdict}, as stated", style="red")
     return [
         row.quantity,
         _shown(row.expected),
@@ -102,12 +103,12 @@ def _number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def _print(console: Console, header: list[str], rows: list[list[str]]) -> None:
+def _print(console: Console, header: list[str], rows: Sequence[Sequence[str | Text]]) -> None:
     if not rows:
         return
     table = Table(*(escape(text) for text in header), box=box.SIMPLE, pad_edge=False)
     for row in rows[:MOST_ROWS]:
-        table.add_row(*(text if text.startswith("[") or "[/" in text else escape(text) for text in row))
+        table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     console.print(table)
     if len(rows) > MOST_ROWS:
         console.print(f"... and {len(rows) - MOST_ROWS} more rows (--json has all)")

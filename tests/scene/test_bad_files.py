@@ -297,3 +297,36 @@ def test_a_windows_file_is_read(tmp_path, capsys):
     with pytest.raises(SystemExit) as exit_:
         main(["explain", str(file)])
     assert exit_.value.code == 0, capsys.readouterr().err
+
+
+WALL = (Path(__file__).parents[2] / "cases" / "bar_wall.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            '[[study]]\nmethod = "penalty"',
+            '[[study]]\nmethod = "penlaty"',
+            "study[0].method: there is no method 'penlaty'",
+        ),
+        ('penalty = ["1e4 kN/m"', 'penalty = ["-1e4 kN/m"', "study[0].penalty: expected positive values"),
+        ('[[study]]\nmethod = "penalty"', '[[study]]\nmethod = "lemke"', "study[0].penalty: 'lemke' has no such knob"),
+        ('obstacle = "wall" }', 'obstacle = "wall", friction = 0.3 }', "contacts[0].friction ('tip')"),
+    ],
+)
+def test_what_only_a_shipped_case_shows(old, new, words, tmp_path, capsys):
+    assert old in WALL
+    file = tmp_path / "wall.toml"
+    file.write_text(WALL.replace(old, new, 1))
+    assert words in complaint(capsys, "run", str(file))
+
+
+def test_names_that_look_like_markup_are_printed_as_they_are(tmp_path, capsys):
+    file = tmp_path / "wall.toml"
+    file.write_text(WALL.replace('"tip"', '"[/]"'))
+    for command in ("run", "explain"):
+        with pytest.raises(SystemExit) as exit_:
+            main([command, str(file)])
+        assert exit_.value.code == 0
+        assert "[/]" in capsys.readouterr().out
