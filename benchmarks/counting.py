@@ -47,7 +47,7 @@ def rates(reports: Iterable[Report], methods: Iterable[str]) -> dict[str, tuple[
 
 
 def ratios(reports: Iterable[Report]) -> dict[tuple[str, str], np.ndarray]:
-    """(figure, kind) -> bound / true error on well-posed problems; of errors well above rounding, infinite bounds aside."""
+    """(figure, kind) -> bound / true error on well-posed problems; of errors well above rounding, finite bounds."""
     found: dict[tuple[str, str], list[float]] = defaultdict(list)
     for report in reports:
         for b in report.bounds if report.well_posed else ():

@@ -89,10 +89,10 @@ class Truth:
 
     @cached_property
     def force_size(self) -> float:
-        """The largest contact force, or the one that the size of the problem stands for where that is next to nothing."""
+        """The largest contact force; where that is next to nothing, what the size of the problem stands for."""
         if not self.tiny[1]:
             return float(np.max(abs(floats(self.force))))
-        compliance = max(number(self.compliance[i, i]) for i in range(self.compliance.nrows()))
+        compliance = max(floats(column(self.compliance[i, i] for i in range(self.compliance.nrows()))), default=0.0)
         return self.size / np.sqrt(compliance) if self.size > 0 < compliance else 1.0
 
     def rounded(self) -> tuple[np.ndarray, np.ndarray]:
