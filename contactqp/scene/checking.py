@@ -245,7 +245,9 @@ def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
         raise SceneError(f"{where}.method: {unknown(name, known, 'method')}")
     for knob, stated in knobs.items():
         if knob not in (*known[name].options, "tolerance", "update"):
-            raise SceneError(f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(known[name].options) or 'none'}")
+            raise SceneError(
+                f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(known[name].options) or 'none'}"
+            )
         for value in stated if isinstance(stated, tuple) else (stated,):
             size: Any = getattr(value, "si", value)
             # Without a penalty the augmented Lagrangian is the Lagrange multiplier method.
