@@ -52,7 +52,7 @@ def ratios(reports: Iterable[Report]) -> dict[tuple[str, str], np.ndarray]:
     for report in reports:
         for b in report.bounds if report.well_posed else ():
             if b.error >= MEANINGFUL and b.bound < np.inf:
-                found[b.figure, b.kind].append(b.bound / b.error)
+                found[b.figure, b.kind].append(b.bound / b.largest)
     return {key: np.array(values) for key, values in sorted(found.items())}
 
 

@@ -49,8 +49,7 @@ class Errors:
 
     energy: float  # |u - u*|_K / |u*|_K
     force: float  # |l - l*|_W / |l*|_W
-    energy_absolute: float
-    force_absolute: float
+    readings: dict[str, tuple[float, ...]]  # "energy_error", "force_error": what a bound of it may mean
     contact: np.ndarray | None  # (m,) |l_i - l_i*|, None where the forces are not unique
 
     @property
@@ -67,7 +66,8 @@ class Truth:
     unique_forces: bool
     tie_force: np.ndarray  # (k,) one of those that fit, rounded
     stiffness: fmpq_mat
-    compliance: fmpq_mat  # (m, m) W
+    compliance: fmpq_mat  # (m, m) W, of the tied bodies
+    untied: fmpq_mat | None  # (m, m) E K^-1 E', where K is regular and there are ties
     nullity: int  # of K
     free: int  # motions that neither K, A nor a closed contact resists
     pivots: int  # 0 where a guess was right
@@ -107,13 +107,29 @@ class Truth:
     def errors(self, displacement: np.ndarray, force: np.ndarray) -> Errors:
         """The errors of floats, relative; against the size of the problem where the truth is tiny."""
         if not (np.all(np.isfinite(displacement)) and np.all(np.isfinite(force))):
-            return Errors(np.inf, np.inf, np.inf, np.inf, None)
+            return Errors(np.inf, np.inf, {"energy_error": (np.inf,), "force_error": (np.inf,)}, None)
         du = column(displacement) - self.displacement
         dl = column(force) - self.force
         energy, pushed = _norm(self.stiffness, du), _norm(self.compliance, dl)
         scales = [self.size if tiny else size for tiny, size in zip(self.tiny, self._sizes, strict=True)]
+        loose = [] if self.untied is None else [_ratio(_norm(self.untied, dl), _norm(self.untied, self.force))]
         contact = abs(floats(dl)) if self.unique_forces else None
-        return Errors(_ratio(energy, scales[0]), _ratio(pushed, scales[1]), energy, pushed, contact)
+        readings = {
+            "energy_error": self._readings(energy, 0, []),
+            "force_error": self._readings(pushed, 1, loose),
+        }
+        return Errors(_ratio(energy, scales[0]), _ratio(pushed, scales[1]), readings, contact)
+
+    def _readings(self, error: float, which: int, others: list[float]) -> tuple[float, ...]:
+        """The least that a bound must exceed, and the largest that it may be compared with.
+
+        Where there are ties, the larger error with and without them; where the truth is next to nothing, relative to
+        itself, to the size of the problem, or absolute.
+        """
+        own = _ratio(error, self._sizes[which])
+        if self.tiny[which]:
+            return (own, _ratio(error, self.size), error)
+        return (max([own, *others]),)
 
 
 def _ratio(size: float, scale: float) -> float:
@@ -284,11 +300,18 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
         tie_force=_tie_force(problem, reduced, u, force),
         stiffness=reduced.K,
         compliance=reduced.W,
+        untied=_untied_compliance(reduced),
         nullity=reduced.K.nrows() - reduced.K.rank(),
         free=reduced.K.nrows() - held.rank(),
         pivots=pivots,
         reduced=reduced,
     )
+
+
+def _untied_compliance(reduced: Reduced) -> fmpq_mat | None:
+    if not reduced.A.nrows() or reduced.K.rank() < reduced.K.nrows():
+        return None
+    return reduced.E * reduced.K.solve(reduced.E.transpose())
 
 
 def _lemke(reduced: Reduced, max_pivots: int) -> tuple[fmpq_mat, fmpq_mat, int]:

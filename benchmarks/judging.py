@@ -51,7 +51,8 @@ class Bounded:
     figure: str  # energy_error, force_error, force_bound
     source: str  # method, raw method, or the way the truth was spoiled
     bound: float
-    error: float
+    error: float  # what it must exceed
+    largest: float  # the largest error that it may mean, where the truth is next to nothing
 
     @property
     def kind(self) -> str:
@@ -195,16 +196,14 @@ def _raw_is_wrong(
 
 def _bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterator[Bounded]:
     """The certificate's bounds with the true errors they are to exceed; a tiny truth may be meant absolutely."""
-    energy = ("energy_error", errors.energy, errors.energy_absolute)
-    force = ("force_error", errors.force, errors.force_absolute)
-    for (figure, relative, absolute), tiny in zip((energy, force), truth.tiny, strict=True):
+    for figure, readings in errors.readings.items():
         if (bound := getattr(certificate, figure)) is not None:
-            yield Bounded(figure, source, float(bound), min(relative, absolute) if tiny else relative)
+            yield Bounded(figure, source, float(bound), min(readings), max(readings))
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
         scale = truth.force_size
         worst = int(np.argmax(errors.contact - certificate.force_bound))
-        bound = float(certificate.force_bound[worst])
-        yield Bounded("force_bound", source, bound / scale, float(errors.contact[worst]) / scale)
+        bound, error = float(certificate.force_bound[worst]) / scale, float(errors.contact[worst]) / scale
+        yield Bounded("force_bound", source, bound, error, error)
 
 
 def _without_truth(problem: cq.ContactProblem, method: str, known: str) -> Outcome:

@@ -284,16 +284,16 @@ def _failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, toler
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
     # of a displacement without strain against the rounding of the displacement.
     pairs = (
-        ("energy_error", "displacement", known.energy_error, known.energy_scale, known.rigid_rounding),
-        ("force_error", "contact forces", known.force_error, known.force_scale, tolerance * known.energy_scale),
+        ("energy_error", "displacement", known.energy_scale, known.rigid_rounding, known.free_distance),
+        ("force_error", "contact forces", known.force_scale, tolerance * known.energy_scale, known.force_rounding),
     )
-    for name, what, value, scale, absolute in pairs:
+    for name, what, scale, absolute, forgiven in pairs:
+        value = getattr(known, name)
         if value is None:
             continue
-        limit = tolerance if scale > 0 else absolute
+        limit, size = (tolerance, scale) if scale > 0 else (absolute, 1.0)
         # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
-        beneath = known.rounding + (known.force_rounding if name == "force_error" else 0.0)
-        if not (value <= limit or value * (scale or 1.0) <= beneath):
+        if not value * size <= max(limit * size, known.rounding) + forgiven:
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
     relative = known.relative_force_bound

@@ -10,13 +10,16 @@ anchors' force away.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.factorization import Array, DenseCholesky
-from contactqp.problem import Vector
+from contactqp.problem import ContactProblem, Vector
 
 # Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
 ANCHOR = 1e-6
+# What a double-precision operator cannot tell from zero, relative to the lengths that meet.
+OPERATOR_ROUNDING = 1e-12
 
 
 class Delassus:
@@ -47,9 +50,12 @@ class Delassus:
         """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""
         return self._solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
-    def excess(self, displacement: Vector, limit: Vector) -> Vector:
-        """Scaled [E; A] x - (g; b) of a scaled displacement: positive where a contact is penetrated."""
-        return np.asarray(self.row_scale * (self.rows @ displacement - limit))
+    def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, NDArray[np.bool_], Vector]:
+        """W, the excess of every row in the scaled displacement `free`, which rows are ties, what excess is none."""
+        limit = np.concatenate([problem.gap, problem.tie_value])
+        tolerance = OPERATOR_ROUNDING * self.row_scale * (abs(self.rows) @ abs(free) + abs(limit))
+        excess = self.row_scale * (self.rows @ free - limit)
+        return self.W, excess, np.arange(len(limit)) >= problem.contacts, tolerance
 
     def displaced(self, free: Vector, force: Vector) -> Vector:
         """The scaled displacement under scaled contact and tie forces."""

@@ -18,7 +18,7 @@ from contactqp.extended import Extended, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint, saddle_point
+from contactqp.saddle import SaddlePoint, free_motions, saddle_point
 from contactqp.violations import Answer, force_measure, forces_that_meet, lengths_that_meet, own_compliance
 
 # Refinement stops when a sweep no longer halves the correction; good sets need three or four.
@@ -28,7 +28,7 @@ INVISIBLE = 1e-22
 # Corrections of this part of the first are far below what any user of doubles can see.
 NEGLIGIBLE = 1e-24
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
-ROUNDING = 8 * np.finfo(float).eps
+WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def polish(
 def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
     u = answer.displacement.double()
     missing = abs((extend(problem.tie_value) - extended_rows(problem).tie @ answer.displacement).double())
-    return bool(np.all(missing <= ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)))
+    return bool(np.all(missing <= WITHIN_ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)))
 
 
 def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
@@ -152,7 +152,7 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
     excess = (-answer.gap.double() / length)[closed[dependent]]
-    if not np.any(excess > ROUNDING):
+    if not np.any(excess > WITHIN_ROUNDING):
         return None
     leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.normal_force.double()[closed])
     return closed if leaving is None else np.delete(closed, leaving)
@@ -163,9 +163,9 @@ def _wrong(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts in tension and contacts penetrated, beyond rounding."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
-    penetrated = np.flatnonzero(-answer.gap.double() > ROUNDING * length)
+    penetrated = np.flatnonzero(-answer.gap.double() > WITHIN_ROUNDING * length)
     doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
-    return np.flatnonzero(_push(problem, doubles) < -ROUNDING), np.setdiff1d(penetrated, closed)
+    return np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING), np.setdiff1d(penetrated, closed)
 
 
 def _reached_by_drive(
@@ -234,16 +234,11 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
 
     Returns the shift (n,) and an orthonormal basis (n, q) of the motions.
     """
-    none = np.zeros((problem.dimension, 0))
     if not condensation.rigid.count:
-        return np.zeros(problem.dimension), none
-    scaled = saddle_point(condensation, pushing_contacts(problem, answer)).free
-    if not scaled.shape[1]:
-        return np.zeros(problem.dimension), none
-    motions = condensation.rigid.motions
-    retained = condensation.scale[:, None] * scaled
-    coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
-    free, _ = np.linalg.qr(motions @ coordinates)
+        return np.zeros(problem.dimension), condensation.rigid.motions
+    free = free_motions(condensation, saddle_point(condensation, pushing_contacts(problem, answer)))
+    if not free.shape[1]:
+        return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
     motion_size = np.max(np.sqrt(problem.stiffness.diagonal())[:, None] * abs(free))
@@ -256,7 +251,7 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
 
 def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
     """Contacts with a force beyond rounding."""
-    return np.asarray(np.flatnonzero(_push(problem, answer) > ROUNDING))
+    return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
 
 
 def _push(problem: ContactProblem, answer: Answer) -> Vector:

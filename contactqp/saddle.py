@@ -116,6 +116,16 @@ class SaddlePoint:
         return motion if float(push @ push) > rounding else np.zeros(len(load))
 
 
+def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
+    """An orthonormal basis (n, q) of the motions of all unknowns that neither K nor a row of the set resists."""
+    motions = condensation.rigid.motions
+    if not saddle.free.shape[1]:
+        return motions[:, :0]
+    retained = condensation.scale[:, None] * saddle.free
+    coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
+    return np.asarray(np.linalg.qr(motions @ coordinates)[0])
+
+
 def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
     """The factorisation for a set of closed contacts; the last few are kept, since polish and certificate ask alike."""
     kept: dict[tuple[bytes, bool], SaddlePoint] = condensation.saddles

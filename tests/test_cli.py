@@ -87,6 +87,12 @@ def test_knobs_have_units(capsys):
         assert words in err
 
 
+def test_a_knob_that_nobody_states_is_exit_2_and_named_as_on_the_command_line(capsys):
+    code, _, err = run(capsys, "run", CASES / "tie_symmetry.toml", "--method", "penalty")
+    assert code == 2
+    assert "--penalty" in err
+
+
 def test_options_reach_the_method(capsys):
     code, _, _ = run(capsys, "run", WALL, "--method", "augmented-lagrangian", "--option", "update=uzawa")
     assert code == 0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation, condense
-from contactqp.delassus import Delassus, delassus
+from contactqp.delassus import OPERATOR_ROUNDING, Delassus, delassus
 from contactqp.errors import NotConverged
 from contactqp.methods.method import Method, Settings
 from contactqp.nonnegative import Infeasible, dual_active_set
@@ -23,8 +23,6 @@ from contactqp.saddle import BALANCED, saddle_point
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate
 
-# Relative excess or tension that a double-precision Delassus operator cannot tell from zero.
-ROUNDING = 1e-12
 # More steps than this mean that the sets alternate; the safeguard is cheaper.
 PRIMAL_DUAL_STEPS = 40
 PROXIMAL_STEPS = 60
@@ -85,7 +83,7 @@ def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> 
     motions, scaled_load = operator.motions, load * operator.scale
     drive = motions.T @ scaled_load
     none = np.zeros(len(load))
-    if not motions.shape[1] or np.linalg.norm(drive) <= ROUNDING * np.linalg.norm(scaled_load):
+    if not motions.shape[1] or np.linalg.norm(drive) <= OPERATOR_ROUNDING * np.linalg.norm(scaled_load):
         return none
     from scipy.optimize import linprog
 
@@ -119,14 +117,11 @@ def _closed_by(
     operator: Delassus, problem: ContactProblem, free: Vector, force: Vector, limit: int
 ) -> tuple[Vector, int]:
     """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back."""
-    bound = np.concatenate([problem.gap, problem.tie_value])
-    excess = operator.excess(free, bound)
-    tolerance = ROUNDING * operator.row_scale * (abs(operator.rows) @ abs(free) + abs(bound))
-    tied = np.arange(len(bound)) >= problem.contacts
-    force, steps, done = _primal_dual(operator.W, excess, tied, tolerance, force, min(limit, PRIMAL_DUAL_STEPS))
+    data = operator.dual_data(problem, free)
+    force, steps, done = _primal_dual(*data, force, min(limit, PRIMAL_DUAL_STEPS))
     if done:
         return force, steps
-    force, more, done = dual_active_set(operator.W, excess, tied, tolerance, limit - steps)
+    force, more, done = dual_active_set(*data, limit - steps)
     if not done:
         raise NotConverged(f"active-set: the contact set still changed after {limit} steps")
     return force, steps + more
@@ -153,7 +148,7 @@ def _primal_dual(
             lower = np.linalg.cholesky(W[np.ix_(B, B)])
         except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
             return force, step, False
-        if B.size and np.min(np.diag(lower)) ** 2 < ROUNDING:
+        if B.size and np.min(np.diag(lower)) ** 2 < OPERATOR_ROUNDING:
             return force, step, False
         force[B] = np.linalg.solve(lower.T, np.linalg.solve(lower, excess[B]))
         penetrated = np.where(closed, 0.0, excess - W @ force)
@@ -178,13 +173,15 @@ def _equilibrium_on(
     force = np.zeros(problem.contacts)
     force[closed] = on_set
     push = force / operator.row_scale[: problem.contacts]
-    tension = max(ROUNDING * np.max(abs(push), initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0))
+    tension = max(
+        OPERATOR_ROUNDING * np.max(abs(push), initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0)
+    )
     if np.any(push < -tension):
         return None
     # Where nothing floats, the anchored set is the set; where motions stay free, polishing moves them within the gaps.
     if condensation.rigid.count and not saddle.free.shape[1]:
         length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
-        penetrated = condensation.normal @ x - problem.gap > ROUNDING * length
+        penetrated = condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length
         penetrated[closed] = False
         if np.any(penetrated):
             return None

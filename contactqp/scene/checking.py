@@ -235,7 +235,7 @@ def _claims_fit(scene: Scene, unknowns: Unknowns) -> None:
             if claim.method is not None:
                 _method_fits(f"{key}[{i}]", claim.method, claim.knobs)
     for i, study in enumerate(scene.study):
-        _method_fits(f"study[{i}]", study.method, dict([study.knob]))
+        _method_fits(f"study[{i}]", study.method, {**dict([study.knob]), **study.options})
 
 
 def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
@@ -243,11 +243,10 @@ def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
     known = {method.name: method for method in methods()}
     if name not in known:
         raise SceneError(f"{where}.method: {unknown(name, known, 'method')}")
+    own = [*known[name].options, *(["tolerance"] if known[name].knob == "tolerance" else [])]
     for knob, stated in knobs.items():
-        if knob not in (*known[name].options, "tolerance", "update"):
-            raise SceneError(
-                f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(known[name].options) or 'none'}"
-            )
+        if knob not in own:
+            raise SceneError(f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(own) or 'none'}")
         for value in stated if isinstance(stated, tuple) else (stated,):
             size: Any = getattr(value, "si", value)
             # Without a penalty the augmented Lagrangian is the Lagrange multiplier method.

@@ -45,7 +45,8 @@ QuantityName = Annotated[str, AfterValidator(_known_quantity)]
 class Claim(Block):
     """A quantity of the answer, and the method and load it is asked of.
 
-    Without `method` it is the exact answer, which every method that promises exactness must give.
+    Without `method` it is the exact answer, which every method that promises exactness must give. `load_factor` scales
+    all loads; where no step of the path stands at it, the scene is solved under that load.
     """
 
     quantity: QuantityName
@@ -188,3 +189,8 @@ class Study(Block):
     def knob(self) -> tuple[str, tuple[Quantity | Fraction, ...]]:
         """Its name and values."""
         return next((name, getattr(self, name)) for name in (*KNOBS, "tolerance") if getattr(self, name))
+
+    @property
+    def options(self) -> dict[str, str]:
+        """What the method is told besides its knob."""
+        return {} if self.update is None else {"update": self.update}

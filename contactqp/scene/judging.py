@@ -114,27 +114,35 @@ def _outcome(scene: Scene, trial: Trial, where: str) -> Judgement | Failure:
 def trials(scene: Scene, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
     """What a case is run with.
 
-    Without `method`: active-set, and every method that the case itself says something about. With `method` and no
-    knobs: each of the knobs that the case states for it.
+    Without `method`: active-set, and every method that the case itself says something about. With `method`, but
+    without a knob that it needs: each of the knobs that the case states for it.
+
+    Raises
+    ------
+    SceneError
+        A knob that the method needs is stated neither here nor in the case.
     """
     stated = _distinct(
         Trial(claim.method, claim.knobs) for claim in (*scene.expect, *scene.published) if claim.method is not None
     )
     if method is None:
         return _distinct([Trial(), *stated])
-    if knobs or not find(method).required:
+    required = find(method).required
+    if all(name in (knobs or {}) for name in required):
         return (Trial(method, dict(knobs or {})),)
     swept = (
-        Trial(study.method, _knobs(study.knob[0], value, study.update))
+        Trial(study.method, {study.knob[0]: float(value) if isinstance(value, Fraction) else value, **study.options})
         for study in scene.study
         for value in study.knob[1]
     )
-    return _distinct(trial for trial in (*stated, *swept) if trial.method == method) or (Trial(method),)
-
-
-def _knobs(name: str, value: Quantity | Fraction, update: str | None) -> dict[str, Knob]:
-    knobs: dict[str, Knob] = {name: float(value) if isinstance(value, Fraction) else value}
-    return knobs | ({"update": update} if update else {})
+    found = _distinct(
+        Trial(method, {**trial.knobs, **(knobs or {})}) for trial in (*stated, *swept) if trial.method == method
+    )
+    if not found:
+        raise SceneError(
+            f'{method}: expected {required[0]}, as in --{required[0]} "1e8 kN/m", and the case states none'
+        )
+    return found
 
 
 def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:

@@ -156,7 +156,7 @@ def test_spoiled_answers_are_spoiled() -> None:
 
 def test_a_wrong_answer_that_passes_fails_the_count() -> None:
     wrong = judging.Outcome("osqp", "wrong", 0.5, True, False, 0.0)
-    bound = judging.Bounded("force_error", "osqp", 1e-9, 1e-3)
+    bound = judging.Bounded("force_error", "osqp", 1e-9, 1e-3, 1e-3)
     report = judging.Report("chain_walls", 0, "exact", outcomes=(wrong,), bounds=(bound,), spoiled_passed=(("x", 1.0),))
     said = "\n".join(counting.failures([report], ["osqp"]))
     for failure in ("1 answers wrong", "1 bounds below", "1 spoiled answers passed", "osqp: 0 of 1"):
@@ -164,9 +164,9 @@ def test_a_wrong_answer_that_passes_fails_the_count() -> None:
 
 
 def test_rounding_of_a_bound_is_no_violation_and_more_is() -> None:
-    assert not judging.Bounded("force_error", "", 1.0, 1.0 + 1e-15).below
-    assert judging.Bounded("force_error", "", 1.0, 1.0 + 1e-13).below
-    assert judging.Bounded("force_error", "", 1e-12, 1.1e-12).below
+    assert not judging.Bounded("force_error", "", 1.0, 1.0 + 1e-15, 1.0 + 1e-15).below
+    assert judging.Bounded("force_error", "", 1.0, 1.0 + 1e-13, 1.0 + 1e-13).below
+    assert judging.Bounded("force_error", "", 1e-12, 1.1e-12, 1.1e-12).below
 
 
 @pytest.mark.parametrize("name", ["chain_walls", "floating_stack", "beam_stops", "duplicated_rows", "driven_away"])

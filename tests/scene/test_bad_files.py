@@ -312,6 +312,16 @@ WALL = (Path(__file__).parents[2] / "cases" / "bar_wall.toml").read_text()
         ),
         ('penalty = ["1e4 kN/m"', 'penalty = ["-1e4 kN/m"', "study[0].penalty: expected positive values"),
         ('[[study]]\nmethod = "penalty"', '[[study]]\nmethod = "lemke"', "study[0].penalty: 'lemke' has no such knob"),
+        (
+            '[[study]]\nmethod = "penalty"',
+            '[[study]]\nmethod = "penalty"\nupdate = "uzawa"',
+            "study[0].update: 'penalty' has no such knob; its own: penalty",
+        ),
+        (
+            '[[study]]\nmethod = "penalty"\npenalty = ["1e4 kN/m", "1e5 kN/m", "1e6 kN/m", "1e7 kN/m", "1e8 kN/m"]',
+            '[[study]]\nmethod = "active-set"\ntolerance = [1e-6]',
+            "study[0].tolerance: 'active-set' has no such knob",
+        ),
         ('obstacle = "wall" }', 'obstacle = "wall", friction = 0.3 }', "contacts[0].friction ('tip')"),
     ],
 )

@@ -1,0 +1,99 @@
+"""Norms of displacements and of contact forces in the square root of energy, and the rounding that they cannot avoid.
+
+    |v|_K^2 = v'Kv,    |d|_W^2 = the energy of the bodies' response to contact forces d
+
+Differences come in as extended-precision vectors, so their norms mean something far beneath 1e-16 of the displacement.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.condensation import Condensation
+from contactqp.extended import EPS, Extended, extend, extended_rows
+from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
+from contactqp.polishing import correction
+from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import free_motions, saddle_point
+from contactqp.violations import Answer, forces_that_meet
+
+# Refinement that contracts less than this proves nothing.
+CONTRACTION = 0.5
+# Rounding of v'Kv in extended precision, in units of EPS |v|'|K||v|.
+PRODUCT = 16
+# Sweeps of refinement that a response may take; good ones need three or four.
+SWEEPS = 8
+# A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
+# motion; so is a contact force's whose energy norm is this part of its size.
+RIGID_ROUNDING = 64 * np.finfo(float).eps
+
+
+def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
+    """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion."""
+    square = max(displacement.dot(extended_rows(problem).stiffness @ displacement), 0.0)
+    size = abs(displacement.double())
+    rounding = PRODUCT * EPS * float(size @ (abs(problem.stiffness) @ size))
+    norm = float(np.sqrt(square))
+    return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
+
+
+def force_norm(
+    problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
+) -> tuple[float, float]:
+    """|d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
+    if not np.any(force.double()):
+        return 0.0, 0.0
+    load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
+    u, error = response(problem, condensation, load, tied)
+    norm, rounding = energy_norm(problem, u)
+    return norm, error + rounding
+
+
+def response(problem: ContactProblem, condensation: Condensation, load: Extended, tied: bool) -> tuple[Extended, float]:
+    """The displacement u under a load, contacts open, with a bound on its error in the energy norm.
+
+    K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P leaves the part of the load out that drives
+    motions which nothing resists.
+    """
+    rows = extended_rows(problem)
+    saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
+    load = without_part_along(free_motions(condensation, saddle), load)
+    u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
+    last = np.inf
+    for _ in range(SWEEPS):
+        residual = load - rows.stiffness @ u - rows.contact_force(no_contact, eta)
+        none = extend(np.zeros(0))
+        du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
+        u = u + du
+        eta = eta + dn if tied else eta
+        size, _ = energy_norm(problem, extend(du))
+        if size == 0 or size > CONTRACTION * last:
+            break
+        last = size
+    return u, 2 * size
+
+
+def without_part_along(motions: Vector, vector: Extended) -> Extended:
+    """A vector less its part along orthonormal motions (n, q)."""
+    if not motions.shape[1]:
+        return vector
+    return vector - motions @ (motions.T @ vector.double())
+
+
+def residual_noise(problem: ContactProblem, answer: Answer) -> float:
+    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
+    scale = unit_diagonal_scale(problem.stiffness)
+    return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
+
+
+def rigid_rounding(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """The energy norm that the rounding of a rigid displacement has; zero where nothing floats."""
+    if not condensation.rigid.count:
+        return 0.0
+    size = abs(displacement)
+    return float(RIGID_ROUNDING * np.sqrt(size @ (abs(problem.stiffness) @ size)))
+
+
+def force_size(problem: ContactProblem, force: Vector) -> float:
+    """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
+    return float(np.linalg.norm(unit_diagonal_scale(problem.stiffness) * (problem.normal.T @ force)))
