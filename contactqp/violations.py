@@ -18,6 +18,8 @@ from contactqp.extended import extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
 from contactqp.problem import ContactProblem, Vector
 
+FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from contactqp.certificate import FIGURES, Certificate
+from contactqp.certificate import Certificate
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -25,6 +25,7 @@ from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.rungs import Rung
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
+from contactqp.violations import FIGURES
 
 # A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
 GENEROSITY = 100.0

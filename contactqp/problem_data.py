@@ -1,0 +1,187 @@
+"""The data of a contact problem, read and checked: a refusal names the argument, what came and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.errors import InvalidProblem
+
+Vector = NDArray[np.float64]
+Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
+
+# Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
+SYMMETRY_TOLERANCE = 1e-6
+# Rows are squared on the way.
+LARGEST_ENTRY = 1e150
+# Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
+DEFINITENESS_CHECK_SIZE = 200
+
+
+def _array(name: str, value: Any) -> NDArray[np.float64]:
+    try:
+        raw = np.asarray(value)
+        if np.iscomplexobj(raw):
+            raise TypeError("complex numbers")
+        return np.array(raw, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
+
+
+def _finite(name: str, values: NDArray[np.float64]) -> None:
+    if not np.all(np.isfinite(values)):
+        where = np.argwhere(~np.isfinite(values))[0]
+        at = ", ".join(str(int(i)) for i in where)
+        raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(where)]} at [{at}]")
+
+
+def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    values.setflags(write=False)
+    return values
+
+
+def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
+    vector = _array(name, value)
+    if vector.shape != (size,):
+        raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
+    _finite(name, vector)
+    return _frozen(vector)
+
+
+def _sparse(name: str, value: Any) -> Any:
+    """A canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
+    if sp.issparse(value):
+        if np.issubdtype(value.dtype, np.complexfloating):
+            raise InvalidProblem(f"{name}: expected real numbers, got complex numbers")
+        rows = sp.csr_array(value, dtype=float, copy=True)
+    else:
+        dense = _array(name, value)
+        if dense.ndim != 2:
+            raise InvalidProblem(f"{name}: expected a matrix, got {dense.ndim} dimension(s) of shape {dense.shape}")
+        rows = sp.csr_array(dense)
+    rows.sum_duplicates()
+    _finite(name, rows.data)
+    rows.eliminate_zeros()
+    return rows
+
+
+def read_rows(name: str, value: Any, n: int) -> Any:
+    if not sp.issparse(value) and np.size(value) == 0:
+        value = np.zeros((0, n))
+    rows = _sparse(name, value)
+    if rows.shape[1] != n:
+        raise InvalidProblem(f"{name}: expected {n} columns, one for each unknown, got shape {rows.shape}")
+    return rows
+
+
+def refuse_zero_rows(name: str, rows: Any, called: Callable[[int], str]) -> None:
+    empty = np.flatnonzero(np.diff(rows.indptr) == 0)
+    if empty.size:
+        raise InvalidProblem(f"{name}: the row of {called(int(empty[0]))} is zero; it constrains nothing")
+    largest = abs(rows).max(axis=1).toarray().ravel() if rows.shape[0] else np.ones(1)
+    extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
+    if extreme.size:
+        i = int(extreme[0])
+        raise InvalidProblem(f"{name}: the row of {called(i)} has the size {largest[i]:.3g}; its square is no double")
+
+
+def read_stiffness(value: Any) -> tuple[Matrix, float]:
+    dense = not sp.issparse(value)
+    K = _sparse("stiffness", value)
+    n = K.shape[0]
+    if K.shape != (n, n) or n == 0:
+        raise InvalidProblem(f"stiffness: expected a square matrix, got shape {K.shape}")
+    diagonal = K.diagonal()
+    if np.any(diagonal < 0):
+        j = int(np.argmin(diagonal))
+        raise InvalidProblem(f"stiffness: expected positive semidefinite, got K[{j}, {j}] = {diagonal[j]:.6g}")
+    coo = K.tocoo()
+    root = np.sqrt(diagonal)
+    pair = root[coo.row] * root[coo.col]
+    outside = np.abs(coo.data) > (1 + SYMMETRY_TOLERANCE) * pair
+    if np.any(outside):
+        at = int(np.flatnonzero(outside)[0])
+        i, j = int(coo.row[at]), int(coo.col[at])
+        raise InvalidProblem(
+            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(coo.data[at]):.6g} "
+            f"exceeds sqrt(K[{i}, {i}] K[{j}, {j}]) = {pair[at]:.6g}"
+        )
+    difference = abs(K - K.T).tocoo()
+    asymmetry = 0.0
+    if difference.nnz:
+        relative = difference.data / (root[difference.row] * root[difference.col])
+        worst = int(np.argmax(relative))
+        asymmetry = float(relative[worst])
+        if asymmetry > SYMMETRY_TOLERANCE:
+            i, j = int(difference.row[worst]), int(difference.col[worst])
+            raise InvalidProblem(
+                f"stiffness: expected symmetric, got K[{i}, {j}] and K[{j}, {i}] that differ by {asymmetry:.3g} "
+                f"of sqrt(K[{i}, {i}] K[{j}, {j}]) (at most {SYMMETRY_TOLERANCE:g} is symmetrised)"
+            )
+        K = sp.csr_array((K + K.T) / 2)
+    if n <= DEFINITENESS_CHECK_SIZE:
+        _refuse_indefinite(K.toarray())
+    if dense:
+        return _frozen(K.toarray()), asymmetry
+    return sp.csc_array(K), asymmetry
+
+
+def _refuse_indefinite(K: NDArray[np.float64]) -> None:
+    scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
+    eigenvalues = np.linalg.eigvalsh(K / np.outer(scale, scale))
+    # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
+    # SYMMETRY_TOLERANCE.
+    if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
+            "after scaling its diagonal to one)"
+        )
+
+
+def read_friction(
+    tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int
+) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
+    if tangent is None:
+        if friction is not None and np.any(np.asarray(friction) != 0):
+            raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
+        if slip_origin is not None:
+            raise InvalidProblem("slip_origin was given without tangent, the directions of slip")
+        return None, None, None
+    E_T = read_rows("tangent", tangent, n)
+    if E_T.shape[0] not in (m, 2 * m):
+        raise InvalidProblem(f"tangent: expected {m} rows (2D) or {2 * m} rows (3D), got {E_T.shape[0]}")
+    per_contact = E_T.shape[0] // m if m else 1
+    coefficient = _array("friction", 0.0 if friction is None else friction)
+    if coefficient.ndim == 0:
+        coefficient = np.full(m, float(coefficient))
+    coefficient = read_vector("friction", coefficient, m)
+    if np.any(coefficient < 0):
+        i = int(np.argmin(coefficient))
+        raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
+    origin = np.zeros((m, per_contact)) if slip_origin is None else _array("slip_origin", slip_origin)
+    if (
+        origin.size != m * per_contact
+        or origin.ndim not in (1, 2)
+        or (origin.ndim == 2 and origin.shape != (m, per_contact))
+    ):
+        raise InvalidProblem(
+            f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
+        )
+    _finite("slip_origin", origin)
+    return E_T, coefficient, _frozen(origin.reshape(m, per_contact))
+
+
+def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    names = tuple(str(v) for v in value)
+    if len(names) != size:
+        raise InvalidProblem(f"{name}: expected {size} names, got {len(names)}")
+    if len(set(names)) != size:
+        twice = next(v for v in names if names.count(v) > 1)
+        raise InvalidProblem(f"{name}: expected distinct names, got {twice!r} more than once")
+    return names
