@@ -17,6 +17,8 @@ LP_TOLERANCE = 1e-10
 DRIVEN = 1e-7
 # Constraints that can be met to this part of their own lengths are not called conflicting.
 COMPATIBLE = 1e-9
+# A multiplier or a displacement of this part of the largest takes no part in a conflict or a motion.
+NO_PART = 1e-9
 NAMES_IN_A_MESSAGE = 8
 
 
@@ -117,14 +119,14 @@ def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None
     if answer.x is None or answer.x[-1] <= COMPATIBLE:
         return
     m, k = problem.contacts, problem.ties
-    taking_part = np.flatnonzero(abs(answer.ineqlin.marginals) > 1e-9)
+    taking_part = np.flatnonzero(abs(answer.ineqlin.marginals) > NO_PART)
     names = [problem.contact_name(i) if i < m else f"tie {(i - m) % k}" for i in taking_part.tolist()]
     raise NoEquilibrium(f"no displacement satisfies these constraints together: {_listed(names)}")
 
 
 def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     """A motion in words: the unknowns that move, and how far relative to the largest."""
-    moving = np.flatnonzero(abs(motion) > 1e-9 * np.max(abs(motion)))
+    moving = np.flatnonzero(abs(motion) > NO_PART * np.max(abs(motion)))
     # Rounded, so that unknowns that move alike are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     return _listed([f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order])

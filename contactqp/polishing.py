@@ -30,6 +30,12 @@ NEGLIGIBLE = 1e-24
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
 WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
+# A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
+# the resultant is none.
+CARRIED, NO_SHARE = 1e-9, 1e-12
+# A shift within the gaps may overshoot them by this part of its lengths: a few roundings.
+SHIFT_SLACK = 1e-15
+
 
 @dataclass(frozen=True, eq=False)
 class OnSet:
@@ -199,9 +205,9 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     columns = np.vstack([contacts, ties, -ties])
     length = np.linalg.norm(columns, axis=1)
     share, missing = nnls((columns / length[:, None]).T, resultant / size, maxiter=30 * len(columns))
-    if missing > 1e-9:
+    if missing > CARRIED:
         return closed
-    return np.asarray(closed[share[: len(closed)] > 1e-12])
+    return np.asarray(closed[share[: len(closed)] > NO_SHARE])
 
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
@@ -265,7 +271,7 @@ def _shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     length = np.linalg.norm(rows, axis=1)
     unit, room = rows / length[:, None], gap / length
     none = np.zeros(len(room), dtype=bool)
-    slack = 1e-15 * (abs(room) + abs(unit) @ abs(wanted))
+    slack = SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
     try:
         force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
     except Infeasible:  # no shift frees every contact: the set is wrong, as the penetration that is left will show

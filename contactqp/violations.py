@@ -24,6 +24,9 @@ FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity"
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
 NOTHING_BUT_ROUNDING = 0.1
+# Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
+SAME_MOTION = 1e-10
+LP_TOLERANCE = 1e-10
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
 
@@ -221,7 +224,7 @@ def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) 
     """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size."""
     # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
-    kept = values > 1e-10 * values[0]
+    kept = values > SAME_MOTION * values[0]
     basis = left[:, kept]
     weight = right[kept] / values[kept, None]
     work, stray = weight @ work, abs(weight) @ stray
@@ -251,7 +254,7 @@ def _worst_direction(basis: Array, weight: Vector) -> Vector:
         b_ub=np.append(np.zeros(2 * count), 1.0),
         bounds=[(None, None)] * width + [(0, None)] * count,
         method="highs",
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if answer.x is None:
         raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")

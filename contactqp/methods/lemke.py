@@ -9,7 +9,7 @@ import numpy as np
 from contactqp.errors import NotConverged
 from contactqp.methods.complementarity import Complementarity, Dense, complementarity_problem, compliance, expand
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_algebra import ROUNDING, Indices, Mask
+from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING, Indices, Mask
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
@@ -83,13 +83,13 @@ def _leaving_row(tableau: Dense, basic: Indices, entering: int) -> int:
     m = len(basic)
     column = tableau[:, entering]
     # A pivot that is rounding against its column would be division by noise.
-    rows = np.flatnonzero(column > ROUNDING * max(1.0, float(np.max(np.abs(column)))))
+    rows = np.flatnonzero(column > TEXTBOOK_ROUNDING * max(1.0, float(np.max(np.abs(column)))))
     if rows.size == 0:
         return -1
     ratio = np.maximum(tableau[rows, -1], 0.0) / column[rows]
     size = float(np.max(np.abs(tableau[:, -1])))
     z0 = np.flatnonzero(basic[rows] == 2 * m)
-    if z0.size and ratio[z0[0]] <= ratio.min() + ROUNDING * size / column[rows[z0[0]]]:
+    if z0.size and ratio[z0[0]] <= ratio.min() + TEXTBOOK_ROUNDING * size / column[rows[z0[0]]]:
         return int(rows[z0[0]])
     return _lexicographic_minimum(tableau, rows, column)
 
@@ -100,7 +100,9 @@ def _lexicographic_minimum(tableau: Dense, rows: Indices, column: Vector) -> int
     for j in (-1, *range(m)):
         ratio = tableau[rows, j] / column[rows]
         least = float(ratio.min())
-        rows = rows[ratio <= least + ROUNDING * max(abs(least), float(np.max(np.abs(tableau[rows, j] / column[rows]))))]
+        rows = rows[
+            ratio <= least + TEXTBOOK_ROUNDING * max(abs(least), float(np.max(np.abs(tableau[rows, j] / column[rows]))))
+        ]
         if rows.size == 1:
             break
     return int(rows[0])

@@ -16,7 +16,7 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 # What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
-ROUNDING = 1e3 * float(np.finfo(float).eps)
+TEXTBOOK_ROUNDING = 1e3 * float(np.finfo(float).eps)
 # Values of ties that repeat others are often decimals: they agree to this part of their size, or contradict.
 CONTRADICTION = 1e-9
 
@@ -92,7 +92,7 @@ def independent_rows(rows: Matrix) -> Indices:
         rest = row - basis[: len(kept)].T @ (basis[: len(kept)] @ row)
         rest -= basis[: len(kept)].T @ (basis[: len(kept)] @ rest)  # twice is enough (Kahan, Parlett)
         size = float(np.linalg.norm(rest))
-        if size > ROUNDING and len(kept) < len(basis):
+        if size > TEXTBOOK_ROUNDING and len(kept) < len(basis):
             basis[len(kept)] = rest / size
             kept.append(i)
     return np.array(kept, dtype=np.intp)

@@ -17,7 +17,7 @@ import numpy as np
 from contactqp.errors import NotConverged
 from contactqp.methods.criss_cross import Enforcement, Sets, Step
 from contactqp.methods.method import Settings
-from contactqp.methods.textbook_algebra import ROUNDING, Mask, SingularSystem
+from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING, Mask, SingularSystem
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
 
@@ -179,9 +179,9 @@ def _changes(sets: Sets, sizes: _Sizes, step: Step, stiffness: float | Vector) -
     normal, forces = sizes.normal, sizes.forces(problem, step)
     shaken, moved = sizes.tremor(forces)
     # A force is noise when it is at one of the contact's unknowns j: min over j of the noise there / |E_ij|.
-    noise = np.minimum.reduceat((ROUNDING * forces + shaken)[normal.indices] / normal.data, normal.indptr[:-1])
+    noise = np.minimum.reduceat((TEXTBOOK_ROUNDING * forces + shaken)[normal.indices] / normal.data, normal.indptr[:-1])
     noise = noise + sets.carried(forces)
-    length = ROUNDING * (normal @ np.abs(step.displacement) + np.abs(problem.gap)) + normal @ moved
+    length = TEXTBOOK_ROUNDING * (normal @ np.abs(step.displacement) + np.abs(problem.gap)) + normal @ moved
     penetration = problem.normal @ step.displacement - problem.gap
     incoming = ~closed & (penetration > length)
     outgoing = closed & (step.normal_force < -(noise + stiffness * length))
