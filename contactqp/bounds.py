@@ -52,7 +52,7 @@ from contactqp.energy_norm import (
     rigid_rounding,
     without_part_along,
 )
-from contactqp.extended import Extended, extend
+from contactqp.extended import extend
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
@@ -100,9 +100,11 @@ def _none(reason: str) -> Bounds:
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
-    energy_scale, uncertain = _energy_scale(problem, condensation, extend(answer.displacement) + pair.to_middle)
+    energy_scale, uncertain = energy_norm(problem, extend(answer.displacement) + pair.to_middle)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    energy_scale = 0.0 if energy_scale <= rounding else energy_scale
+    # A displacement without strain has none in extended precision; one whose own rounding to doubles strains the
+    # bodies more than it does is refused: no doubles hold that answer.
+    energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     size = force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
     # nothing.
@@ -129,12 +131,6 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         relative_force_bound=relative,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
-
-
-def _energy_scale(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> tuple[float, float]:
-    """|u|_K, zero where it is no more than the rounding of a rigid motion, and a bound on its error."""
-    norm, error = energy_norm(problem, displacement)
-    return (norm, error) if norm > rigid_rounding(problem, condensation, displacement.double()) else (0.0, 0.0)
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:

@@ -35,6 +35,8 @@ from contactqp.solution import Candidate
 BLOCK = 64
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
+# Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
+LOST_DIGITS = 8 * np.finfo(float).eps
 # Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
 CONDENSED_ROUNDING = 1e-6
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
@@ -60,7 +62,7 @@ class Condensation:
         self.schur = self._schur_complement()
         self.scale = self._scale(unknown_scale(problem))
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
-        if min(self._interior_smallest_pivot(), self._schur_smallest_pivot()) < SUSPICIOUS_PIVOT:
+        if self._may_be_singular():
             self.rigid = null_space(self._sparse)
             fixing = _fixing_unknowns(self.rigid.motions, touched, self._sparse.diagonal())
             if fixing.size:
@@ -101,6 +103,14 @@ class Condensation:
         left = self.schur.diagonal()
         alive = left > NOTHING_LEFT * before
         return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
+
+    def _may_be_singular(self) -> bool:
+        """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""
+        interior = self._interior_smallest_pivot()
+        if interior < SUSPICIOUS_PIVOT:
+            return True
+        lost = np.max(self._sparse.diagonal()[self.retained] * self.scale**2, initial=0.0)
+        return bool(self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, LOST_DIGITS / interior * lost))
 
     def _interior_smallest_pivot(self) -> float:
         return 1.0 if self._factor is None else self._factor.smallest_pivot

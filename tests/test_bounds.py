@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.condensation import condense
 
 CHAIN = 100.0 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -71,3 +72,31 @@ def test_the_closed_contacts_are_searched_for_where_corrections_of_the_set_go_in
     certificate = cq.certify(problem, free, np.zeros(n))
     assert certificate.energy_error == pytest.approx(true, rel=1e-6)
     assert not certificate.passed
+
+
+def test_a_displacement_that_doubles_cannot_hold_is_refused():
+    """A body moved by 5 onto a spring of 1e13 by a force of 0.1: rounding 5 to doubles strains the spring by percents."""
+    K = np.zeros((3, 3))
+    K[0, 0] = 2.0**43
+    K[1:, 1:] = 2.0**47 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    problem = cq.ContactProblem(K, [0.0, 0.0, -0.1], [[1.0, -1.0, 0.0]], [5.0])
+    at = np.array([-0.1 / 2**43, -5.0, -5.0])  # 5.0000000000000114 in truth, and a strain of 7e-16
+    certificate = cq.certify(problem, at, [0.1])
+    assert certificate.energy_error > 1e-6
+    assert not certificate.passed
+
+
+def test_a_floating_body_is_found_behind_a_stiffness_that_rounding_hides():
+    """Condensed onto its ends, a chain of springs 1e9 around one of 14 keeps 14 to eight digits: a pivot of 3e-8."""
+    springs = np.array([4.6875e5, 9.63e6, 9.65e8, 8.25e6, 7.59e8, 13.625, 3.6875e6])
+    K = np.zeros((9, 9))
+    for i, k in enumerate(springs):
+        K[i : i + 2, i : i + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    K[8, 8] = 100.0
+    load = np.zeros(9)
+    load[0], load[8] = 2.0, -1.0
+    rows = np.zeros((2, 9))
+    rows[0, 0], rows[1, 7], rows[1, 8] = -1.0, 1.0, -1.0
+    problem = cq.ContactProblem(K, load, rows, [1.0, 0.25])
+    assert condense(problem).rigid.count == 1
+    assert cq.solve(problem).normal_force == pytest.approx([0.0, 2.0], rel=1e-13)
