@@ -20,7 +20,7 @@ from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.polishing import WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem
 from contactqp.saddle import SaddlePoint, saddle_point
-from contactqp.violations import Answer, lengths_that_meet
+from contactqp.violations import Answer, Residuals, lengths_that_meet, stiffness_sizes
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50
@@ -53,7 +53,9 @@ class Unproven(Exception):
     """Why there is no pair."""
 
 
-def admissible_pair(problem: ContactProblem, answer: Answer, condensation: Condensation) -> AdmissiblePair:
+def admissible_pair(
+    problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation
+) -> AdmissiblePair:
     """The pair nearest to the solution that can be had.
 
     Raises
@@ -63,18 +65,28 @@ def admissible_pair(problem: ContactProblem, answer: Answer, condensation: Conde
     """
     sets = _believed_sets(problem, answer, condensation)
     for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (sets[0], LAST_CORRECTIONS)):
-        if (found := _holding(problem, condensation, closed, corrections)) is not None:
+        if (found := _holding(problem, condensation, closed, corrections, answer, left)) is not None:
             return _from_set(problem, answer, condensation, found)
     searched = _searched_set(problem, condensation)
-    if searched is not None and (found := _holding(problem, condensation, searched, CORRECTIONS)) is not None:
+    if (
+        searched is not None
+        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, left)) is not None
+    ):
         return _from_set(problem, answer, condensation, found)
     return _from_repair(problem, answer, condensation, sets[0])
 
 
 def _holding(
-    problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], corrections: int
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    corrections: int,
+    answer: Answer,
+    left: Residuals,
 ) -> OnSet | None:
-    on_set, _, holds = polish(problem, condensation, closed, corrections)
+    """The refined answer on a set, or on what corrections make of it, if its signs hold."""
+    start = None if condensation.rigid.count else answer
+    on_set, _, holds = polish(problem, condensation, closed, corrections, start, left)
     if on_set.contraction >= CONTRACTION:
         raise Unproven(
             f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
@@ -109,11 +121,10 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArra
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
     """The refined answer on a set whose signs hold is the solution, to its last correction and to `undecided`."""
-    du, dl, _ = on_set.last_step
-    step = extend(np.zeros(problem.contacts)).added_at(on_set.saddle.closed, dl)
     undecided = _undecided(problem, condensation, on_set)
-    allowance = 2 * sum(energy_norm(problem, extend(du))) + 2 * sum(force_norm(problem, condensation, step))
-    allowance += residual_noise(problem, answer) + undecided
+    # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
+    entries = np.sqrt(stiffness_sizes(problem).size) + problem.contacts
+    allowance = entries * on_set.remainder + residual_noise(problem, answer) + undecided
     return AdmissiblePair(
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,

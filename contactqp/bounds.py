@@ -29,10 +29,10 @@ How the pair (v, l) is found is told in `admissible_pair`. The bound of the cand
 the pair's own.
 
 Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
-large numbers. The refinement that computes them contracts by a measured factor q; the error that its last step d
-leaves is at most |d|_K q/(1-q), and 2 |d|_K is added. Where q >= 1/2 nothing is proven and the reason is given. What
-contacts leave undecided that touch or push by rounding alone is added too. This is an a-posteriori estimate of
-rounding, not an interval enclosure.
+large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
+s q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 nothing is proven and the reason
+is given. What contacts leave undecided that touch or push by rounding alone is added too. This is an a-posteriori
+estimate of rounding, not an interval enclosure.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from contactqp.extended import extend
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
-from contactqp.violations import Answer, lengths_that_meet, own_compliance
+from contactqp.violations import Answer, Residuals, lengths_that_meet, own_compliance
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
@@ -82,14 +82,14 @@ class Bounds:
     reasons: tuple[str, ...] = ()
 
 
-def bounds(problem: ContactProblem, answer: Answer, condensation: Condensation) -> Bounds:
+def bounds(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
     """The bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
         return _none("Coulomb friction is no minimisation: its energy bounds nothing")
     if len(condensation.retained) > LARGEST:
         return _none(f"{len(condensation.retained)} condensed unknowns: too many for the dense systems of the bounds")
     try:
-        pair = admissible_pair(problem, answer, condensation)
+        pair = admissible_pair(problem, answer, left, condensation)
     except Unproven as reason:
         return replace(_none(str(reason)), suspicious=str(reason))
     return _from_pair(problem, answer, condensation, pair)
@@ -163,7 +163,7 @@ def _force_error(
         scale, uncertain = force_norm(problem, condensation, pair.force, tied)
         scale = 0.0 if scale <= vanishing else scale
         error = sum(force_norm(problem, condensation, change, tied)) + pair.dual_radius
-        errors.append(_relative(error, scale, pair.dual_radius + uncertain, rounding))
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain, max(rounding, vanishing)))
         scales.append(scale)
     return max(errors), scales[0]
 

@@ -13,7 +13,7 @@ from contactqp.condensation import Condensation, condense
 from contactqp.errors import InvalidProblem
 from contactqp.failures import failed_bounds, failed_figures, not_finite_parts, notes
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import FIGURES, Answer, Violations, balance, own_compliance, violations
+from contactqp.violations import FIGURES, Answer, Violations, balance, own_compliance, residuals, violations
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,9 @@ def certify(
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
-    found = violations(problem, answer)
-    known = bounds(problem, answer, condensation)
+    left = residuals(problem, answer)
+    found = violations(problem, answer, left)
+    known = bounds(problem, answer, left, condensation)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, condensation.rigid)
     failures = list(failed_figures(problem, answer, found, figures, tolerance))

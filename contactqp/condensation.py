@@ -6,7 +6,7 @@ i the interior,
     S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c),
 
 and min 1/2 x'Sx - f_S'x subject to E_c x <= g, A_c x = b has the forces of the full problem as its own. K_ii is
-factorised once, for every load, gap, method and certificate that follows.
+factorised once, for every load, gap, method and certificate that follows (`elimination`).
 """
 
 from __future__ import annotations
@@ -18,21 +18,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.elimination import eliminate
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import (
-    SUSPICIOUS_PIVOT,
-    Array,
-    Factorization,
-    RigidMotions,
-    factorise,
-    null_space,
-    unit_diagonal_scale,
-)
+from contactqp.factorization import SUSPICIOUS_PIVOT, Array, RigidMotions, null_space, unit_diagonal_scale
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
-# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
-BLOCK = 64
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
 # Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
@@ -54,21 +45,18 @@ class Condensation:
         ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
         self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
         self.factorisations = 0
-        self.back_substitutions = 0
+        self._spent = 0  # half back-substitutions of eliminations that were given up
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         self._sparse = sp.csr_matrix(problem.stiffness)
         touched = _touched_unknowns(problem)
-        self._partition(touched)
-        self.schur = self._schur_complement()
-        self.scale = self._scale(unknown_scale(problem))
+        self._eliminate(touched, unknown_scale(problem))
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         if self._may_be_singular():
             self.rigid = null_space(self._sparse)
             fixing = _fixing_unknowns(self.rigid.motions, touched, self._sparse.diagonal())
             if fixing.size:
-                self._partition(np.union1d(touched, fixing))
-                self.schur = self._schur_complement()
-                self.scale = self._scale(unknown_scale(problem))
+                self._spent += self._elimination.half_substitutions
+                self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
         self.tie = problem.tie[:, self.retained].toarray()
@@ -79,23 +67,22 @@ class Condensation:
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
-    def _partition(self, retained: NDArray[np.intp]) -> None:
-        n = self._sparse.shape[0]
+    def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
         self.retained = retained
-        self.interior = np.setdiff1d(np.arange(n), retained)
-        self._factor: Factorization | None = None
-        self._coupling = self._sparse[self.interior][:, self.retained]
-        if self.interior.size:
-            self._factor = factorise(self._sparse[self.interior][:, self.interior])
-            self.factorisations += 1
+        self._elimination = eliminate(self._sparse, retained)
+        self.factorisations += int(len(retained) < self._sparse.shape[0])
+        self.schur = self._elimination.schur
+        self.scale = self._scale(of_stiffness)
 
-    def _schur_complement(self) -> Array:
-        S = self._sparse[self.retained][:, self.retained].toarray()
-        for start in range(0, len(self.retained), BLOCK):
-            columns = slice(start, start + BLOCK)
-            right = self._coupling[:, columns].toarray()
-            S[:, columns] -= self._coupling.T @ self._interior_solve(right)
-        return np.asarray((S + S.T) / 2)
+    @property
+    def solver(self) -> str:
+        """Whose factors they are."""
+        return self._elimination.solver
+
+    @property
+    def back_substitutions(self) -> int:
+        """Right-hand sides solved so far, forward and backward."""
+        return (self._spent + self._elimination.half_substitutions + 1) // 2
 
     def _scale(self, of_stiffness: Array) -> Array:
         """1/sqrt(S_jj), or the scale of the stiffness where condensation left next to nothing of the diagonal."""
@@ -106,14 +93,11 @@ class Condensation:
 
     def _may_be_singular(self) -> bool:
         """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""
-        interior = self._interior_smallest_pivot()
+        interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
         lost = np.max(self._sparse.diagonal()[self.retained] * self.scale**2, initial=0.0)
         return bool(self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, LOST_DIGITS / interior * lost))
-
-    def _interior_smallest_pivot(self) -> float:
-        return 1.0 if self._factor is None else self._factor.smallest_pivot
 
     def _schur_smallest_pivot(self) -> float:
         if not len(self.schur):
@@ -140,16 +124,10 @@ class Condensation:
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
 
-    def _interior_solve(self, right: Array) -> Array:
-        if self._factor is None:
-            return np.zeros_like(right)
-        self.back_substitutions += 1 if right.ndim == 1 else right.shape[1]
-        return self._factor.solve(right)
-
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """f_S, and K_ii^-1 f_i for `expand`."""
-        inner = self._interior_solve(load[self.interior])
-        return self._balanced(load, load[self.retained] - self._coupling.T @ inner), inner
+        """f_S, and what `expand` needs of the load."""
+        reduced, inner = self._elimination.reduce(load)
+        return self._balanced(load, reduced), inner
 
     def _balanced(self, load: Vector, reduced: Vector) -> Vector:
         """The condensed load, doing the load's own work on rigid motions, which rounding changes."""
@@ -161,15 +139,20 @@ class Condensation:
         return np.asarray(reduced + change / self.scale)
 
     def expand(self, retained: Vector, inner: Vector) -> Vector:
-        """The full displacement from that of the retained unknowns; `inner` is K_ii^-1 f_i."""
-        u = np.empty(self._sparse.shape[0])
-        u[self.retained] = retained
-        u[self.interior] = inner - self._interior_solve(self._coupling @ retained)
-        return u
+        """The full displacement from that of the retained unknowns; `inner` is what `reduce_load` gave."""
+        return self._elimination.expand(retained, inner)
+
+    def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
+        """The sizes behind each entry of f_S: where something floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
+        size = problem.load_size[self.retained]
+        if not self.rigid.count:
+            return size
+        held = abs(self.expand(np.zeros(len(self.retained)), inner))
+        return np.asarray(size + abs(self._sparse[self.retained]) @ held)
 
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
         """The condensed problem, itself a ContactProblem, which knows its own condensation."""
-        size = problem.load_size[self.retained] + abs(self._coupling.T) @ abs(inner)
+        size = self.reduced_size(problem, inner)
         data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
         reduced = problem.transformed(*data)
         reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
@@ -202,7 +185,8 @@ class Condensation:
         twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
         twin._sparse = sp.csr_matrix(self.schur)
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
-        twin._partition(np.arange(len(self.retained)))
+        twin.retained = np.arange(len(self.retained))
+        twin._elimination = eliminate(twin._sparse, twin.retained)
         return twin
 
     def expand_candidate(self, candidate: Candidate, inner: Vector) -> Candidate:

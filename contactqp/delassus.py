@@ -32,14 +32,20 @@ class Delassus:
         self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
         self._factor = DenseCholesky(S + ANCHOR * self.motions @ self.motions.T) if len(S) else None
-        response = self._solve(self.rows.T)
+        response = self.solve(self.rows.T)
         W = self.rows @ response
         self.row_scale = 1.0 / np.sqrt(np.diag(W))
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
-        self._response = response * self.row_scale
+        self.response = response * self.row_scale
 
-    def _solve(self, right: Array) -> Array:
+    def solve(self, right: Array) -> Array:
+        """S_e^-1 right, both scaled."""
         return right if self._factor is None else self._factor.solve(right)
+
+    @property
+    def smallest_pivot(self) -> float:
+        """Of S with a diagonal of ones; beneath REGULAR its inverse has lost half of the digits."""
+        return 1.0 if self._factor is None else self._factor.smallest_pivot
 
     @property
     def compliance(self) -> Vector:
@@ -48,7 +54,7 @@ class Delassus:
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
         """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""
-        return self._solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
+        return self.solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
     def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, NDArray[np.bool_], Vector]:
         """W, the excess of every row in the scaled displacement `free`, which rows are ties, what excess is none."""
@@ -59,7 +65,7 @@ class Delassus:
 
     def displaced(self, free: Vector, force: Vector) -> Vector:
         """The scaled displacement under scaled contact and tie forces."""
-        return np.asarray(free - self._response @ force)
+        return np.asarray(free - self.response @ force)
 
 
 def delassus(condensation: Condensation) -> Delassus:

@@ -15,7 +15,7 @@ from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
 from contactqp.polishing import correction
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
-from contactqp.violations import Answer, forces_that_meet
+from contactqp.violations import Answer, forces_that_meet, stiffness_sizes
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5
@@ -32,7 +32,7 @@ def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float,
     """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion."""
     square = max(displacement.dot(extended_rows(problem).stiffness @ displacement), 0.0)
     size = abs(displacement.double())
-    rounding = PRODUCT * EPS * float(size @ (abs(problem.stiffness) @ size))
+    rounding = PRODUCT * EPS * float(size @ (stiffness_sizes(problem) @ size))
     norm = float(np.sqrt(square))
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
 
@@ -91,7 +91,7 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
     if not condensation.rigid.count:
         return 0.0
     size = abs(displacement)
-    return float(RIGID_ROUNDING * np.sqrt(size @ (abs(problem.stiffness) @ size)))
+    return float(RIGID_ROUNDING * np.sqrt(size @ (stiffness_sizes(problem) @ size)))
 
 
 def force_size(problem: ContactProblem, force: Vector) -> float:

@@ -19,14 +19,26 @@ from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint, free_motions, saddle_point
-from contactqp.violations import Answer, force_measure, forces_that_meet, lengths_that_meet, own_compliance
+from contactqp.violations import (
+    Answer,
+    Residuals,
+    force_measure,
+    forces_that_meet,
+    lengths_that_meet,
+    own_compliance,
+    residuals_of,
+)
 
-# Refinement stops when a sweep no longer halves the correction; good sets need three or four.
+# Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12
 # Forces of this part of the largest are what refinement leaves of zero.
 INVISIBLE = 1e-22
-# Corrections of this part of the first are far below what any user of doubles can see.
-NEGLIGIBLE = 1e-24
+# No solve in double precision leaves less of a correction.
+LEAST_CONTRACTION = float(np.finfo(float).eps)
+# Corrections in other directions than the one that the contraction was measured in may contract so much less.
+CAUTION = 1e4
+# What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
+NEGLIGIBLE = 1e-22
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
 WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
@@ -46,34 +58,54 @@ class OnSet:
     tie_force: Extended
     gap: Extended
     saddle: SaddlePoint
-    last_step: tuple[Vector, Vector, Vector]  # of the refinement: what it still changed in u, l_B, nu at its end
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
+    remainder: float  # what further refinement would change, the largest entry in the square root of energy
+    nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
 
 
 def answer_on(
-    problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], start: Vector | None = None
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    start: Answer | None = None,
+    left: Residuals | None = None,
 ) -> OnSet:
     """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
 
-    Free motions of the start stay as they are.
+    Free motions of the start stay as they are. `left` are its residuals, if they are known; they are of use where it
+    has no force but on the closed contacts.
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, closed)
-    u = extend(np.zeros(problem.dimension) if start is None else start)
-    force, tie = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
     size_of = _CorrectionSize(problem, condensation, closed)
-    sizes: list[float] = []
-    while len(sizes) < MAX_SWEEPS:
-        residual = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, tie)
-        gap = extend(problem.gap) - rows.normal @ u
-        open_tie = extend(problem.tie_value) - rows.tie @ u
-        du, dl, dn = correction(condensation, saddle, residual, gap[closed], open_tie)
+    if start is None:
+        u, force, tie = (extend(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties))
+        left = Residuals(extend(problem.load), extend(problem.gap), extend(problem.tie_value))
+    else:
+        kept = np.isin(np.arange(problem.contacts), closed)
+        left = None if np.any(start.normal_force[~kept]) else left
+        u, tie = extend(start.displacement), extend(start.tie_force)
+        force = extend(np.where(kept, start.normal_force, 0.0))
+    whole = size_of(u.double(), force.double()[closed], tie.double())
+    # From zero the corrections shrink as those did that were measured; from elsewhere they may point anywhere.
+    last, q, caution = np.inf, saddle.contraction, 1.0 if start is None else CAUTION
+    for sweep in range(MAX_SWEEPS):
+        if left is None:
+            left = residuals_of(rows, problem, u, force, tie)
+        du, dl, dn = correction(condensation, saddle, left.force, left.gap[closed], left.tie)
+        left = None
         u, force, tie = u + du, force.added_at(closed, dl), tie + dn
-        sizes.append(size_of(du, dl, dn))
-        if sizes[-1] <= NEGLIGIBLE * max(sizes) or (len(sizes) > 2 and sizes[-1] > 0.5 * sizes[-2]):
+        size = size_of(du, dl, dn)
+        whole = max(whole, size)
+        if sweep == 1 and q is None:
+            q = saddle.contraction = max(size / last if last > 0 else 0.0, LEAST_CONTRACTION)
+        if (q is not None and size * q * caution <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
             break
-    contraction = sizes[1] / sizes[0] if len(sizes) > 1 and sizes[0] else 0.0
-    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, (du, dl, dn), contraction)
+        last = size
+    nothing = INVISIBLE * whole * np.sqrt(delassus(condensation).compliance)
+    q = q or 0.0
+    remainder = size * q / (1 - q) * CAUTION if q < 1 else np.inf
+    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
 
 
 class _CorrectionSize:
@@ -105,7 +137,12 @@ def closed_contacts(problem: ContactProblem, condensation: Condensation, u: Vect
 
 
 def polish(
-    problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp], max_corrections: int
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    max_corrections: int,
+    start: Answer | None = None,
+    left: Residuals | None = None,
 ) -> tuple[OnSet, int, bool]:
     """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
 
@@ -116,7 +153,7 @@ def polish(
     seen: set[bytes] = set()
     corrections = 0
     while True:
-        answer = answer_on(problem, condensation, closed)
+        answer = answer_on(problem, condensation, closed, start, left)
         proposal = None
         if answer.saddle.redundant:
             if not _ties_are_met(problem, answer):
@@ -126,7 +163,7 @@ def polish(
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
                     closed = lean
-                    answer = answer_on(problem, condensation, closed)
+                    answer = answer_on(problem, condensation, closed, start, left)
         if proposal is None:
             if answer.saddle.free.shape[1]:
                 answer, _ = least_displacement(problem, condensation, answer)
@@ -146,7 +183,8 @@ def polish(
 def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
     u = answer.displacement.double()
     missing = abs((extend(problem.tie_value) - extended_rows(problem).tie @ answer.displacement).double())
-    return bool(np.all(missing <= WITHIN_ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)))
+    rounding = WITHIN_ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)
+    return bool(np.all(missing <= np.maximum(rounding, answer.nothing[problem.contacts :])))
 
 
 def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
@@ -169,7 +207,8 @@ def _wrong(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts in tension and contacts penetrated, beyond rounding."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
-    penetrated = np.flatnonzero(-answer.gap.double() > WITHIN_ROUNDING * length)
+    rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
+    penetrated = np.flatnonzero(-answer.gap.double() > rounding)
     doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
     return np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING), np.setdiff1d(penetrated, closed)
 
@@ -178,8 +217,10 @@ def _reached_by_drive(
     problem: ContactProblem, condensation: Condensation, answer: OnSet
 ) -> tuple[NDArray[np.intp], bool]:
     """The contacts first reached by a motion that the set leaves free and the load drives, and whether there is one."""
+    if not answer.saddle.free.shape[1]:
+        return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
-    size = condensation.reduced_problem(problem, load, inner).load_size
+    size = condensation.reduced_size(problem, inner)
     drive = condensation.scale * answer.saddle.drive(load, size)
     if not np.any(drive):
         return np.zeros(0, dtype=np.intp), False
@@ -232,7 +273,8 @@ def least_displacement(problem: ContactProblem, condensation: Condensation, answ
     if not free.shape[1]:
         return answer, free
     # The shift is rigid to double precision only: refine again from where it leads.
-    return answer_on(problem, condensation, pushing_contacts(problem, Answer(u, force, None, tie)), u + shift), free
+    moved = Answer(u + shift, force, None, tie)
+    return answer_on(problem, condensation, pushing_contacts(problem, Answer(u, force, None, tie)), moved), free
 
 
 def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, answer: Answer) -> tuple[Vector, Array]:

@@ -4,19 +4,24 @@
     [ E_B  0     0  ] [ l_B ] = [ e ]       B: the closed contacts
     [ A    0     0  ] [ nu  ]   [ a ]
 
-is solved by the null-space method on the condensed unknowns (Nocedal and Wright 2006, section 16.2): with
-[E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). Rows that depend on others get no force;
-motions that neither S nor a row resists (found from the rigid motions of K, not from small eigenvalues) stay at rest.
+is solved on the condensed unknowns by the range-space method where all is regular (`range_space`), else by the
+null-space method (Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v,
+N'SN v = N'(r - S Y ...). There, rows that depend on others get no force; motions that neither S nor a row resists
+(found from the rigid motions of K, not from small eigenvalues) stay at rest.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import UNRESISTED, Condensation
+from contactqp.delassus import delassus
 from contactqp.factorization import Array, DenseCholesky
 from contactqp.problem import Vector
+from contactqp.range_space import REGULAR, RangeSpace
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
@@ -28,13 +33,33 @@ BALANCED = 1e-10
 IDLE = 256 * np.finfo(float).eps
 
 
-class SaddlePoint:
-    """Factorisation of the saddle-point system of one set of closed contacts."""
+class SaddlePoint(Protocol):
+    """The factorised saddle-point system of one set of closed contacts, whichever way it was factorised."""
+
+    closed: NDArray[np.intp]
+    redundant: bool  # whether rows depend on others
+    independent: NDArray[np.intp]  # places among the closed contacts and ties, as many contacts as can be
+    free: Array  # (p, q) orthonormal scaled motions that nothing resists
+    contraction: float | None  # what refinement leaves of a correction, once it has been measured
+
+    def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
+        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+
+    def exchange(self, entering: int, force: Vector) -> int | None:
+        """The closed contact, by its place, that opens for a dependent one to take its share; None if none can."""
+
+    def drive(self, load: Vector, size: Vector) -> Vector:
+        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
+
+
+class NullSpace:
+    """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
 
     def __init__(self, condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> None:
         from scipy.linalg import qr
 
         self.closed = np.asarray(closed, dtype=np.intp)
+        self.contraction: float | None = None
         self._scale = condensation.scale
         self._uncertainty = condensation.rigid.uncertainty
         ties = condensation.tie if tied else condensation.tie[:0]
@@ -133,8 +158,18 @@ def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: boo
     if key not in kept:
         if len(kept) >= KEPT:
             kept.pop(next(iter(kept)))
-        kept[key] = SaddlePoint(condensation, closed, tied)
+        kept[key] = _factorised(condensation, closed, tied)
     return kept[key]
+
+
+def _factorised(condensation: Condensation, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
+    if not condensation.rigid.count:
+        operator = delassus(condensation)
+        if operator.smallest_pivot >= REGULAR:
+            found = RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
+            if found.regular:
+                return found
+    return NullSpace(condensation, closed, tied)
 
 
 def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.extended import extend, extended_rows
+from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
 from contactqp.problem import ContactProblem, Vector
 
@@ -63,14 +63,35 @@ class Violations:
     meeting: Vector  # (n,) F [force]
 
 
-def violations(problem: ContactProblem, answer: Answer) -> Violations:
-    """Every figure of an answer, its residuals formed in extended precision."""
-    rows = extended_rows(problem)
-    u, force, tie = extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force)
-    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
-    residual = (outer - rows.stiffness @ u).double()
-    gap = (extend(problem.gap) - rows.normal @ u).double()
-    tie_error = abs((rows.tie @ u - problem.tie_value).double())
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What an answer leaves, in extended precision."""
+
+    force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
+    gap: Extended  # (m,) g - E_N u
+    tie: Extended  # (k,) b - A u
+
+
+def residuals_of(
+    rows: ExtendedRows, problem: ContactProblem, u: Extended, force: Extended, tie: Extended, friction: Any = None
+) -> Residuals:
+    """The residuals of a displacement (n,), contact forces (m,), tie forces (k,) and friction (m, d-1), if any."""
+    outer = extend(problem.load) - rows.contact_force(force, tie)
+    if friction is not None:
+        outer = outer - rows.friction_force(friction)
+    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
+    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+
+
+def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """The residuals of an answer."""
+    parts = (extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force))
+    return residuals_of(extended_rows(problem), problem, *parts, answer.friction_force)
+
+
+def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Violations:
+    """Every figure of an answer with these residuals."""
+    residual, gap, tie_error = left.force.double(), left.gap.double(), abs(left.tie.double())
     F = forces_that_meet(problem, answer)
     gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement))
     push = force_measure(problem.normal, answer.normal_force, F)
@@ -93,7 +114,14 @@ def violations(problem: ContactProblem, answer: Answer) -> Violations:
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
-    return np.asarray(abs(problem.stiffness) @ abs(answer.displacement) + _outer_forces(problem, answer))
+    return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + _outer_forces(problem, answer))
+
+
+def stiffness_sizes(problem: ContactProblem) -> Any:
+    """|K|, made once for a stiffness."""
+    if "stiffness_sizes" not in problem._shared:
+        problem._shared["stiffness_sizes"] = abs(problem.stiffness)
+    return problem._shared["stiffness_sizes"]
 
 
 def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:

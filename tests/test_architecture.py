@@ -13,9 +13,10 @@ PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
 
 # From the bottom to the top: a module imports from its own layer or from layers before it.
 LAYERS = (
-    "errors", "problem_data", "problem", "solution", "extended", "factorization", "condensation", "delassus",
-    "nonnegative", "saddle", "violations", "polishing", "energy_norm", "admissible_pair", "bounds", "failures",
-    "certificate", "scaling", "existence", "methods", "solving", "elements", "analysis", "scene", "study", "cli",
+    "errors", "problem_data", "problem", "solution", "extended", "factorization", "pardiso", "elimination",
+    "condensation", "delassus", "nonnegative", "range_space", "saddle", "violations", "polishing", "energy_norm",
+    "admissible_pair", "bounds", "failures", "certificate", "scaling", "existence", "methods", "solving", "elements",
+    "analysis", "scene", "study", "cli",
 )  # fmt: skip
 
 

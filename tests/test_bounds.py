@@ -75,7 +75,7 @@ def test_the_closed_contacts_are_searched_for_where_corrections_of_the_set_go_in
 
 
 def test_a_displacement_that_doubles_cannot_hold_is_refused():
-    """A body moved by 5 onto a spring of 1e13 by a force of 0.1: rounding 5 to doubles strains the spring by percents."""
+    """A body moved by 5 onto a spring of 1e13 by a force of 0.1: rounding 5 to doubles strains it by percents."""
     K = np.zeros((3, 3))
     K[0, 0] = 2.0**43
     K[1:, 1:] = 2.0**47 * np.array([[1.0, -1.0], [-1.0, 1.0]])

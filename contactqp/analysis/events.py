@@ -99,7 +99,7 @@ def _subsets(contacts: Indices) -> chain[tuple[int, ...]]:
 def _rates_on(direction: ContactProblem, way: Condensation, closed: Indices) -> OnSet:
     rates = answer_on(direction, way, closed)
     load, inner = way.reduce_load(direction.load)
-    if np.any(rates.saddle.drive(load, way.reduced_problem(direction, load, inner).load_size)):
+    if np.any(rates.saddle.drive(load, way.reduced_size(direction, inner))):
         raise Unsupported(
             "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
         )

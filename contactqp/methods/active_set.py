@@ -40,7 +40,7 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     condensation = condense(problem)
     operator = delassus(condensation)
     load, inner = condensation.reduce_load(problem.load)
-    size = condensation.reduced_problem(problem, load, inner).load_size
+    size = condensation.reduced_size(problem, inner)
     limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
     anchor = _rigid_answer(problem, operator, load)
     force = _warm(settings, operator, problem.contacts)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from contactqp.condensation import condense
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.problem import ContactProblem, Matrix, Vector
-from contactqp.saddle import SaddlePoint
+from contactqp.saddle import saddle_point
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
@@ -204,7 +204,7 @@ def of_solution(solution: Solution) -> Truth:
 
 def _unique(solution: Solution) -> bool:
     closed = np.flatnonzero(solution.contact_status != "open")
-    return not SaddlePoint(condense(solution.problem), closed).redundant
+    return not saddle_point(condense(solution.problem), closed).redundant
 
 
 def _given(problem: ContactProblem, reference: Reference) -> Truth:

@@ -1,0 +1,124 @@
+"""Elimination of the interior unknowns i, retained unknowns c: what condensation factorises.
+
+    S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
+
+Two ways with one interface: back-substitutions with factors of K_ii, one for every retained unknown; or MKL PARDISO,
+whose factorisation leaves S behind as its last block (`pardiso`).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.factorization import Array, Factorization, factorise
+from contactqp.pardiso import NotPositive, Pardiso, available
+from contactqp.problem import Vector
+
+# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
+BLOCK = 64
+# From here on a sparse factorisation with PARDISO pays for loading it.
+LARGE = 2000
+# The variable of the environment that chooses the sparse solver, "superlu" or "pardiso"; the fastest by default.
+CHOICE = "CONTACTQP_SPARSE_SOLVER"
+SOLVERS = ("superlu", "pardiso")
+
+
+class Elimination(Protocol):
+    """Factors of K_ii and what they leave."""
+
+    solver: str  # whose factors they are
+    schur: Array  # (p, p) S
+    smallest_pivot: float  # of K_ii with a diagonal of ones
+    half_substitutions: int  # forward or backward, with one right-hand side
+
+    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        """f_S (p,), and what `expand` needs of the load."""
+
+    def expand(self, retained: Vector, state: Vector) -> Vector:
+        """u (n,) from u_c and the load that was reduced."""
+
+
+class BackSubstitution:
+    """S from factors of K_ii, column by column."""
+
+    solver = "superlu"
+
+    def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
+        self._retained = retained
+        self._interior = np.setdiff1d(np.arange(stiffness.shape[0]), retained)
+        self._coupling = stiffness[self._interior][:, retained]
+        self._factor: Factorization | None = None
+        self.half_substitutions = 0
+        if self._interior.size:
+            self._factor = factorise(stiffness[self._interior][:, self._interior])
+        self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
+        self.schur = self._schur_complement(stiffness)
+
+    def _schur_complement(self, stiffness: Any) -> Array:
+        S = stiffness[self._retained][:, self._retained].toarray()
+        for start in range(0, len(self._retained), BLOCK):
+            columns = slice(start, start + BLOCK)
+            right = self._coupling[:, columns].toarray()
+            S[:, columns] -= self._coupling.T @ self._solve(right)
+        return np.asarray((S + S.T) / 2)
+
+    def _solve(self, right: Array) -> Array:
+        if self._factor is None:
+            return np.zeros_like(right)
+        self.half_substitutions += 2 * (1 if right.ndim == 1 else right.shape[1])
+        return self._factor.solve(right)
+
+    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        inner = self._solve(load[self._interior])
+        return load[self._retained] - self._coupling.T @ inner, inner
+
+    def expand(self, retained: Vector, state: Vector) -> Vector:
+        u = np.empty(len(self._retained) + len(self._interior))
+        u[self._retained] = retained
+        u[self._interior] = state - self._solve(self._coupling @ retained)
+        return u
+
+
+class LastBlock:
+    """S as PARDISO leaves it; half a back-substitution reduces a load, the other half expands a displacement."""
+
+    solver = "pardiso"
+
+    def __init__(self, stiffness: Any, retained: NDArray[np.intp]) -> None:
+        self._retained = retained
+        self._factor = Pardiso(stiffness, retained)
+        self.smallest_pivot = self._factor.smallest_pivot
+        self.schur = self._factor.schur
+        self.half_substitutions = 0
+
+    def reduce(self, load: Vector) -> tuple[Vector, Vector]:
+        self.half_substitutions += 1
+        eliminated = self._factor.forward(load)
+        return eliminated[self._retained], eliminated
+
+    def expand(self, retained: Vector, state: Vector) -> Vector:
+        self.half_substitutions += 1
+        right = state.copy()
+        right[self._retained] = retained
+        return self._factor.backward(right)
+
+
+def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
+    """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain."""
+    chosen = os.environ.get(CHOICE, "")
+    if chosen and chosen not in SOLVERS:
+        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(SOLVERS)}, got {chosen!r}")
+    interior = np.setdiff1d(np.arange(stiffness.shape[0]), retained)
+    wanted = len(interior) >= LARGE and available() if not chosen else chosen == "pardiso" and len(interior) > 0
+    if wanted and np.all(stiffness.diagonal()[interior] > 0):
+        try:
+            return LastBlock(stiffness, retained)
+        except NotPositive:
+            pass  # singular or nearly so: whether it is indefinite is for the pivots of the other way to tell
+    return BackSubstitution(sp.csr_matrix(stiffness), retained)

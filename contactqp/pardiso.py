@@ -1,0 +1,134 @@
+"""MKL PARDISO through the library that pypardiso brings: Cholesky factors that leave the Schur complement behind.
+
+With `perm` = 1 at the retained unknowns and iparm(36) = 1 the factorisation stops before them and returns the dense S;
+phase 331 is then the forward elimination of a load, whose retained entries are f_S, and phase 333 the backward
+substitution that starts from given retained entries (Intel oneMKL Developer Reference, PARDISO iparm parameters).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import weakref
+from functools import cache
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import BackendFailed, BackendMissing
+
+Array = NDArray[np.float64]
+
+POSITIVE_DEFINITE = 2
+ANALYSE_AND_FACTORISE, FORWARD, BACKWARD, RELEASE = 12, 331, 333, -1
+NOT_POSITIVE = -4
+# Places in iparm, counted from zero.
+DEFAULTS_OVERRIDDEN, ORDERING, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 34, 35, 55
+NESTED_DISSECTION, SCHUR_ONLY = 2, 1
+
+
+class NotPositive(Exception):
+    """A pivot is zero or negative."""
+
+
+def available() -> bool:
+    """Whether PARDISO can be had; nothing is loaded to find out."""
+    return importlib.util.find_spec("pypardiso") is not None
+
+
+@cache
+def _library() -> Any:
+    if not available():
+        raise BackendMissing("pardiso: pypardiso is not installed: pip install 'contactqp[fast]'")
+    import pypardiso
+
+    return ctypes.CDLL(pypardiso.PyPardisoSolver().libmkl._name)
+
+
+class Pardiso:
+    """K = L L' up to the retained unknowns.
+
+    Raises
+    ------
+    NotPositive
+        A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
+    BackendMissing, BackendFailed
+        There is no PARDISO, or it gave up (for want of memory, say).
+    """
+
+    def __init__(self, matrix: Any, retained: NDArray[np.intp]) -> None:
+        upper = sp.triu(matrix, format="csr")
+        upper.sort_indices()
+        self.size = int(upper.shape[0])
+        self._values = np.ascontiguousarray(upper.data, dtype=np.float64)
+        self._starts, self._columns = upper.indptr.astype(np.int32), upper.indices.astype(np.int32)
+        self._retained = np.zeros(self.size, dtype=np.int32)
+        self._retained[retained] = 1
+        self._handle = np.zeros(64, dtype=np.int64)
+        self._settings = np.zeros(64, dtype=np.int32)
+        self._settings[[DEFAULTS_OVERRIDDEN, ORDERING]] = 1, NESTED_DISSECTION
+        self._settings[[ZERO_BASED, KEEP_DIAGONAL]] = 1
+        if len(retained):
+            self._settings[SCHUR] = SCHUR_ONLY
+        self.schur = np.zeros((len(retained), len(retained)))
+        self._release = weakref.finalize(self, _release, self._handle, self._settings)
+        self._call(ANALYSE_AND_FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
+        self.smallest_pivot = self._smallest_pivot()
+
+    def forward(self, right: Array) -> Array:
+        """L^-1 right on the interior; f_S on the retained unknowns."""
+        return self._solve(FORWARD, right)
+
+    def backward(self, right: Array) -> Array:
+        """u from L^-1 f on the interior and u_c on the retained unknowns."""
+        return self._solve(BACKWARD, right)
+
+    def _solve(self, phase: int, right: Array) -> Array:
+        solution = np.zeros(self.size)
+        self._call(phase, np.array(right, dtype=np.float64), solution)
+        return solution
+
+    def _call(self, phase: int, right: Array, solution: Array) -> None:
+        error = ctypes.c_int32(0)
+        one, kind = ctypes.c_int32(1), ctypes.c_int32(POSITIVE_DEFINITE)
+        _library().pardiso(
+            *(_pointer(self._handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind)),
+            *(ctypes.byref(ctypes.c_int32(phase)), ctypes.byref(ctypes.c_int32(self.size))),
+            *(_pointer(self._values), _pointer(self._starts), _pointer(self._columns), _pointer(self._retained)),
+            *(ctypes.byref(one), _pointer(self._settings), ctypes.byref(ctypes.c_int32(0))),
+            *(_pointer(right), _pointer(solution), ctypes.byref(error)),
+        )
+        if error.value == NOT_POSITIVE:
+            raise NotPositive
+        if error.value:
+            raise BackendFailed(f"pardiso: error {error.value} in phase {phase}")
+
+    def _smallest_pivot(self) -> float:
+        """Of the matrix with a diagonal of ones: what elimination left of a diagonal entry, over the entry."""
+        pivots, before, error = np.zeros(self.size), np.zeros(self.size), ctypes.c_int32(0)
+        _library().pardiso_getdiag(
+            *(_pointer(self._handle), _pointer(pivots), _pointer(before)),
+            *(ctypes.byref(ctypes.c_int32(1)), ctypes.byref(error)),
+        )
+        if error.value:
+            raise BackendFailed(f"pardiso: error {error.value} when its pivots were asked for")
+        eliminated = self.size - len(self.schur)  # in the order of elimination, the retained unknowns last
+        return float(np.min(pivots[:eliminated] / before[:eliminated], initial=1.0))
+
+
+def _pointer(array: Any) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _release(handle: Any, settings: Any) -> None:
+    """Give the factors' memory back."""
+    nothing, one = np.zeros(1), ctypes.c_int32(1)
+    size, kind, phase = ctypes.c_int32(1), ctypes.c_int32(POSITIVE_DEFINITE), ctypes.c_int32(RELEASE)
+    _library().pardiso(
+        *(_pointer(handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind), ctypes.byref(phase)),
+        *(ctypes.byref(size), _pointer(nothing), _pointer(nothing), _pointer(nothing), _pointer(nothing)),
+        *(ctypes.byref(one), _pointer(settings), ctypes.byref(ctypes.c_int32(0))),
+        *(_pointer(nothing), _pointer(nothing), ctypes.byref(ctypes.c_int32(0))),
+    )
