@@ -1,0 +1,113 @@
+"""From reference elements to space: Jacobians, gradients and surface normals of many elements at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.quadrature import Quadrature
+from contactqp.elements.reference import Reference
+
+# Numbers that are held at a time for a batch of elements (32 MB): more would leave the processor's cache and, for large
+# meshes, the memory.
+BATCH = 2**22
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Elements of one kind: their reference element, and nodes (E, n) of int in its order."""
+
+    kind: Reference
+    nodes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+
+def batches(block: Block, numbers: int) -> Iterator[Block]:
+    """The block piece by piece, so many elements at a time that `numbers` for each of them come to BATCH."""
+    step = max(1, BATCH // numbers)
+    for start in range(0, len(block), step):
+        yield Block(block.kind, block.nodes[start : start + step])
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """E elements of one kind in space, seen at q points of the reference element.
+
+    Parameters
+    ----------
+    kind : Reference
+    corners : (E, n, d) array
+        Coordinates of the nodes [length].
+    points : (q, d) array
+        On the reference element.
+    """
+
+    kind: Reference
+    corners: NDArray[np.float64]
+    points: NDArray[np.float64]
+
+    @cached_property
+    def shape(self) -> NDArray[np.float64]:
+        """N_i: (q, n)."""
+        return self.kind.shape(self.points)
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """x = N_i x_i: (E, q, d) [length]."""
+        return np.asarray(np.matmul(self.shape, self.corners))
+
+    @cached_property
+    def jacobian(self) -> NDArray[np.float64]:
+        """J_ab = dx_a / dxi_b: (E, q, d, dimension of the kind) [length]."""
+        gradient = self.kind.gradient(self.points)
+        q, n, k = gradient.shape
+        flat = np.moveaxis(gradient, 1, 2).reshape(q * k, n) @ self.corners
+        return np.swapaxes(flat.reshape(len(self.corners), q, k, -1), 2, 3)
+
+    @cached_property
+    def determinant(self) -> NDArray[np.float64]:
+        """det J: (E, q); negative where an element is turned inside out."""
+        return np.asarray((self.jacobian[..., 0] * _cofactors(self.jacobian)[..., 0]).sum(axis=-1))
+
+    @property
+    def gradient(self) -> NDArray[np.float64]:
+        """dN_i/dx_a = dN_i/dxi_b (J^-1)_ba: (E, q, n, d) [1/length]."""
+        inverse_transposed = _cofactors(self.jacobian) / self.determinant[..., None, None]
+        return np.asarray(np.matmul(self.kind.gradient(self.points), np.swapaxes(inverse_transposed, 2, 3)))
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Normals of facets, as long as the facet is large: n dA = normal dxi, (E, q, d). Out of the body (Surface)."""
+        if self.kind.dimension == 1:
+            t = self.jacobian[..., 0]
+            return np.stack([t[..., 1], -t[..., 0]], axis=-1)
+        return np.cross(self.jacobian[..., 0], self.jacobian[..., 1])
+
+
+def at_rule(block: Block, points: NDArray[np.float64], rule: Quadrature) -> Geometry:
+    """The block's elements at the points of a quadrature rule; `points` are the coordinates of all nodes."""
+    return Geometry(block.kind, points[block.nodes], rule.points)
+
+
+def sum_at_nodes(block: Block, values: NDArray[np.float64], nodes: int) -> NDArray[np.float64]:
+    """What the elements (E, n, c) bring to each of the nodes, summed up: (nodes, c)."""
+    at = block.nodes.ravel()
+    columns = [
+        np.bincount(at, weights=values[..., column].ravel(), minlength=nodes) for column in range(values.shape[-1])
+    ]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
+    """det(J) J^-T of (..., d, d) matrices, d = 2 or 3, column by column from the other columns."""
+    if J.shape[-1] == 2:
+        (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
+        return np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-1)
+    columns = [np.cross(J[..., (i + 1) % 3], J[..., (i + 2) % 3]) for i in range(3)]
+    return np.stack(columns, axis=-1)

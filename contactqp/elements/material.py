@@ -1,0 +1,95 @@
+"""Isotropic linear elasticity: from strain to stress in plane strain, plane stress, axial symmetry and 3D.
+
+Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz, xy, yz, zx), shear strains doubled
+(gamma_xy = 2 eps_xy). A model keeps those strains that can differ from zero:
+
+    plane-strain    (xx, yy, xy)       eps_zz = 0, sigma_zz follows
+    plane-stress    (xx, yy, xy)       sigma_zz = 0
+    axisymmetric    (xx, yy, zz, xy)   x is the radius, y the axis, zz the hoop direction
+    3d              all six
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+
+Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
+MODELS: tuple[str, ...] = get_args(Model)
+STRAINS: dict[str, tuple[int, ...]] = {
+    "plane-strain": (0, 1, 3),
+    "plane-stress": (0, 1, 3),
+    "axisymmetric": (0, 1, 2, 3),
+    "3d": (0, 1, 2, 3, 4, 5),
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic linear elastic material.
+
+    Parameters
+    ----------
+    modulus : float
+        Young's modulus E > 0 [force / length^2].
+    poisson : float
+        Poisson's ratio [-], -1 < nu < 1/2. Close to 1/2 linear elements lock (far too stiff, because every quadrature
+        point then asks for a constant volume): with nu > 0.45 use quadratic ones. No mixed formulation is offered.
+    density : float
+        rho >= 0 [mass / length^3]; only gravity needs it.
+    name : str
+        Used in every message.
+
+    Raises
+    ------
+    InvalidProblem
+        A number outside these ranges or not finite.
+    """
+
+    modulus: float
+    poisson: float
+    density: float = 0.0
+    name: str = "material"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.modulus) and self.modulus > 0):
+            raise InvalidProblem(f"{self.name}: expected a positive modulus, got {self.modulus}")
+        if not -1 < self.poisson < 0.5:
+            raise InvalidProblem(f"{self.name}: expected Poisson's ratio between -1 and 0.5, got {self.poisson}")
+        if not (math.isfinite(self.density) and self.density >= 0):
+            raise InvalidProblem(f"{self.name}: expected a density >= 0, got {self.density}")
+
+    @property
+    def lame_lambda(self) -> float:
+        """lambda = E nu / ((1 + nu) (1 - 2 nu)) [force / length^2]."""
+        return self.modulus * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
+
+    @property
+    def lame_mu(self) -> float:
+        """mu = E / (2 (1 + nu)), the shear modulus [force / length^2]."""
+        return self.modulus / (2 * (1 + self.poisson))
+
+    def constitutive(self, model: Model) -> NDArray[np.float64]:
+        """D in sigma = D eps for the strains of the model: (3, 3), (4, 4) or (6, 6) [force / length^2].
+
+        >>> Material(modulus=2.0, poisson=0.0).constitutive("plane-stress").tolist()
+        [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]
+        """
+        return self.stress_matrix(model)[list(STRAINS[model])]
+
+    def stress_matrix(self, model: Model) -> NDArray[np.float64]:
+        """All six stresses from the strains of the model, (6, number of strains): those of D, and sigma_zz."""
+        # In plane stress eps_zz = -lambda / (lambda + 2 mu) (eps_xx + eps_yy) leaves this lambda to the plane.
+        reduced = 2 * self.lame_lambda * self.lame_mu / (self.lame_lambda + 2 * self.lame_mu)
+        D = np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0]) * self.lame_mu
+        D[:3, :3] += reduced if model == "plane-stress" else self.lame_lambda
+        matrix = D[:, list(STRAINS[model])]
+        if model == "plane-stress":
+            matrix[2] = 0.0
+        return matrix
