@@ -1,0 +1,249 @@
+"""Meshes of simple shapes: structured, graded towards where contact is expected, with named sides.
+
+All lengths are in [length]. `kind` is any kind of element of the shape's dimension. `grading` >= 1 is the ratio of the
+largest to the smallest element along a direction; sizes grow geometrically. Curved sides carry all their nodes on the
+exact curve. Every function raises InvalidProblem for a length, a number of divisions or a grading that is none.
+
+    rectangle, box                   sides left right (x), front back (y, 3D), bottom top (the last axis)
+    disc, half_disc, quarter_disc    side arc; half_disc is the lower half, with the flat side top (y = 0);
+                                     quarter_disc is its right half, with the sides top and left (x = 0)
+    cylinder                         axis z; sides bottom, top, side; a half is y >= 0, with front (y = 0);
+                                     a quarter also x >= 0, with left (x = 0)
+    ball                             side sphere; a half is the lower one, with top (z = 0); a quarter also x >= 0,
+                                     with left (x = 0); an eighth also y >= 0, with front (y = 0)
+
+Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.lattice import Index, Patch, lattice_mesh
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.o_grid import Half, OGrid
+from contactqp.elements.spacing import Towards, spacing
+from contactqp.errors import InvalidProblem
+
+Part = Literal["full", "half", "quarter", "eighth"]
+_AXIS_SIDES = {2: (("left", "right"), ("bottom", "top")), 3: (("left", "right"), ("front", "back"), ("bottom", "top"))}
+_CYLINDER_PARTS: dict[str, tuple[Half, ...]] = {
+    "full": ("full", "full"),
+    "half": ("full", "positive"),
+    "quarter": ("positive", "positive"),
+}
+_BALL_PARTS: dict[str, tuple[Half, ...]] = {
+    "full": ("full", "full", "full"),
+    "half": ("full", "full", "negative"),
+    "quarter": ("positive", "full", "negative"),
+    "eighth": ("positive", "positive", "negative"),
+}
+
+
+def rectangle(
+    width: float,
+    height: float,
+    divisions: tuple[int, int],
+    kind: str = "quad4",
+    *,
+    grading: float = 1.0,
+    towards: Sequence[str] = ("bottom",),
+    corner: tuple[float, float] = (0.0, 0.0),
+) -> Mesh:
+    """The rectangle from `corner`, its lowest x and y, to corner + (width, height).
+
+    Parameters
+    ----------
+    divisions : (int, int)
+        Elements along x and y; each counts for two triangles.
+    towards : sequence of str
+        The sides that elements get smaller towards; ``"middle"`` is the middle of the width.
+
+    >>> mesh = rectangle(2.0, 1.0, (4, 2), "tri6")
+    >>> mesh.elements, round(mesh.volume(), 12)
+    (16, 2.0)
+    """
+    return _box((width, height), divisions, kind, grading, towards, corner)
+
+
+def box(
+    lengths: tuple[float, float, float],
+    divisions: tuple[int, int, int],
+    kind: str = "hex8",
+    *,
+    grading: float = 1.0,
+    towards: Sequence[str] = ("bottom",),
+    corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Mesh:
+    """The box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
+
+    ``"middle"`` is the middle in x and in y.
+    """
+    return _box(lengths, divisions, kind, grading, towards, corner)
+
+
+def disc(
+    radius: float,
+    divisions: tuple[int, int],
+    kind: str = "quad4",
+    *,
+    grading: float = 1.0,
+    center: tuple[float, float] = (0.0, 0.0),
+) -> Mesh:
+    """The disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
+
+    With (n, m) there are 8 n elements along the whole arc and n + m along a radius.
+    """
+    return _round(OGrid(("full", "full"), *_pair(divisions), grading), radius, center, kind, {})
+
+
+def half_disc(
+    radius: float,
+    divisions: tuple[int, int],
+    kind: str = "quad4",
+    *,
+    grading: float = 1.0,
+    center: tuple[float, float] = (0.0, 0.0),
+) -> Mesh:
+    """The lower half of the disc around `center`, y <= center_y; as `disc`."""
+    return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
+
+
+def quarter_disc(
+    radius: float,
+    divisions: tuple[int, int],
+    kind: str = "quad4",
+    *,
+    grading: float = 1.0,
+    center: tuple[float, float] = (0.0, 0.0),
+) -> Mesh:
+    """The lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
+    grid = OGrid(("positive", "negative"), *_pair(divisions), grading)
+    return _round(grid, radius, center, kind, {"top": 1, "left": 0})
+
+
+def ball(
+    radius: float,
+    divisions: tuple[int, int],
+    kind: str = "hex8",
+    *,
+    part: Part = "full",
+    grading: float = 1.0,
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Mesh:
+    """The ball or a part of it; `divisions` as for `disc`."""
+    if part not in _BALL_PARTS:
+        raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
+    halves = _BALL_PARTS[part]
+    cuts = {name: axis for axis, name in enumerate(("left", "front", "top")) if halves[axis] != "full"}
+    return _round(OGrid(halves, *_pair(divisions), grading), radius, center, kind, cuts)
+
+
+def cylinder(
+    radius: float,
+    height: float,
+    divisions: tuple[int, int, int],
+    kind: str = "hex8",
+    *,
+    part: Part = "full",
+    grading: float = 1.0,
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Mesh:
+    """The cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
+
+    `divisions` are those of `disc` and the elements along z, which get smaller towards the bottom.
+    """
+    if part not in _CYLINDER_PARTS:
+        raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {part!r}")
+    R, H = _length("radius", radius), _length("height", height)
+    if np.shape(divisions) != (3,):
+        raise InvalidProblem(f"cylinder: expected three divisions, got {divisions!r}")
+    halves = _CYLINDER_PARTS[part]
+    z = H * spacing(divisions[2], grading, "low")
+    grid = OGrid(halves, *_pair(divisions[:2]), extrusion=divisions[2])
+    sides = {
+        "bottom": _at(2, 0),
+        "top": _at(2, 2 * divisions[2]),
+        "side": _at(grid.layer, 2 * grid.layers),
+        **{name: _at(axis, 0) for axis, name in enumerate(("left", "front")) if halves[axis] != "full"},
+    }
+
+    def position(keys: Index) -> NDArray[np.float64]:
+        return np.asarray(center) + np.column_stack([R * grid.position(keys), z[keys[:, 2]]])
+
+    return lattice_mesh(grid.patches(), kind, position, sides)
+
+
+def _box(
+    lengths: Sequence[float],
+    divisions: Sequence[int],
+    kind: str,
+    grading: float,
+    towards: Sequence[str],
+    corner: Sequence[float],
+) -> Mesh:
+    names = _AXIS_SIDES[len(lengths)]
+    if np.shape(divisions) != (len(names),):
+        raise InvalidProblem(f"shape: expected {len(names)} divisions, got {divisions!r}")
+    known = {name for pair in names for name in pair} | {"middle"}
+    if isinstance(towards, str) or set(towards) - known:
+        raise InvalidProblem(f"shape: expected `towards` to be a list of {', '.join(sorted(known))}, got {towards!r}")
+    values = []
+    for axis, pair in enumerate(names):
+        place = _towards(pair, towards, horizontal=axis < len(names) - 1)
+        share = spacing(divisions[axis], grading if place else 1.0, place or "low")
+        values.append(corner[axis] + _length("length", lengths[axis]) * share)
+    sides: dict[str, Callable[[Index], NDArray[np.bool_]]] = {}
+    for axis, (low, high) in enumerate(names):
+        sides |= {low: _at(axis, 0), high: _at(axis, 2 * divisions[axis])}
+
+    def position(keys: Index) -> NDArray[np.float64]:
+        return np.stack([values[axis][keys[:, axis]] for axis in range(len(names))], axis=1)
+
+    patch = Patch([np.arange(2 * n + 1) for n in divisions], range(len(names)))
+    return lattice_mesh([patch], kind, position, sides)
+
+
+def _towards(pair: tuple[str, str], towards: Sequence[str], *, horizontal: bool) -> Towards | None:
+    low, high = (name in towards for name in pair)
+    if low or high:
+        return "both" if low and high else "low" if low else "high"
+    return "middle" if horizontal and "middle" in towards else None
+
+
+def _round(grid: OGrid, radius: float, center: Sequence[float], kind: str, cuts: dict[str, int]) -> Mesh:
+    R, axes = _length("radius", radius), len(grid.halves)
+    curved = "arc" if axes == 2 else "sphere"
+    sides = {curved: _at(grid.layer, 2 * grid.layers), **{name: _at(axis, 0) for name, axis in cuts.items()}}
+
+    def position(keys: Index) -> NDArray[np.float64]:
+        return np.asarray(center) + R * grid.position(keys)
+
+    mesh = lattice_mesh(grid.patches(), kind, position, sides)
+    pole = np.array([*center[:-1], center[-1] - R])
+    return mesh.with_node_sets({"pole": np.array([mesh.nearest(pole)])})
+
+
+def _at(component: int, value: int) -> Callable[[Index], NDArray[np.bool_]]:
+    return lambda keys: keys[:, component] == value
+
+
+def _pair(divisions: Sequence[int]) -> tuple[int, int]:
+    if np.shape(divisions) != (2,):
+        raise InvalidProblem(
+            f"shape: expected two divisions, of the core and of the layers around it, got {divisions!r}"
+        )
+    for n in divisions:
+        spacing(n, 1.0, "low")
+    return divisions[0], divisions[1]
+
+
+def _length(what: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise InvalidProblem(f"shape: expected a positive {what}, got {value}")
+    return float(value)
