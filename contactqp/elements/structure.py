@@ -1,0 +1,277 @@
+"""Several bodies in one u, held by supports and loaded: stiffness and load of the free unknowns, and the way back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.elements.loads import Load, node_numbers
+from contactqp.elements.pairing import Pairing
+from contactqp.elements.solid import Body
+from contactqp.elements.surface import Surface
+from contactqp.errors import InvalidProblem
+from contactqp.problem import ContactProblem
+
+Vector = NDArray[np.float64]
+Index = NDArray[np.int64]
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Support:
+    """Prescribed displacement of some nodes along one axis.
+
+    Parameters
+    ----------
+    body : str
+    nodes : str, int or sequence of int
+        A named set (of nodes, or a side), or node numbers.
+    axis : int
+        0, 1 or 2 for x, y or z.
+    value : float
+        The displacement [length]; 0 holds the nodes.
+    """
+
+    body: str
+    nodes: str | int | Sequence[int]
+    axis: int
+    value: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Bodies side by side: their unknowns stand in u body after body, within a body node by node.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        With distinct names, all in the same number of dimensions.
+
+    Raises
+    ------
+    InvalidProblem
+        No bodies, names that are not distinct, 2D and 3D bodies together.
+    """
+
+    bodies: Sequence[Body]
+
+    def __post_init__(self) -> None:
+        names = [body.name for body in self.bodies]
+        if not names:
+            raise InvalidProblem("structure: expected at least one body, got none")
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InvalidProblem(f"structure: expected bodies with distinct names, got {twice!r} more than once")
+        if len({body.dimension for body in self.bodies}) > 1:
+            raise InvalidProblem("structure: expected bodies of one dimension, got 2D and 3D ones")
+
+    @property
+    def size(self) -> int:
+        """How many unknowns all bodies have."""
+        return sum(body.size for body in self.bodies)
+
+    def body(self, name: str) -> Body:
+        """The body of that name."""
+        for body in self.bodies:
+            if body.name == name:
+                return body
+        known = ", ".join(repr(body.name) for body in self.bodies)
+        raise InvalidProblem(f"structure: there is no body {name!r}; it has {known}")
+
+    def first(self, name: str) -> int:
+        """The place in u of the body's first unknown."""
+        names = [body.name for body in self.bodies]
+        return sum(body.size for body in self.bodies[: names.index(self.body(name).name)])
+
+    def surface(self, body: str, side: str) -> Surface:
+        """A side of a body, numbered in the u of the structure."""
+        return self.body(body).surface(side, first=self.first(body))
+
+    def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
+        """The (N, d) displacements of one body's nodes out of the u of all unknowns."""
+        body, first = self.body(name), self.first(name)
+        return np.asarray(displacement, dtype=float)[first : first + body.size].reshape(body.mesh.points.shape)
+
+    def unknown_names(self) -> tuple[str, ...]:
+        """``"block node 12 x"`` for each unknown."""
+        return tuple(
+            f"{body.name} node {i} {axis}"
+            for body in self.bodies
+            for i in range(len(body.mesh.points))
+            for axis in AXES[: body.dimension]
+        )
+
+    @cached_property
+    def stiffness(self) -> Any:
+        """K of all unknowns, free or not: (n, n) CSC [force / length]."""
+        return sp.csc_array(sp.block_diag([body.stiffness for body in self.bodies], format="csc"))
+
+    def assemble(self, supports: Sequence[Support] = (), loads: Sequence[Load] = ()) -> System:
+        """The system of the free unknowns under these supports and loads (all of them add up).
+
+        Raises
+        ------
+        InvalidProblem
+            An unknown body or set, an axis the body has not, two supports that ask one node for two displacements,
+            everything held.
+        """
+        load = np.zeros(self.size)
+        for acting in loads:
+            first = self.first(acting.body)
+            body = self.body(acting.body)
+            load[first : first + body.size] += acting.forces(body)
+        return System(self, load, self._prescribed(supports))
+
+    def _prescribed(self, supports: Sequence[Support]) -> Vector:
+        """(n,): the prescribed displacements, NaN at free unknowns."""
+        prescribed = np.full(self.size, np.nan)
+        for support in supports:
+            body = self.body(support.body)
+            if support.axis not in range(body.dimension):
+                raise InvalidProblem(
+                    f"support of {body.name!r}: expected an axis below {body.dimension}, got {support.axis}"
+                )
+            if not math.isfinite(support.value):
+                raise InvalidProblem(f"support of {body.name!r}: expected a finite displacement, got {support.value}")
+            nodes = node_numbers(body, support.nodes)
+            places = self.first(body.name) + body.dimension * nodes + support.axis
+            before = prescribed[places]
+            other = np.flatnonzero(~np.isnan(before) & (before != support.value))
+            if other.size:
+                raise InvalidProblem(
+                    f"support of {body.name!r}: node {nodes[other[0]]} along {AXES[support.axis]} is to move by "
+                    f"{support.value:.6g} and, by another support, by {before[other[0]]:.6g}"
+                )
+            prescribed[places] = support.value
+        if not np.isnan(prescribed).any():
+            raise InvalidProblem("structure: the supports hold every unknown; expected some that are free")
+        return prescribed
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """K u = f on the free unknowns of a structure; prescribed displacements have gone to the right-hand side.
+
+    Parameters
+    ----------
+    structure : Structure
+    load : (n,) array
+        Nodal forces on all unknowns [force].
+    prescribed : (n,) array
+        Displacements of the supports [length], NaN at free unknowns.
+    """
+
+    structure: Structure
+    load: Vector
+    prescribed: Vector
+
+    @cached_property
+    def free(self) -> Index:
+        """The free unknowns: free[j] is the place in the u of all unknowns of unknown j of this system."""
+        return np.flatnonzero(np.isnan(self.prescribed))
+
+    @cached_property
+    def given(self) -> Vector:
+        """(n,): the prescribed displacements, 0 at free unknowns [length]."""
+        return np.where(np.isnan(self.prescribed), 0.0, self.prescribed)
+
+    @cached_property
+    def K(self) -> Any:
+        """The stiffness of the free unknowns, CSC [force / length]."""
+        return sp.csc_array(self.structure.stiffness[self.free][:, self.free])
+
+    @cached_property
+    def f(self) -> Vector:
+        """Their loads, f_free - K_free,prescribed u_prescribed [force]."""
+        return np.asarray((self.load - self.structure.stiffness @ self.given)[self.free])
+
+    def expand(self, displacement: ArrayLike) -> Vector:
+        """The u of all unknowns from that of the free ones."""
+        u = self.given.copy()
+        u[self.free] = np.asarray(displacement, dtype=float)
+        return u
+
+    def support_forces(self, displacement: ArrayLike, contact_forces: ArrayLike | None = None) -> Vector:
+        """What the supports do to the bodies: K u + E'l - f at supported unknowns, 0 at the others: (n,) [force].
+
+        `displacement` is the u of all unknowns, `contact_forces` E_N' l_N (+ E_T' l_T) on all unknowns.
+        """
+        residual = self.structure.stiffness @ np.asarray(displacement, dtype=float) - self.load
+        if contact_forces is not None:
+            residual = residual + np.asarray(contact_forces, dtype=float)
+        return np.where(np.isnan(self.prescribed), 0.0, residual)
+
+    def free_contacts(self, pairings: Sequence[Pairing]) -> Index:
+        """The contacts, counted through all pairings, that depend on a free unknown; `problem` keeps these."""
+        normal = sp.csr_array(self._stacked([pairing.normal for pairing in pairings])[:, self.free])
+        return np.flatnonzero(abs(normal) @ np.ones(len(self.free)) > 0)
+
+    def problem(
+        self,
+        pairings: Sequence[Pairing],
+        *,
+        friction: ArrayLike | None = None,
+        units: Any = None,
+    ) -> ContactProblem:
+        """The contact problem of the free unknowns: E_N of the free unknowns, gap := gap - E_N u_prescribed.
+
+        Parameters
+        ----------
+        pairings : sequence of Pairing
+            Rows over all unknowns. Contact i of the problem is named ``contact j`` after its place j among all rows of
+            all pairings, because contacts between supported nodes, which no free unknown moves, are left out.
+        friction : float or array with one coefficient for each row of all pairings, optional
+            With it the tangent rows come in, and slip starts from what the supports prescribe.
+        units : Units or mapping, optional
+            As ContactProblem takes them.
+
+        Raises
+        ------
+        InvalidProblem
+            Rows of another length than u; supported nodes that are pressed into an obstacle.
+        """
+        normal = self._stacked([pairing.normal for pairing in pairings])
+        gap = np.concatenate([np.zeros(0), *[np.asarray(pairing.gap, dtype=float) for pairing in pairings]])
+        gap = gap - normal @ self.given
+        kept = self.free_contacts(pairings)
+        held = np.setdiff1d(np.arange(len(gap)), kept)
+        if held.size and gap[held].min() < 0:
+            i = held[np.argmin(gap[held])]
+            raise InvalidProblem(
+                f"contact {i}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
+            )
+        names = self.structure.unknown_names()
+        tangential: dict[str, Any] = {}
+        if friction is not None:
+            tangent = self._stacked([pairing.tangent for pairing in pairings])
+            per_contact = tangent.shape[0] // max(len(gap), 1)
+            rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
+            tangential = {
+                "tangent": tangent[rows][:, self.free],
+                "friction": np.broadcast_to(np.asarray(friction, dtype=float), gap.shape)[kept],
+                "slip_origin": -(tangent @ self.given)[rows],
+            }
+        return ContactProblem(
+            stiffness=self.K,
+            load=self.f,
+            normal=sp.csr_array(normal[kept][:, self.free]),
+            gap=gap[kept],
+            dof_names=[names[j] for j in self.free],
+            contact_names=[f"contact {i}" for i in kept],
+            units=units,
+            **tangential,
+        )
+
+    def _stacked(self, rows: Sequence[Any]) -> Any:
+        n = self.structure.size
+        for i, matrix in enumerate(rows):
+            if matrix.shape[1] != n:
+                raise InvalidProblem(f"pairing {i}: expected rows over all {n} unknowns, got {matrix.shape[1]}")
+        return sp.csr_array(sp.vstack([sp.csr_array((0, n)), *rows], format="csr"))
