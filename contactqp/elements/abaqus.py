@@ -1,0 +1,207 @@
+"""The mesh in an Abaqus or CalculiX input file: NODE, ELEMENT, NSET, ELSET and SURFACE, all else passed over.
+
+Keywords and formats: Abaqus keywords reference guide; face numbers S1, S2, ...: Abaqus elements guide.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.mesh_import import Cells
+from contactqp.elements.reference import REFERENCES
+from contactqp.errors import InvalidProblem
+
+Index = NDArray[np.int64]
+# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
+_TYPES = (
+    (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
+    (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
+)
+# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
+_HEX_FACES = (4, 5, 2, 1, 3, 0)
+
+
+@dataclass
+class _Reading:
+    """What has been read so far; names are in upper case, as Abaqus does not distinguish."""
+
+    labels: list[Index] = field(default_factory=list)
+    points: list[NDArray[np.float64]] = field(default_factory=list)
+    elements: list[tuple[str, Index, Index]] = field(default_factory=list)  # kind, labels, labels of the nodes
+    node_sets: dict[str, Index] = field(default_factory=dict)
+    element_sets: dict[str, Index] = field(default_factory=dict)
+    surfaces: dict[str, list[tuple[Index, int]]] = field(default_factory=dict)  # labels of elements, face number
+
+
+def read_abaqus(text: str) -> Cells:
+    """The cells of an input file with one part.
+
+    Raises
+    ------
+    InvalidProblem
+        Several parts or instances, included files, an element type that is not offered, lines that do not fit, a set
+        of unknown elements or nodes.
+    """
+    reading = _Reading()
+    parts = 0
+    for keyword, options, lines in _sections(text):
+        if keyword in ("PART", "INSTANCE"):
+            parts += keyword == "INSTANCE"
+            if parts > 1 or (keyword == "INSTANCE" and lines):
+                raise InvalidProblem("expected one part in its own place, got several instances or a moved one")
+        elif keyword == "INCLUDE":
+            raise InvalidProblem("*INCLUDE is not followed; expected one file")
+        elif keyword == "NODE":
+            _nodes(reading, options, lines)
+        elif keyword == "ELEMENT":
+            _elements(reading, options, lines)
+        elif keyword in ("NSET", "ELSET"):
+            sets = reading.node_sets if keyword == "NSET" else reading.element_sets
+            _extend(sets, _option(keyword, options, keyword), _members(sets, options, lines))
+        elif keyword == "SURFACE":
+            _surface(reading, options, lines)
+    return _cells(reading)
+
+
+def _sections(text: str) -> Iterator[tuple[str, dict[str, str], list[str]]]:
+    """Each keyword with its options and its data lines."""
+    lines = [line.strip().upper() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith("**")]
+    starts = [i for i, line in enumerate(lines) if line.startswith("*")]
+    for start, end in zip(starts, [*starts[1:], len(lines)], strict=False):
+        data = lines[start + 1 : end]
+        head = lines[start]
+        while head.endswith(",") and data:
+            head += data.pop(0)
+        keyword, *options = (word.strip() for word in head[1:].split(","))
+        pairs = (option.partition("=") for option in options if option)
+        yield keyword, {key.strip(): value.strip().strip('"') for key, _, value in pairs}, data
+
+
+def _option(keyword: str, options: dict[str, str], name: str) -> str:
+    if name not in options:
+        raise InvalidProblem(f"*{keyword}: expected {name}=...")
+    return options[name]
+
+
+def _numbers(keyword: str, lines: list[str], kind: type) -> NDArray[np.float64] | Index:
+    words = [word.strip() for line in lines for word in line.rstrip(",").split(",")]
+    try:
+        return np.array(words, dtype=kind)
+    except ValueError as error:
+        raise InvalidProblem(f"*{keyword}: expected numbers ({error})") from None
+
+
+def _nodes(reading: _Reading, options: dict[str, str], lines: list[str]) -> None:
+    if not lines:
+        return
+    width = len(lines[0].rstrip(",").split(","))
+    values = _numbers("NODE", lines, float)
+    if width not in (3, 4) or len(values) != width * len(lines):
+        raise InvalidProblem("*NODE: expected a label and two or three coordinates on each line, of one length")
+    table = values.reshape(-1, width)
+    labels = table[:, 0].astype(np.int64)
+    reading.labels.append(labels)
+    reading.points.append(np.column_stack([table[:, 1:], np.zeros((len(table), 4 - width))]))
+    if "NSET" in options:
+        _extend(reading.node_sets, options["NSET"], labels)
+
+
+def _elements(reading: _Reading, options: dict[str, str], lines: list[str]) -> None:
+    name = _option("ELEMENT", options, "TYPE")
+    found = ((re.match(pattern, name), kinds) for pattern, kinds in _TYPES)
+    kind = next((kinds.get(match.group(1), "") for match, kinds in found if match), "")
+    if not kind:
+        raise InvalidProblem(f"*ELEMENT: the type {name} is not offered")
+    count = len(REFERENCES[kind].nodes)
+    values = _numbers("ELEMENT", lines, int)
+    if len(values) % (count + 1):
+        raise InvalidProblem(f"*ELEMENT, TYPE={name}: expected a label and {count} nodes for each element")
+    table = values.reshape(-1, count + 1).astype(np.int64)
+    reading.elements.append((kind, table[:, 0], table[:, 1:]))
+    if "ELSET" in options:
+        _extend(reading.element_sets, options["ELSET"], table[:, 0])
+
+
+def _members(sets: dict[str, Index], options: dict[str, str], lines: list[str]) -> Index:
+    if "GENERATE" in options:
+        table = [[int(word) for word in line.rstrip(",").split(",")] for line in lines]
+        return np.concatenate([np.arange(row[0], row[1] + 1, row[2] if len(row) > 2 else 1) for row in table])
+    words = [word.strip() for line in lines for word in line.split(",") if word.strip()]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *[_labels(sets, word) for word in words]])
+
+
+def _labels(sets: dict[str, Index], word: str) -> Index:
+    """A label, or the members of a set that is known by now; instance names in front are passed over."""
+    name = word.rpartition(".")[2]
+    if name.isdigit():
+        return np.array([int(name)])
+    if name not in sets:
+        raise InvalidProblem(f"there is no set {name} at this place; it has {', '.join(sets) or 'none'}")
+    return sets[name]
+
+
+def _extend(sets: dict[str, Index], name: str, labels: Index) -> None:
+    sets[name] = np.concatenate([sets.get(name, np.zeros(0, dtype=np.int64)), labels])
+
+
+def _surface(reading: _Reading, options: dict[str, str], lines: list[str]) -> None:
+    name = _option("SURFACE", options, "NAME")
+    if options.get("TYPE", "ELEMENT") == "NODE":
+        _extend(reading.node_sets, name, _members(reading.node_sets, {}, [line.split(",")[0] for line in lines]))
+        return
+    faces = reading.surfaces.setdefault(name, [])
+    for line in lines:
+        members, _, face = (word.strip() for word in line.partition(","))
+        if not re.fullmatch(r"S[1-6]", face):
+            raise InvalidProblem(f"*SURFACE {name}: expected a face S1 to S6, got {face!r}")
+        faces.append((_labels(reading.element_sets, members), int(face[1])))
+
+
+def _cells(reading: _Reading) -> Cells:
+    if not reading.points or not reading.elements:
+        raise InvalidProblem("expected *NODE and *ELEMENT, got none")
+    labels = np.concatenate(reading.labels)
+    cells = [(kind, _places("node", labels, nodes)) for kind, _, nodes in reading.elements]
+    own = [element_labels for _, element_labels, _ in reading.elements]
+    every = np.concatenate(own)
+    for name, members in reading.element_sets.items():
+        _places(f"element, in the set {name},", every, members)
+    groups = {name: [np.flatnonzero(np.isin(e, m)) for e in own] for name, m in reading.element_sets.items()}
+    node_sets = {name: _places(f"node, in the set {name},", labels, m) for name, m in reading.node_sets.items()}
+    facets: dict[str, list[tuple[str, Index]]] = {}
+    for name, faces in reading.surfaces.items():
+        for members, face in faces:
+            _places(f"element, in the surface {name},", every, members)
+            for (kind, nodes), element_labels in zip(cells[: len(own)], own, strict=True):
+                local = REFERENCES[kind].facets
+                place = _HEX_FACES[face - 1] if kind.startswith("hex") else face - 1
+                chosen = nodes[np.isin(element_labels, members)]
+                if len(chosen) and place >= len(local):
+                    raise InvalidProblem(f"*SURFACE {name}: {kind} elements have no face S{face}")
+                if len(chosen):
+                    facets.setdefault(name, []).append((REFERENCES[kind].facet, chosen[:, local[place]]))
+    none = np.zeros(0, dtype=np.int64)
+    added = [(name, cell) for name, found in facets.items() for cell in found]
+    groups = {name: [*members, *[none] * len(added)] for name, members in groups.items()}
+    for name in facets:
+        mine = [np.arange(len(nodes)) if owner == name else none for owner, (_, nodes) in added]
+        groups[name] = [*[none] * len(own), *mine]
+    return Cells(np.concatenate(reading.points), [*cells, *[cell for _, cell in added]], groups, node_sets)
+
+
+def _places(what: str, labels: Index, wanted: Index) -> Index:
+    """The places of labels among all of them."""
+    order = np.argsort(labels)
+    place = np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)
+    missing = labels[order[place]] != wanted
+    if missing.any():
+        raise InvalidProblem(f"there is no {what} with the label {np.asarray(wanted)[missing][0]}")
+    return order[place]
