@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.elements.exact import Numbers, unit_vector
 from contactqp.errors import InvalidProblem
+
+
+class Obstacle(Protocol):
+    """A rigid obstacle, known by its signed distance."""
+
+    @property
+    def dimension(self) -> int: ...
+
+    def distance(self, points: Any) -> Numbers:
+        """The signed distance of each of the (p, dimension) points [length]: the gap, positive when open."""
+
+    def normals(self, points: Any) -> Numbers:
+        """The unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +59,10 @@ class Plane:
         gap: Numbers = (np.asarray(points) - np.asarray(self.point)) @ self.outward()
         return gap
 
+    def normals(self, points: Any) -> Numbers:
+        """n for each of the (p, dimension) points."""
+        return np.tile(self.outward(), (len(points), 1))
+
 
 def tangents(normal: Numbers) -> Numbers:
     """The (dimension - 1, dimension) unit vectors along a surface with the unit normal n.
@@ -67,3 +85,16 @@ def tangents(normal: Numbers) -> Numbers:
     a, b, c = normal
     x, y, z = first
     return np.array([first, [b * z - c * y, c * x - a * z, a * y - b * x]])
+
+
+def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
+    p, d = normals.shape
+    if d == 1:
+        return np.zeros((p, 0, 1))
+    if d == 2:
+        return np.stack([normals[:, 1], -normals[:, 0]], axis=1)[:, np.newaxis, :]
+    axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normals, first)], axis=1)

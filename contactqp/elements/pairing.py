@@ -2,37 +2,93 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.obstacle import Plane, tangents
+from contactqp.elements.contact_rows import contact_rows, count_unknowns
+from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
+from contactqp.elements.surface import Surface
+from contactqp.elements.surface_checks import check_surface
+from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 
 __all__ = ["Pairing", "Plane", "pair"]
 
 
-class Pairing(NamedTuple):
-    """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``."""
-
-    normal: Any  # (p, n) sparse, E_N
-    gap: NDArray[np.float64]  # (p,), positive when open
-    tangent: Any  # ((d-1) p, n) sparse, E_T, contact-major
-
-
-def pair(
-    points: ArrayLike, obstacle: Plane, *, unknowns: ArrayLike | None = None, dimension: int | None = None
-) -> Pairing:
-    """Pair every point with the obstacle: E_N u <= gap, with E_N = -n' and gap = (x - point).n.
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``; unpacks as ``E_N, g, E_T``.
 
     Parameters
     ----------
+    normal : (p, n) sparse array
+        E_N [-].
+    gap : (p,) array
+        g, positive when open [length].
+    tangent : ((d-1) p, n) sparse array
+        E_T, contact-major [-].
+    nodes : (p,) array of int
+        The node of each contact: its number in the surface, or its place among the points.
     points : (p, d) array
-        The nodes that may touch [length], d = 1, 2 or 3.
-    obstacle : Plane
-        Its normal points to the side where the body is.
+        Where those nodes are [length].
+    direction : (p, d) array
+        The unit normal of each contact, out of the obstacle or of the master surface.
+    unpaired : (q,) array of int
+        Nodes that have no contact of their own, ascending.
+    area : (p,) array, optional
+        What belongs to each contact of the surface [length in 2D, area in 3D]; None for bare points.
+    """
+
+    normal: Any
+    gap: NDArray[np.float64]
+    tangent: Any
+    nodes: NDArray[np.int64]
+    points: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    unpaired: NDArray[np.int64]
+    area: NDArray[np.float64] | None = None
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.normal, self.gap, self.tangent))
+
+    def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
+        """p_i = lambda_i / area_i, positive in compression, (p,) [force / area; 2D: force / length per unit thickness].
+
+        Raises
+        ------
+        InvalidProblem
+            Bare points have no area; not one force for each contact.
+        """
+        force = np.asarray(normal_force, dtype=float)
+        if self.area is None:
+            raise InvalidProblem("pressure: points have no area: expected a pairing of a Surface")
+        if force.shape != self.gap.shape:
+            raise InvalidProblem(f"normal_force: expected shape {self.gap.shape}, got {force.shape}")
+        pressure: NDArray[np.float64] = force / self.area
+        return pressure
+
+
+def pair(
+    points: ArrayLike | Surface,
+    obstacle: Obstacle,
+    *,
+    unknowns: ArrayLike | None = None,
+    dimension: int | None = None,
+) -> Pairing:
+    """Pair every point with the obstacle: E_N u <= gap, with E_N = -n' and gap = signed distance of the point.
+
+    The distance is linearised where the point starts: displacements small against the obstacle's radii of curvature.
+
+    Parameters
+    ----------
+    points : (p, d) array or Surface
+        The nodes that may touch [length], d = 1, 2 or 3. The nodes of a surface come with their areas and unknowns.
+    obstacle : Plane, Circle, Sphere, Cylinder, Paraboloid or SignedDistance
+        Or anything with `dimension`, `distance(points)` and `normals(points)`; normals point to the body's side.
     unknowns : (p, d) array of int, optional
         unknowns[i, a] is the place of node i's displacement along axis a in u. By default u is (p d,), node by node.
     dimension : int, optional
@@ -41,12 +97,14 @@ def pair(
     Returns
     -------
     Pairing
-        (normal, gap, tangent); unpacks as ``E_N, g, E_T``. The tangents of a point are orthonormal.
+        Unpacks as ``E_N, g, E_T``. The tangents of a point are orthonormal. With a surface `area` is the tributary area
+        of each node (contactqp.elements.tributary).
 
     Raises
     ------
     InvalidProblem
-        Shapes that do not fit, numbers that are not finite, unknowns out of range.
+        Shapes that do not fit, numbers that are not finite, unknowns out of range, a point where the obstacle has no
+        normal.
 
     Examples
     --------
@@ -54,23 +112,43 @@ def pair(
     >>> E_N.toarray().tolist(), g.tolist(), E_T.toarray().tolist()
     ([[0.0, -1.0]], [0.001], [[1.0, 0.0]])
     """
+    if isinstance(points, Surface):
+        return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle.dimension)
-    columns, n = _unknowns(unknowns, x.shape, dimension)
-    outward = obstacle.outward().astype(float)
-    along = tangents(outward).astype(float)
-    rows = np.repeat(np.arange(len(x)), x.shape[1])
-    normal = sp.csr_array((np.tile(-outward, len(x)), (rows, columns.ravel())), shape=(len(x), n))
-    return Pairing(normal, np.asarray(obstacle.distance(x), dtype=float), _tangent_rows(along, columns, n))
+    columns = np.arange(x.size).reshape(x.shape) if unknowns is None else np.asarray(unknowns)
+    if columns.shape != x.shape or (columns.size and not np.issubdtype(columns.dtype, np.integer)):
+        raise InvalidProblem(
+            f"unknowns: expected whole numbers of shape {x.shape}, got {columns.dtype} {columns.shape}"
+        )
+    if columns.min(initial=0) < 0:
+        raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(columns.min())}")
+    n = count_unknowns(int(columns.max(initial=-1)), dimension)
+    return _pair_points(x, columns.astype(np.int64), obstacle, n, np.arange(len(x)), None)
 
 
-def _tangent_rows(along: NDArray[np.float64], columns: NDArray[np.int64], n: int) -> Any:
-    """Row (d-1) i + k holds tangent k of contact i."""
-    p, d = columns.shape
-    rows = np.repeat(np.arange((d - 1) * p), d)
-    places = np.repeat(columns, d - 1, axis=0)
-    tangent = sp.csr_array((np.tile(along, (p, 1)).ravel(), (rows, places.ravel())), shape=((d - 1) * p, n))
-    tangent.eliminate_zeros()
-    return tangent
+def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | None, dimension: int | None) -> Pairing:
+    if unknowns is not None:
+        raise InvalidProblem(f"{surface.name}: expected no `unknowns`, the surface has its own")
+    check_surface(surface)
+    nodes = surface.nodes
+    x = _points(surface.points[nodes], obstacle.dimension)
+    n = count_unknowns(int(surface.unknowns.max()), dimension)
+    return _pair_points(x, surface.unknowns[nodes], obstacle, n, nodes, tributary_areas(surface))
+
+
+def _pair_points(
+    x: NDArray[np.float64],
+    columns: NDArray[np.int64],
+    obstacle: Obstacle,
+    n: int,
+    nodes: NDArray[np.int64],
+    area: NDArray[np.float64] | None,
+) -> Pairing:
+    outward = np.asarray(obstacle.normals(x), dtype=float)
+    contact = np.arange(len(x))
+    E_N, E_T = contact_rows(contact, np.ones(len(x)), columns, outward, tangent_frames(outward), (len(x), n))
+    gap = np.asarray(obstacle.distance(x), dtype=float)
+    return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64), area)
 
 
 def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
@@ -80,16 +158,3 @@ def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     if not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers, got {x[~np.isfinite(x)][0]}")
     return x
-
-
-def _unknowns(
-    unknowns: ArrayLike | None, shape: tuple[int, ...], dimension: int | None
-) -> tuple[NDArray[np.int64], int]:
-    columns = np.arange(shape[0] * shape[1]).reshape(shape) if unknowns is None else np.asarray(unknowns)
-    if columns.shape != shape or (columns.size and not np.issubdtype(columns.dtype, np.integer)):
-        raise InvalidProblem(f"unknowns: expected whole numbers of shape {shape}, got {columns.dtype} {columns.shape}")
-    largest = int(columns.max(initial=-1))
-    n = largest + 1 if dimension is None else dimension
-    if largest >= n or columns.min(initial=0) < 0:
-        raise InvalidProblem(f"unknowns: expected numbers from 0 to {n - 1}, got {int(columns.min())} to {largest}")
-    return columns.astype(np.int64), n

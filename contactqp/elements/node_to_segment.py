@@ -1,0 +1,119 @@
+"""Body against body, node to segment: each slave node stays outside the master facet that is nearest to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.contact_rows import contact_rows, count_unknowns
+from contactqp.elements.facet import diameters, kind_of
+from contactqp.elements.nearest_facet import Partners, nearest_facets
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.pairing import Pairing
+from contactqp.elements.surface import Surface
+from contactqp.elements.surface_checks import check_apart, check_surface
+from contactqp.elements.tributary import node_normals, tributary_areas
+from contactqp.errors import InvalidProblem
+
+# Polygons of two round bodies that fit, a shaft in its bore, overlap by h^2 / (8 R): 5 % of h as long as h < 0.4 R.
+OVERLAP = 0.05
+
+
+def pair_node_to_segment(
+    slave: Surface,
+    master: Surface,
+    *,
+    reach: float | None = None,
+    overlap: float | None = None,
+    dimension: int | None = None,
+) -> Pairing:
+    """Pair each node of the slave surface with the nearest point of the master surface.
+
+    gap = (x_i - X).n and E_N u = -n.(u_i - sum_j N_j u_j), with X the closest point of the nearest master facet that
+    faces the node, N_j that facet's shape functions at X, and n its outward normal there (Wriggers 2006, section 9.1;
+    contactqp.elements.nearest_facet says what n is on edges between facets). Displacements are small: the pair stays.
+
+    Forces balance, and so do moments: the foot is on the line of the force. A constant pressure is not transmitted
+    exactly between meshes that do not match: this pairing fails the contact patch test (Taylor & Papadopoulos 1991),
+    and `pair_mortar` passes it. Only slave nodes are held out of the other body, so that the finer mesh, or the softer
+    body, should be the slave.
+
+    Parameters
+    ----------
+    slave, master : Surface
+        Their unknowns are numbered in the same u. Any kind of facet, curved or not.
+    reach : float, optional
+        Slave nodes further than this from the master surface, on either side, have no partner [length]; by default
+        there is no limit.
+    overlap : float, optional
+        How deep a slave node may be inside the master body at the start [length]; default: 0.05 of the diameter of
+        the facet it meets.
+    dimension : int, optional
+        n, the number of all unknowns; by default one more than the largest of both surfaces.
+
+    Returns
+    -------
+    Pairing
+        One contact for each slave node that has a partner, by ascending node; `area` is the node's tributary area.
+        `unpaired` lists the slave nodes without: no facet faces them, all are beyond `reach`, or they stand over the
+        end of the master surface (by more than 1e-6 of a facet).
+
+    Raises
+    ------
+    InvalidProblem
+        A surface that is none, surfaces that share a node, no slave node that faces a master facet, overlap.
+    """
+    check_surface(slave)
+    check_surface(master)
+    check_apart(slave, master)
+    largest = max(int(slave.unknowns.max()), int(master.unknowns.max()))
+    n = count_unknowns(largest, dimension)
+    nodes = slave.nodes
+    points = slave.points[nodes]
+    partners = nearest_facets(points, node_normals(slave), master, reach)
+    if reach is None and not partners.found.any():
+        raise InvalidProblem(
+            f"{slave.name} and {master.name} do not face each other: expected facets whose normals point out of their "
+            "bodies and against each other"
+        )
+    held = np.flatnonzero(partners.found & ~partners.beyond)
+    _refuse_overlap(slave, master, nodes[held], partners, held, overlap)
+    contact = np.arange(len(held))
+    facet = master.facets[partners.facet[held]]
+    k = facet.shape[1]
+    weights = np.column_stack([np.ones(len(held)), -kind_of(master).shape(partners.xi[held])])
+    columns = np.concatenate([slave.unknowns[nodes[held], np.newaxis], master.unknowns[facet]], axis=1)
+    normals = partners.normal[held]
+    entry = np.repeat(contact, k + 1)
+    E_N, E_T = contact_rows(
+        entry,
+        weights.ravel(),
+        columns.reshape(len(entry), -1),
+        normals[entry],
+        tangent_frames(normals)[entry],
+        (len(held), n),
+    )
+    unpaired = np.setdiff1d(nodes, nodes[held])
+    area = tributary_areas(slave)[held]
+    return Pairing(E_N, partners.gap[held], E_T, nodes[held], points[held], normals, unpaired, area)
+
+
+def _refuse_overlap(
+    slave: Surface,
+    master: Surface,
+    nodes: NDArray[np.int64],
+    partners: Partners,
+    held: NDArray[np.int64],
+    overlap: float | None,
+) -> None:
+    facet = partners.facet[held]
+    allowed = (
+        OVERLAP * diameters(master.points[master.facets[facet]]) if overlap is None else np.full(len(held), overlap)
+    )
+    deeper = -partners.gap[held] - allowed
+    if len(held) and deeper.max() > 0:
+        worst = int(np.argmax(deeper))
+        raise InvalidProblem(
+            f"{slave.name}: node {nodes[worst]} is {-partners.gap[held][worst]:.6g} inside {master.name} (facet "
+            f"{facet[worst]}) at the start: expected an overlap of at most {allowed[worst]:.6g}"
+        )

@@ -1,0 +1,74 @@
+"""What belongs to a node of a surface: its part of the area, and its normal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.facet import kind_of, normal_vectors, tangent_vectors
+from contactqp.elements.surface import Surface
+from contactqp.errors import InvalidProblem
+
+# Per direction: exact for the shape functions on facets with straight edges, 1e-6 or better on curved ones.
+GAUSS_POINTS = 5
+# The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
+NOT_POSITIVE = ("tri6", "quad8")
+
+
+def tributary_areas(surface: Surface) -> NDArray[np.float64]:
+    """a_i = integral of N_i over the facets, one for each of `surface.nodes`, positive [length in 2D, area in 3D].
+
+    Under a constant pressure p the force on node i is p a_i, so that force / area returns p. That cannot be had from
+    six-node triangles and eight-node quadrilaterals: their consistent forces are zero (tri6) or tensile (quad8, -1/12
+    of the facet's) at the corners, where no positive area turns them into p, and where one-sided contact lets go. For
+    these the areas are a_i = A_f int N_i^2 / sum_j int N_j^2 on each facet (Hinton, Rock & Zienkiewicz 1976): positive
+    and of the right sum; the pressure they give is too low at corners and too high at middles, right in the mean.
+
+    Raises
+    ------
+    InvalidProblem
+        An area that is not positive: a middle node far off the middle of its facet.
+    """
+    kind = kind_of(surface)
+    xi, weights = kind.quadrature(GAUSS_POINTS)
+    shape = kind.shape(xi)
+    elements = np.linalg.norm(_normals_at(surface, xi), axis=2) * weights  # (p, q)
+    if kind.name in NOT_POSITIVE:
+        squares = elements @ shape**2
+        parts = squares * (elements.sum(axis=1) / squares.sum(axis=1))[:, np.newaxis]
+    else:
+        parts = elements @ shape
+    total = np.bincount(surface.facets.ravel(), parts.ravel(), minlength=len(surface.points))
+    areas = total[surface.nodes].astype(np.float64)
+    if areas.min() <= 0:
+        node = int(surface.nodes[np.argmin(areas)])
+        raise InvalidProblem(
+            f"{surface.name}: node {node}: expected a positive tributary area, got {areas.min():.3g}: "
+            "its facets are too distorted"
+        )
+    return areas
+
+
+def node_normals(surface: Surface) -> NDArray[np.float64]:
+    """The unit vectors along the sum of the normals of the facets at each of `surface.nodes`, (nodes, d).
+
+    Facets count by their surface element at the node. Where the sum vanishes (both sides of a sheet) it is zero.
+    """
+    normals = _normals_at(surface, kind_of(surface).nodes)  # (p, k, d)
+    total = np.zeros(surface.points.shape)
+    np.add.at(total, surface.facets, normals)
+    total = total[surface.nodes]
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0, length, 1.0)
+
+
+def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The normal vectors of all facets at the reference points, as long as the surface element, (p, q, d)."""
+    kind = kind_of(surface)
+    positions = surface.points[surface.facets]
+    derivatives = kind.derivatives(xi)
+    at = [
+        normal_vectors(tangent_vectors(positions, np.broadcast_to(here, (len(positions), *here.shape))))
+        for here in derivatives
+    ]
+    return np.stack(at, axis=1)
