@@ -13,8 +13,18 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
+    from contactqp.elements.mortar import pair_mortar as pair_mortar
+    from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.obstacle import Plane as Plane
+    from contactqp.elements.pairing import Pairing as Pairing
     from contactqp.elements.pairing import pair as pair
+    from contactqp.elements.paraboloid import Paraboloid as Paraboloid
+    from contactqp.elements.round_obstacle import Circle as Circle
+    from contactqp.elements.round_obstacle import Cylinder as Cylinder
+    from contactqp.elements.round_obstacle import Sphere as Sphere
+    from contactqp.elements.scalar_pairing import pair_scalar as pair_scalar
+    from contactqp.elements.signed_distance import SignedDistance as SignedDistance
+    from contactqp.elements.surface import Surface as Surface
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -40,17 +50,24 @@ _HOME = {
     "BackendFailed": "errors",
     "BackendMissing": "errors",
     "Certificate": "certificate",
+    "Circle": "elements.round_obstacle",
     "ContactProblem": "problem",
     "ContactQPError": "errors",
+    "Cylinder": "elements.round_obstacle",
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "NoEquilibrium": "errors",
     "NotCertified": "errors",
     "NotConverged": "errors",
+    "Pairing": "elements.pairing",
+    "Paraboloid": "elements.paraboloid",
     "Plane": "elements.obstacle",
     "Scene": "scene.schema",
     "SceneError": "errors",
+    "SignedDistance": "elements.signed_distance",
     "Solution": "solution",
+    "Sphere": "elements.round_obstacle",
+    "Surface": "elements.surface",
     "Units": "problem",
     "Unsupported": "errors",
     "certify": "certificate",
@@ -59,6 +76,9 @@ _HOME = {
     "load_scene": "scene.loading",
     "methods": "methods",
     "pair": "elements.pairing",
+    "pair_mortar": "elements.mortar",
+    "pair_node_to_segment": "elements.node_to_segment",
+    "pair_scalar": "elements.scalar_pairing",
     "run": "scene.running",
     "solve": "solving",
 }

@@ -70,19 +70,24 @@ class FacetKind:
             values *= np.stack([np.ones_like(x), x, x * x], axis=1)[:, left[:, axis]]
         return values
 
+    def _combined(self, monomials: Array) -> Array:
+        """No BLAS: its threads take longer to start than these few columns to multiply."""
+        values: Array = np.einsum("qm,mk->qk", monomials, self._coefficients)
+        return values
+
     def shape(self, xi: Array) -> Array:
         """N_j at the (q, d-1) points, (q, k)."""
-        return self._monomials(xi, ()) @ self._coefficients
+        return self._combined(self._monomials(xi, ()))
 
     def derivatives(self, xi: Array) -> Array:
         """dN_j / dxi_a, (q, k, d-1)."""
         axes = range(self.powers.shape[1])
-        return np.stack([self._monomials(xi, (a,)) @ self._coefficients for a in axes], axis=2)
+        return np.stack([self._combined(self._monomials(xi, (a,))) for a in axes], axis=2)
 
     def second_derivatives(self, xi: Array) -> Array:
         """d2N_j / dxi_a dxi_b, (q, k, d-1, d-1)."""
         axes = range(self.powers.shape[1])
-        rows = [[self._monomials(xi, (a, b)) @ self._coefficients for b in axes] for a in axes]
+        rows = [[self._combined(self._monomials(xi, (a, b))) for b in axes] for a in axes]
         return np.moveaxis(np.array(rows), (0, 1), (2, 3))
 
     def inside(self, xi: Array, tolerance: float) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ FACING = 1e-6
 SAME = 1e-9
 # A point may stand over the end of a surface by this part of the facet: meshes of flush bodies differ by rounding.
 FLUSH = 1e-6
+# Points times facets looked at together: some 300 MB where every facet has to be looked at.
+PAIRS = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,56 +56,69 @@ def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float
     reach : float, optional
         Facets further away than this are none [length].
     """
-    kind, positions = kind_of(surface), surface.points[surface.facets]
-    middle = middle_normals(surface)
-    centres, radii = bounding_balls(positions)
     corner = surface.points[surface.nodes]
     everywhere = np.linalg.norm(points - corner.mean(axis=0), axis=1) + np.ptp(corner, axis=0).sum()
     limit = everywhere if reach is None else np.minimum(everywhere, reach)
     search = np.minimum(cKDTree(corner).query(points)[0], limit)
-    active, found = np.arange(len(points)), _Found.nothing(points)
-    while active.size:
-        # Wider by rounding, so that all facets that share the foot are found.
-        i, j = overlapping_balls(points[active], search[active] * (1 + SAME), centres, radii + SAME * radii)
-        i = active[i]
-        facing = (normals[i] * middle[j]).sum(axis=1) < -FACING
-        i, j = i[facing], j[facing]
-        foot = closest_point(kind, positions[j], points[i])
-        best = np.full(len(points), np.inf)
-        np.minimum.at(best, i, foot.distance)
-        # A facet beyond the radius of this search may have nearer ones beside it that were not looked at.
-        done = (best[active] <= search[active] * (1 + SAME)) | (search[active] >= limit[active])
-        settled = np.isin(i, active[done]) & (foot.distance <= limit[i] * (1 + SAME))
-        found.add(i[settled], j[settled], foot.xi[settled], foot.position[settled], foot.distance[settled])
-        active = active[~done]
-        wider = np.where(np.isfinite(best[active]), best[active], 2 * search[active])
-        search[active] = np.minimum(np.maximum(wider, radii.min()), limit[active])
-    return _chosen(kind, surface, points, found)
+    blocks = len(points) // max(PAIRS // len(surface.facets), 1000) + 1
+    found = [
+        part
+        for block in np.array_split(np.arange(len(points)), blocks)
+        for part in _search(block, points, normals, surface, search, limit)
+    ]
+    return _chosen(surface, points, _Found.joined(found))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Found:
-    """Points i, facets j and the feet between them, gathered search by search."""
+    """Points i, facets j, and the feet of the points on the facets."""
 
     i: Places
     j: Places
     foot: Foot
 
+    def only(self, keep: NDArray[np.bool_]) -> _Found:
+        foot = Foot(self.foot.xi[keep], self.foot.position[keep], self.foot.distance[keep])
+        return _Found(self.i[keep], self.j[keep], foot)
+
     @staticmethod
-    def nothing(points: Array) -> _Found:
-        none, d = np.array([], dtype=np.int64), points.shape[1]
-        return _Found(none, none, Foot(np.zeros((0, d - 1)), np.zeros((0, d)), np.zeros(0)))
-
-    def add(self, i: Places, j: Places, xi: Array, position: Array, distance: Array) -> None:
-        self.i, self.j = np.concatenate([self.i, i]), np.concatenate([self.j, j])
-        self.foot = Foot(
-            np.vstack([self.foot.xi, xi]),
-            np.vstack([self.foot.position, position]),
-            np.concatenate([self.foot.distance, distance]),
+    def joined(parts: list[_Found]) -> _Found:
+        feet = [part.foot for part in parts]
+        foot = Foot(
+            np.concatenate([foot.xi for foot in feet]),
+            np.concatenate([foot.position for foot in feet]),
+            np.concatenate([foot.distance for foot in feet]),
         )
+        return _Found(np.concatenate([part.i for part in parts]), np.concatenate([part.j for part in parts]), foot)
 
 
-def _chosen(kind: FacetKind, surface: Surface, points: Array, found: _Found) -> Partners:
+def _search(
+    active: Places, points: Array, normals: Array, surface: Surface, search: Array, limit: Array
+) -> Iterator[_Found]:
+    """The facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
+    kind, positions, middle = kind_of(surface), surface.points[surface.facets], middle_normals(surface)
+    centres, radii = bounding_balls(positions)
+    best = np.full(len(points), np.inf)
+    while active.size:
+        # Wider by rounding, so that all facets that share the foot are found.
+        i, j = overlapping_balls(points[active], search[active] * (1 + SAME), centres, radii * (1 + SAME))
+        i = active[i]
+        facing = (normals[i] * middle[j]).sum(axis=1) < -FACING
+        i, j = i[facing], j[facing]
+        found = _Found(i, j, closest_point(kind, positions[j], points[i]))
+        np.minimum.at(best, i, found.foot.distance)
+        # A facet beyond the radius of this search may have nearer ones beside it that were not looked at.
+        done = (best <= search * (1 + SAME)) | (search >= limit)
+        near = found.foot.distance <= np.minimum(best[i] + SAME * radii[j], limit[i] * (1 + SAME))
+        yield found.only(near & done[i])
+        active = active[~done[active]]
+        wider = np.where(np.isfinite(best[active]), best[active], 2 * search[active])
+        search[active] = np.minimum(np.maximum(wider, radii.min()), limit[active])
+
+
+def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
+    """One of the nearest facets of each point, the first; the normal, and the end of the surface, from all of them."""
+    kind = kind_of(surface)
     p, d = points.shape
     i, j, foot = found.i, found.j, found.foot
     best = np.lexsort((j, foot.distance, i))

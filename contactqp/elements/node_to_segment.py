@@ -88,7 +88,7 @@ def pair_node_to_segment(
     E_N, E_T = contact_rows(
         entry,
         weights.ravel(),
-        columns.reshape(len(entry), -1),
+        columns.reshape(len(entry), slave.dimension),
         normals[entry],
         tangent_frames(normals)[entry],
         (len(held), n),
