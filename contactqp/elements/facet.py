@@ -138,7 +138,7 @@ def _kind(name: str, corners: Array, others: list[Array], powers: Sequence[tuple
 
 _P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 # By (d, k), in the node order that Surface states.
-_KINDS = {
+KINDS = {
     (2, 2): _kind("line2", _LINE, [], [(0,), (1,)]),
     (2, 3): _kind("line3", _LINE, [np.zeros((1, 1))], [(0,), (1,), (2,)]),
     (3, 3): _kind("tri3", _TRIANGLE, [], _P2[:3]),
@@ -158,10 +158,10 @@ def kind_of(surface: Surface) -> FacetKind:
         No facet of this dimension has so many nodes.
     """
     key = (surface.points.shape[1], surface.facets.shape[1])
-    if key not in _KINDS:
-        known = ", ".join(f"{kind.name} (d = {d}, k = {k})" for (d, k), kind in _KINDS.items())
+    if key not in KINDS:
+        known = ", ".join(f"{kind.name} (d = {d}, k = {k})" for (d, k), kind in KINDS.items())
         raise InvalidProblem(f"{surface.name}: no facet has {key[1]} nodes in {key[0]} dimensions; known are {known}")
-    return _KINDS[key]
+    return KINDS[key]
 
 
 def tangent_vectors(positions: Array, derivatives: Array) -> Array:

@@ -14,7 +14,7 @@ from contactqp.elements.mortar_segments import segments
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.surface import Surface
-from contactqp.elements.surface_checks import check_apart, check_surface
+from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 
@@ -88,6 +88,7 @@ def pair_mortar(
                 f"{kind_of(surface).name}; pair_node_to_segment takes quadratic ones"
             )
     check_apart(slave, master)
+    check_distances(reach, overlap)
     n = count_unknowns(max(int(slave.unknowns.max()), int(master.unknowns.max())), dimension)
     covers = _covers(slave, master, reach)
     if reach is None and not len(covers.slave):

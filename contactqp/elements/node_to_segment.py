@@ -11,7 +11,7 @@ from contactqp.elements.nearest_facet import Partners, nearest_facets
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.surface import Surface
-from contactqp.elements.surface_checks import check_apart, check_surface
+from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import node_normals, tributary_areas
 from contactqp.errors import InvalidProblem
 
@@ -66,6 +66,7 @@ def pair_node_to_segment(
     check_surface(slave)
     check_surface(master)
     check_apart(slave, master)
+    check_distances(reach, overlap)
     largest = max(int(slave.unknowns.max()), int(master.unknowns.max()))
     n = count_unknowns(largest, dimension)
     nodes = slave.nodes

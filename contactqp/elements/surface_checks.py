@@ -60,6 +60,19 @@ def check_apart(slave: Surface, master: Surface) -> None:
         raise InvalidProblem(f"{slave.name}: node {slave.nodes[shared][0]} belongs to {master.name} as well")
 
 
+def check_distances(reach: float | None, overlap: float | None) -> None:
+    """Refuse a reach that is not positive, or an overlap that is negative; None is neither.
+
+    Raises
+    ------
+    InvalidProblem
+    """
+    if reach is not None and not (np.isfinite(reach) and reach > 0):
+        raise InvalidProblem(f"reach: expected a positive length, got {reach}")
+    if overlap is not None and not (np.isfinite(overlap) and overlap >= 0):
+        raise InvalidProblem(f"overlap: expected a length, zero or positive, got {overlap}")
+
+
 def _refuse_degenerate(surface: Surface) -> None:
     """The surface element must keep the side and stay away from zero, at the Gauss points and at the nodes."""
     kind = kind_of(surface)

@@ -227,6 +227,11 @@ def test_bodies_that_do_not_face_each_other_are_refused(pairing_of):
         pairing_of(upper, chain([[1.0, 0.0], [0.0, 0.0]], 300))
     with pytest.raises(InvalidProblem, match="expected numbers from 0 to 109, got 147"):
         pairing_of(upper, lower, dimension=110)
+    for wrong in (-1.0, 0.0, np.nan):
+        with pytest.raises(InvalidProblem, match="reach: expected a positive length, got"):
+            pairing_of(upper, lower, reach=wrong)
+    with pytest.raises(InvalidProblem, match="overlap: expected a length"):
+        pairing_of(upper, lower, overlap=-0.1)
     assert len(pairing_of(upper, lower, reach=0.5).gap) == 0
     assert pairing_of(upper, lower, reach=0.5).unpaired.tolist() == list(range(9))
 
