@@ -53,7 +53,7 @@ def pair_mortar(
     Forces and moments balance exactly, also with an initial gap and on curved surfaces, since both tractions of a point
     are on one line along n. A constant pressure is transmitted exactly between meshes that do not match (the patch test
     of Taylor & Papadopoulos 1991 and El-Abbasi & Bathe 2001); to rounding for triangles and parallelograms, and to the
-    error of 10 x 10 Gauss points for other quadrilaterals, on which shape functions are no polynomials of the position.
+    error of quadrature, some 1e-11, for other quadrilaterals, whose shape functions are no polynomials of the position.
 
     Parameters
     ----------
