@@ -65,7 +65,7 @@ CASES = {
     "tetrahedra on hexahedra": (3, (2, 3, 1), (3, 2, 1), (False, True)),
     "distorted tetrahedra": (3, (3, 3, 1), (4, 4, 1), (True, True), 0.2),
     "distorted hexahedra": (3, (3, 3, 1), (4, 4, 1), (False, False), 0.2),
-    "hexahedra with corners of nearly 180 degrees": (3, (3, 3, 1), (4, 4, 1), (False, False), 0.4),
+    "nearly folded hexahedra": (3, (3, 3, 1), (4, 4, 1), (False, False), 0.4),
 }
 
 
