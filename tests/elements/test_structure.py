@@ -102,7 +102,8 @@ def test_what_the_supports_prescribe_moves_the_gap():
     structure = Structure([block()])
     n = structure.size
     row = sp.csr_array(np.eye(n)[[0, 1]].sum(axis=0)[None])  # u_x + u_y of node 0
-    pairing = Pairing(row, np.array([0.5]), sp.csr_array((1, n)))
+    nodes, nobody = np.array([0]), np.zeros(0, dtype=np.int64)
+    pairing = Pairing(row, np.array([0.5]), sp.csr_array((1, n)), nodes, np.zeros((1, 2)), np.eye(2)[:1], nobody)
     system = structure.assemble([Support("block", 0, 0, 0.2)])
     problem = system.problem([pairing])
     assert np.isclose(problem.gap[0], 0.3)
