@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from contactqp.elimination import eliminate
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import SUSPICIOUS_PIVOT, Array, RigidMotions, null_space, unit_diagonal_scale
+from contactqp.factorization import SUSPICIOUS_PIVOT, Array, RigidMotions, inverse_root, null_space
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
@@ -47,13 +47,14 @@ class Condensation:
         self.factorisations = 0
         self._spent = 0  # half back-substitutions of eliminations that were given up
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
-        self._sparse = sp.csr_matrix(problem.stiffness)
+        self._sparse = problem.stiffness_rows
+        self._diagonal = problem.diagonal
         touched = _touched_unknowns(problem)
         self._eliminate(touched, unknown_scale(problem))
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         if self._may_be_singular():
             self.rigid = null_space(self._sparse)
-            fixing = _fixing_unknowns(self.rigid.motions, touched, self._sparse.diagonal())
+            fixing = _fixing_unknowns(self.rigid.motions, touched, self._diagonal)
             if fixing.size:
                 self._spent += self._elimination.half_substitutions
                 self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
@@ -86,7 +87,7 @@ class Condensation:
 
     def _scale(self, of_stiffness: Array) -> Array:
         """1/sqrt(S_jj), or the scale of the stiffness where condensation left next to nothing of the diagonal."""
-        before = self._sparse.diagonal()[self.retained]
+        before = self._diagonal[self.retained]
         left = self.schur.diagonal()
         alive = left > NOTHING_LEFT * before
         return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
@@ -96,7 +97,7 @@ class Condensation:
         interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
-        lost = np.max(self._sparse.diagonal()[self.retained] * self.scale**2, initial=0.0)
+        lost = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
         return bool(self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, LOST_DIGITS / interior * lost))
 
     def _schur_smallest_pivot(self) -> float:
@@ -183,7 +184,7 @@ class Condensation:
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
-        twin._sparse = sp.csr_matrix(self.schur)
+        twin._sparse, twin._diagonal = reduced.stiffness_rows, reduced.diagonal
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
         twin.retained = np.arange(len(self.retained))
         twin._elimination = eliminate(twin._sparse, twin.retained)
@@ -200,8 +201,8 @@ def unknown_scale(problem: ContactProblem) -> Array:
     """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
     if "unknown_scale" in problem._shared:
         return np.asarray(problem._shared["unknown_scale"])
-    D = unit_diagonal_scale(problem.stiffness)
-    bare = problem.stiffness.diagonal() == 0
+    D = inverse_root(problem.diagonal)
+    bare = problem.diagonal == 0
     if np.any(bare):
         rows = abs(sp.csc_matrix(sp.vstack([problem.normal, problem.tie])))
         largest = rows.max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(len(D))

@@ -10,6 +10,7 @@ anchors' force away.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
@@ -33,7 +34,7 @@ class Delassus:
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
         self._factor = DenseCholesky(S + ANCHOR * self.motions @ self.motions.T) if len(S) else None
         response = self.solve(self.rows.T)
-        W = self.rows @ response
+        W = sp.csr_array(self.rows) @ response  # a contact touches few unknowns
         self.row_scale = 1.0 / np.sqrt(np.diag(W))
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
         self.response = response * self.row_scale
@@ -51,6 +52,12 @@ class Delassus:
     def compliance(self) -> Vector:
         """W_ii of every contact and tie [length / force]."""
         return np.asarray(1.0 / self.row_scale**2)
+
+    def norm(self, force: Vector) -> float:
+        """|d|_W of contact forces (m,), the ties away [square root of energy]."""
+        scaled = force / self.row_scale[: len(force)]
+        square: float = scaled @ self.W[: len(force), : len(force)] @ scaled
+        return float(np.sqrt(max(square, 0.0)))
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
         """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""

@@ -10,15 +10,19 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.condensation import Condensation
+from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
-from contactqp.factorization import RIGID_FORCE, unit_diagonal_scale
+from contactqp.factorization import RIGID_FORCE, inverse_root
 from contactqp.polishing import correction
 from contactqp.problem import ContactProblem, Vector
+from contactqp.range_space import REGULAR
 from contactqp.saddle import free_motions, saddle_point
 from contactqp.violations import Answer, forces_that_meet, stiffness_sizes
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5
+# A norm that double precision knows to this part is known well enough for a bound.
+FEW_DIGITS = 1e-4
 # Rounding of v'Kv in extended precision, in units of EPS |v|'|K||v|.
 PRODUCT = 16
 # Sweeps of refinement that a response may take; good ones need three or four.
@@ -29,10 +33,18 @@ RIGID_ROUNDING = 64 * np.finfo(float).eps
 
 
 def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
-    """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion."""
-    square = max(displacement.dot(extended_rows(problem).stiffness @ displacement), 0.0)
-    size = abs(displacement.double())
-    rounding = PRODUCT * EPS * float(size @ (stiffness_sizes(problem) @ size))
+    """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion.
+
+    In double precision, unless that rounds away more than a few digits.
+    """
+    v = displacement.double()
+    square = float(v @ (problem.stiffness @ v))
+    size = float(abs(v) @ (stiffness_sizes(problem) @ abs(v)))
+    terms = problem.dimension + 2  # of the longest sum
+    rounding = float(terms * np.finfo(float).eps * size)
+    if rounding > FEW_DIGITS * square:
+        square = max(float(displacement.dot(extended_rows(problem).stiffness @ displacement)), 0.0)
+        rounding = float(PRODUCT * EPS * size)
     norm = float(np.sqrt(square))
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
 
@@ -41,8 +53,14 @@ def force_norm(
     problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
 ) -> tuple[float, float]:
     """|d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
-    if not np.any(force.double()):
+    d = force.double()
+    if not np.any(d):
         return 0.0, 0.0
+    if (tied is False or not problem.ties) and not condensation.rigid.count:
+        operator = delassus(condensation)
+        if operator.smallest_pivot >= REGULAR:
+            norm = operator.norm(d)
+            return norm, norm * np.finfo(float).eps * len(operator.scale) / operator.smallest_pivot
     load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
     u, error = response(problem, condensation, load, tied)
     norm, rounding = energy_norm(problem, u)
@@ -82,7 +100,7 @@ def without_part_along(motions: Vector, vector: Extended) -> Extended:
 
 def residual_noise(problem: ContactProblem, answer: Answer) -> float:
     """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
-    scale = unit_diagonal_scale(problem.stiffness)
+    scale = inverse_root(problem.diagonal)
     return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
@@ -96,4 +114,4 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
 
 def force_size(problem: ContactProblem, force: Vector) -> float:
     """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
-    return float(np.linalg.norm(unit_diagonal_scale(problem.stiffness) * (problem.normal.T @ force)))
+    return float(np.linalg.norm(inverse_root(problem.diagonal) * (problem.normal.T @ force)))

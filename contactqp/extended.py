@@ -8,7 +8,7 @@ error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -117,35 +117,46 @@ class SparseRows:
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
-        self._blocks = []
-        for exponent in np.unique(width_class[lengths > 0]):
-            members = np.flatnonzero((width_class == exponent) & (lengths > 0))
-            width = int(lengths[members].max())
-            slots = rows.indptr[members][:, None] + np.arange(width)
-            filled = np.arange(width) < lengths[members][:, None]
-            slots = np.where(filled, slots, 0)
-            values = np.where(filled, rows.data[slots], 0.0)
-            # One slot after the other, each contiguous in memory.
-            columns = np.ascontiguousarray(np.where(filled, rows.indices[slots], 0).T)
-            self._blocks.append((members, np.ascontiguousarray(values.T), columns))
+        classes = np.unique(width_class[lengths > 0])
+        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & (lengths > 0))) for c in classes]
 
     def __matmul__(self, vector: Extended) -> Extended:
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
-        for members, values, columns in self._blocks:
-            total, rest = np.zeros(len(members)), np.zeros(len(members))
-            for value, column in zip(values, columns, strict=True):
+
+        for block in self._blocks:
+            total, rest = np.zeros(len(block.members)), np.zeros(len(block.members))
+            for value, column in zip(block.values, block.columns, strict=True):
                 product, error = two_product(value, vector.hi[column])
                 total, carried = two_sum(total, product)
                 rest += carried + (error + value * vector.lo[column])
-            hi[members], lo[members] = two_sum(total, rest)
+            hi[block.members], lo[block.members] = two_sum(total, rest)
         return Extended(hi, lo)
+
+
+class _Block(NamedTuple):
+    """Rows of a matrix, slot by slot, each slot contiguous in memory; short rows are filled with zeros."""
+
+    members: NDArray[np.intp]  # (q,) which rows
+    values: Array  # (width, q)
+    columns: NDArray[np.intp]  # (width, q)
+
+
+def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
+    start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
+    width = int(lengths.max())
+    slots = np.arange(width)[:, None] + start
+    if np.all(lengths == width):
+        return _Block(members, rows.data[slots], rows.indices[slots])
+    filled = np.arange(width)[:, None] < lengths
+    slots = np.where(filled, slots, 0)
+    return _Block(members, np.where(filled, rows.data[slots], 0.0), np.where(filled, rows.indices[slots], 0))
 
 
 class ExtendedRows:
     """The matrices of a problem, for products in extended precision."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.stiffness = SparseRows(problem.stiffness)
+        self.stiffness = SparseRows(problem.stiffness_rows)
         self.normal = SparseRows(problem.normal)
         self.tie = SparseRows(problem.tie)
         self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)

@@ -91,7 +91,11 @@ class SuperLU:
 
 def unit_diagonal_scale(matrix: Any) -> Array:
     """1/sqrt(K_jj), and 1 where the diagonal is zero."""
-    diagonal = np.asarray(matrix.diagonal(), dtype=float)
+    return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
+
+
+def inverse_root(diagonal: Array) -> Array:
+    """1/sqrt of a diagonal, and 1 where it is zero."""
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 

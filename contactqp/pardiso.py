@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import os
 import weakref
 from functools import cache
 from typing import Any
@@ -22,7 +23,7 @@ from contactqp.errors import BackendFailed, BackendMissing
 Array = NDArray[np.float64]
 
 POSITIVE_DEFINITE = 2
-ANALYSE_AND_FACTORISE, FORWARD, BACKWARD, RELEASE = 12, 331, 333, -1
+ANALYSE_AND_FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 12, 33, 331, 333, -1
 NOT_POSITIVE = -4
 # Places in iparm, counted from zero.
 DEFAULTS_OVERRIDDEN, ORDERING, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 34, 35, 55
@@ -42,9 +43,11 @@ def available() -> bool:
 def _library() -> Any:
     if not available():
         raise BackendMissing("pardiso: pypardiso is not installed: pip install 'contactqp[fast]'")
-    import pypardiso
+    # Its threads would wait for more work by spinning, which slows down whatever runs between two calls.
+    os.environ.setdefault("KMP_BLOCKTIME", "0")
+    from pypardiso.scipy_aliases import pypardiso_solver
 
-    return ctypes.CDLL(pypardiso.PyPardisoSolver().libmkl._name)
+    return ctypes.CDLL(pypardiso_solver.libmkl._name)
 
 
 class Pardiso:
@@ -76,6 +79,10 @@ class Pardiso:
         self._release = weakref.finalize(self, _release, self._handle, self._settings)
         self._call(ANALYSE_AND_FACTORISE, np.zeros(1), self.schur if len(retained) else np.zeros(1))
         self.smallest_pivot = self._smallest_pivot()
+
+    def solve_all(self, right: Array) -> Array:
+        """K^-1 right, where no unknown is retained."""
+        return self._solve(SOLVE, right)
 
     def forward(self, right: Array) -> Array:
         """L^-1 right on the interior; f_S on the retained unknowns."""

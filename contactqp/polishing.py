@@ -113,7 +113,7 @@ class _CorrectionSize:
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
         compliance = np.sqrt(delassus(condensation).compliance)
-        self._unknown = np.sqrt(np.maximum(problem.stiffness.diagonal(), 0.0))
+        self._unknown = np.sqrt(np.maximum(problem.diagonal, 0.0))
         self._row = np.concatenate([compliance[closed], compliance[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
@@ -289,7 +289,7 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
-    motion_size = np.max(np.sqrt(problem.stiffness.diagonal())[:, None] * abs(free))
+    motion_size = np.max(np.sqrt(problem.diagonal)[:, None] * abs(free))
     stays = np.linalg.norm(rows, axis=1) > UNRESISTED * np.sqrt(own_compliance(problem, problem.normal)) * motion_size
     if np.any(stays):
         gap = problem.gap - problem.normal @ answer.displacement

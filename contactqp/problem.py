@@ -169,6 +169,23 @@ class ContactProblem:
         return int(self.stiffness.shape[0])
 
     @property
+    def diagonal(self) -> Vector:
+        """(n,) the K_jj, looked up once for a stiffness."""
+        if "diagonal" not in self._shared:
+            self._shared["diagonal"] = np.asarray(self.stiffness.diagonal(), dtype=float)
+        return np.asarray(self._shared["diagonal"])
+
+    @property
+    def stiffness_rows(self) -> Any:
+        """K as a CSR matrix; a symmetric one has the same arrays by rows as by columns."""
+        if "stiffness_rows" not in self._shared:
+            K = self.stiffness
+            columns = sp.issparse(K) and K.format == "csc"
+            arrays = (K.data, K.indices, K.indptr) if columns else K
+            self._shared["stiffness_rows"] = sp.csr_matrix(arrays, shape=K.shape)
+        return self._shared["stiffness_rows"]
+
+    @property
     def contacts(self) -> int:
         """Number of contacts m."""
         return int(self.normal.shape[0])

@@ -39,7 +39,7 @@ class RangeSpace:
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
         """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
         operator, members = self._operator, self._members
-        x = operator.solve((r.T * operator.scale).T)
+        x = operator.solve((r.T * operator.scale).T) if np.any(r) else np.zeros_like(r)
         force = np.concatenate([e, a])
         if self._factor is not None:
             rows, scale = operator.rows[members], operator.row_scale[members]

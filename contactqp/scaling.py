@@ -68,7 +68,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 def _without_idle_part(problem: ContactProblem) -> Array:
     """The load, zero where it is the rounding of larger ones on an unknown without stiffness, which it would drive."""
     rounding = 16 * np.finfo(float).eps * problem.load_size
-    bare = problem.stiffness.diagonal() == 0
+    bare = problem.diagonal == 0
     return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)
 
 

@@ -120,7 +120,7 @@ def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
 def stiffness_sizes(problem: ContactProblem) -> Any:
     """|K|, made once for a stiffness."""
     if "stiffness_sizes" not in problem._shared:
-        problem._shared["stiffness_sizes"] = abs(problem.stiffness)
+        problem._shared["stiffness_sizes"] = abs(problem.stiffness_rows)
     return problem._shared["stiffness_sizes"]
 
 
@@ -142,7 +142,7 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     """
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
-    np.maximum.at(largest, body, np.sqrt(problem.stiffness.diagonal()) * abs(displacement))
+    np.maximum.at(largest, body, np.sqrt(problem.diagonal) * abs(displacement))
     entries = rows.tocoo()
     of_bodies = np.zeros(rows.shape[0])
     np.maximum.at(of_bodies, entries.row, largest[body[entries.col]])
@@ -156,14 +156,14 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
     from scipy.sparse.csgraph import connected_components
 
     if "bodies" not in problem._shared:
-        _, problem._shared["bodies"] = connected_components(sp.csr_matrix(problem.stiffness), directed=False)
+        _, problem._shared["bodies"] = connected_components(problem.stiffness_rows, directed=False)
     body: NDArray[np.intp] = problem._shared["bodies"]
     return body
 
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
     """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
-    diagonal = problem.stiffness.diagonal()
+    diagonal = problem.diagonal
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     return np.asarray(rows.multiply(rows) @ compliance)
 

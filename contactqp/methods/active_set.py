@@ -136,6 +136,8 @@ def _primal_dual(
     limit: int,
 ) -> tuple[Vector, int, bool]:
     """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
+    from scipy.linalg import cho_factor, cho_solve
+
     seen: set[bytes] = set()
     for step in range(1, limit + 1):
         closed = tied | (force + (excess - W @ force) > tolerance)
@@ -144,13 +146,14 @@ def _primal_dual(
         seen.add(closed.tobytes())
         B = np.flatnonzero(closed)
         force = np.zeros(len(W))
-        try:
-            lower = np.linalg.cholesky(W[np.ix_(B, B)])
-        except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
-            return force, step, False
-        if B.size and np.min(np.diag(lower)) ** 2 < OPERATOR_ROUNDING:
-            return force, step, False
-        force[B] = np.linalg.solve(lower.T, np.linalg.solve(lower, excess[B]))
+        if B.size:
+            try:
+                lower, _ = cho_factor(W[np.ix_(B, B)], lower=True, check_finite=False)
+            except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
+                return force, step, False
+            if np.min(np.diag(lower)) ** 2 < OPERATOR_ROUNDING:
+                return force, step, False
+            force[B] = cho_solve((lower, True), excess[B], check_finite=False)
         penetrated = np.where(closed, 0.0, excess - W @ force)
         if np.all(penetrated <= tolerance) and np.all(force[~tied] >= 0):
             return force, step, True

@@ -89,7 +89,7 @@ def default_penalty(problem: ContactProblem, stiffening: float) -> Vector:
     An unknown without stiffness of its own counts with the largest stiffness of the problem; if nothing has any, every
     beta finds the answer in one iteration and 1 is taken.
     """
-    diagonal = problem.stiffness.diagonal()
+    diagonal = problem.diagonal
     stiffest = float(diagonal.max()) or 1.0
     softness = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
     return np.asarray(stiffening / softness)

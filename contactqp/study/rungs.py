@@ -48,7 +48,7 @@ def contact_stiffness(problem: ContactProblem) -> float:
     unknown without stiffness of its own counts with the largest stiffness of the problem; without contacts, that is
     the answer, and 1 if nothing has any stiffness.
     """
-    diagonal = problem.stiffness.diagonal()
+    diagonal = problem.diagonal
     stiffest = float(diagonal.max()) or 1.0
     compliance = problem.normal.power(2) @ (1.0 / np.where(diagonal > 0, diagonal, stiffest))
     return float(np.max(1.0 / compliance)) if problem.contacts else stiffest
