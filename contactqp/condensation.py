@@ -32,7 +32,8 @@ LOST_DIGITS = 8 * np.finfo(float).eps
 CONDENSED_ROUNDING = 1e-6
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
 UNRESISTED = 1e-9
-# Motions that the retained unknowns hold by less than this part of the best held one get an unknown more to hold them.
+# Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
+# of one, get an unknown more to hold them.
 HARDLY_HELD = 1e-4
 
 
@@ -236,7 +237,6 @@ def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
 
 def _fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
     """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
-    from scipy.linalg import null_space as dense_null_space
     from scipy.linalg import qr
 
     if not motions.shape[1]:
@@ -245,7 +245,9 @@ def _fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array
     scaled = scaled / np.max(abs(scaled), axis=0)
     free = scaled
     if retained.size:
-        free = scaled @ dense_null_space(scaled[retained], rcond=HARDLY_HELD)
+        _, values, rotation = np.linalg.svd(scaled[retained])
+        held = values > HARDLY_HELD * max(1.0, np.max(values))  # what holds a motion by rounding holds nothing
+        free = scaled @ rotation[np.count_nonzero(held) :].T
     if not free.shape[1]:
         return np.zeros(0, dtype=np.intp)
     _, _, pivots = qr(free.T, mode="economic", pivoting=True)

@@ -1,0 +1,94 @@
+"""Both ways of eliminating interior unknowns against the dense formula, and the solver that is taken by itself."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp import elimination
+from contactqp.condensation import condense
+from contactqp.elements.material import Material
+from contactqp.elements.shapes import rectangle
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
+from contactqp.elimination import BackSubstitution, LastBlock, eliminate
+from contactqp.errors import InvalidProblem
+from contactqp.pardiso import NotPositive, Pardiso, available
+
+needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso: pip install 'contactqp[fast]'")
+WAYS = [BackSubstitution, pytest.param(LastBlock, marks=needs_pardiso)]
+
+
+def pressed_block(cells=12, **held):
+    """A block pressed onto a paraboloid; `held` says what the top is held by besides its vertical displacement."""
+    body = Body(rectangle(1.0, 0.5, (2 * cells, cells)), Material(1.0, 0.3), "plane-strain", name="block")
+    structure = Structure([body])
+    supports = [Support("block", "top", 1, -0.02)] + [Support("block", "top", 0)] * (not held.get("free"))
+    paraboloid = cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0)
+    return structure.assemble(supports).problem([cq.pair(structure.surface("block", "bottom"), paraboloid)])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_elimination_leaves_is_the_schur_complement(way):
+    problem = pressed_block(6)
+    K, f = problem.stiffness.toarray(), problem.load
+    c = np.unique(problem.normal.indices)
+    i = np.setdiff1d(np.arange(len(f)), c)
+    inverse = np.linalg.inv(K[np.ix_(i, i)])
+    S = K[np.ix_(c, c)] - K[np.ix_(c, i)] @ inverse @ K[np.ix_(i, c)]
+    found = way(problem.stiffness_rows, c)
+    assert np.max(abs(found.schur - S)) <= 1e-14 * np.max(abs(S))
+    assert 0 < found.smallest_pivot < 1
+    reduced, state = found.reduce(f)
+    assert reduced == pytest.approx(f[c] - K[np.ix_(c, i)] @ inverse @ f[i], rel=1e-12, abs=1e-15)
+    at = np.linspace(0.0, 1.0, len(c))
+    u = found.expand(at, state)
+    assert u[c].tolist() == at.tolist()
+    assert np.max(abs((K @ u - f)[i])) <= 1e-14 * np.max(abs(K))
+
+
+@needs_pardiso
+def test_pardiso_refuses_what_is_not_positive_definite_and_elimination_then_goes_the_other_way(monkeypatch):
+    indefinite = sp.csr_matrix(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 1.0], [0.0, 1.0, 4.0]]))
+    with pytest.raises(NotPositive):
+        Pardiso(indefinite, np.array([2]))
+    monkeypatch.setenv(elimination.CHOICE, "pardiso")
+    floating = sp.csr_matrix(np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]))
+    assert eliminate(floating, np.array([2])).smallest_pivot <= 1e-15
+
+
+def test_a_solver_that_does_not_exist_is_refused(monkeypatch):
+    monkeypatch.setenv(elimination.CHOICE, "parsido")
+    with pytest.raises(InvalidProblem, match=r"expected one of superlu, pardiso, got .parsido."):
+        cq.solve(pressed_block(3))
+
+
+@needs_pardiso
+@pytest.mark.parametrize("free", [False, True])
+def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
+    """Held, and free to slide sideways: then the interior is held by the unknowns that are retained for it."""
+    solutions = {}
+    for solver in elimination.SOLVERS:
+        monkeypatch.setenv(elimination.CHOICE, solver)
+        problem = pressed_block(8, free=free)
+        solutions[solver] = cq.solve(problem)
+        assert condense(problem).solver == solver
+        assert solutions[solver].certificate.passed
+        assert len(solutions[solver].free_motions) == int(free)
+    one, other = solutions.values()
+    assert one.normal_force == pytest.approx(other.normal_force, rel=1e-13, abs=1e-16)
+    assert one.displacement == pytest.approx(other.displacement, rel=1e-12, abs=1e-15)
+
+
+@needs_pardiso
+def test_large_bodies_take_pardiso_and_few_back_substitutions(monkeypatch):
+    monkeypatch.delenv(elimination.CHOICE, raising=False)
+    problem = pressed_block(40)
+    solution = cq.solve(problem)
+    assert condense(problem).solver == "pardiso"
+    assert solution.certificate.passed
+    assert solution.certificate.force_error <= 1e-10
+    assert solution.work.factorisations == 1
+    assert solution.work.back_substitutions <= 5
+    again = cq.solve(problem.replace(load=1.1 * problem.load))
+    assert again.work.factorisations == 0
