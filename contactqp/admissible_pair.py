@@ -17,7 +17,7 @@ from contactqp.delassus import delassus
 from contactqp.energy_norm import CONTRACTION, energy_norm, force_norm, residual_noise, response
 from contactqp.extended import Extended, extend, extended_rows
 from contactqp.nonnegative import Infeasible, dual_active_set
-from contactqp.polishing import WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem
 from contactqp.saddle import SaddlePoint, saddle_point
 from contactqp.violations import Answer, Residuals, lengths_that_meet, stiffness_sizes
@@ -86,7 +86,7 @@ def _holding(
 ) -> OnSet | None:
     """The refined answer on a set, or on what corrections make of it, if its signs hold."""
     start = None if condensation.rigid.count else answer
-    on_set, _, holds = polish(problem, condensation, closed, corrections, start, left)
+    on_set, _, holds = polish(problem, condensation, closed, corrections, start, left, CAUTION)
     if on_set.contraction >= CONTRACTION:
         raise Unproven(
             f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"

@@ -60,6 +60,8 @@ from contactqp.violations import Answer, Residuals, lengths_that_meet, own_compl
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
+# Forces that vanish to rounding and may be this part of the displacement's energy norm at most have an absolute error.
+NEXT_TO_NOTHING = 1e-12
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
 
@@ -163,7 +165,8 @@ def _force_error(
         scale, uncertain = force_norm(problem, condensation, pair.force, tied)
         scale = 0.0 if scale <= vanishing else scale
         error = sum(force_norm(problem, condensation, change, tied)) + pair.dual_radius
-        errors.append(_relative(error, scale, pair.dual_radius + uncertain, max(rounding, vanishing)))
+        nothing = max(rounding, vanishing, NEXT_TO_NOTHING * known.energy_scale)
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain, nothing))
         scales.append(scale)
     return max(errors), scales[0]
 

@@ -12,6 +12,7 @@ factorised once, for every load, gap, method and certificate that follows (`elim
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,8 +99,13 @@ class Condensation:
         interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
-        lost = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
-        return bool(self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, LOST_DIGITS / interior * lost))
+        return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
+
+    @cached_property
+    def lost_digits(self) -> float:
+        """What rounding has done to S, relative to its diagonal."""
+        left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
+        return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
     def _schur_smallest_pivot(self) -> float:
         if not len(self.schur):

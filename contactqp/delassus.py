@@ -53,11 +53,10 @@ class Delassus:
         """W_ii of every contact and tie [length / force]."""
         return np.asarray(1.0 / self.row_scale**2)
 
-    def norm(self, force: Vector) -> float:
-        """|d|_W of contact forces (m,), the ties away [square root of energy]."""
+    def squared_norm(self, force: Vector) -> tuple[float, float]:
+        """|d|_W^2 of contact forces (m,), the ties away, and what it would be if they all helped each other."""
         scaled = force / self.row_scale[: len(force)]
-        square: float = scaled @ self.W[: len(force), : len(force)] @ scaled
-        return float(np.sqrt(max(square, 0.0)))
+        return float(scaled @ self.W[: len(force), : len(force)] @ scaled), float(np.sum(abs(scaled)) ** 2)
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
         """Scaled displacement without contact forces, rigid motions anchored at the scaled displacement `anchor`."""

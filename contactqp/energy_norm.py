@@ -59,8 +59,10 @@ def force_norm(
     if (tied is False or not problem.ties) and not condensation.rigid.count:
         operator = delassus(condensation)
         if operator.smallest_pivot >= REGULAR:
-            norm = operator.norm(d)
-            return norm, norm * np.finfo(float).eps * len(operator.scale) / operator.smallest_pivot
+            square, size = operator.squared_norm(d)
+            rounding = len(operator.scale) * condensation.lost_digits / operator.smallest_pivot * size
+            if rounding <= FEW_DIGITS * square:
+                return float(np.sqrt(square)), float(rounding / np.sqrt(square))
     load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
     u, error = response(problem, condensation, load, tied)
     norm, rounding = energy_norm(problem, u)

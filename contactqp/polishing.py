@@ -69,11 +69,13 @@ def answer_on(
     closed: NDArray[np.intp],
     start: Answer | None = None,
     left: Residuals | None = None,
+    caution: float = 1.0,
 ) -> OnSet:
     """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
 
     Free motions of the start stay as they are. `left` are its residuals, if they are known; they are of use where it
-    has no force but on the closed contacts.
+    has no force but on the closed contacts. Refinement goes on until `caution` times what it still has to do is
+    negligible.
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, closed)
@@ -87,8 +89,7 @@ def answer_on(
         u, tie = extend(start.displacement), extend(start.tie_force)
         force = extend(np.where(kept, start.normal_force, 0.0))
     whole = size_of(u.double(), force.double()[closed], tie.double())
-    # From zero the corrections shrink as those did that were measured; from elsewhere they may point anywhere.
-    last, q, caution = np.inf, saddle.contraction, 1.0 if start is None else CAUTION
+    last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:
             left = residuals_of(rows, problem, u, force, tie)
@@ -99,12 +100,12 @@ def answer_on(
         whole = max(whole, size)
         if sweep == 1 and q is None:
             q = saddle.contraction = max(size / last if last > 0 else 0.0, LEAST_CONTRACTION)
-        if (q is not None and size * q * caution <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
+        if (q is not None and size * min(q * caution, 1.0) <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
             break
         last = size
     nothing = INVISIBLE * whole * np.sqrt(delassus(condensation).compliance)
     q = q or 0.0
-    remainder = size * q / (1 - q) * CAUTION if q < 1 else np.inf
+    remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
     return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
 
 
@@ -143,6 +144,7 @@ def polish(
     max_corrections: int,
     start: Answer | None = None,
     left: Residuals | None = None,
+    caution: float = 1.0,
 ) -> tuple[OnSet, int, bool]:
     """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
 
@@ -153,7 +155,7 @@ def polish(
     seen: set[bytes] = set()
     corrections = 0
     while True:
-        answer = answer_on(problem, condensation, closed, start, left)
+        answer = answer_on(problem, condensation, closed, start, left, caution)
         proposal = None
         if answer.saddle.redundant:
             if not _ties_are_met(problem, answer):
@@ -163,10 +165,10 @@ def polish(
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
                     closed = lean
-                    answer = answer_on(problem, condensation, closed, start, left)
+                    answer = answer_on(problem, condensation, closed, start, left, caution)
         if proposal is None:
             if answer.saddle.free.shape[1]:
-                answer, _ = least_displacement(problem, condensation, answer)
+                answer, _ = least_displacement(problem, condensation, answer, caution)
             tension, penetrated = _wrong(problem, answer, closed)
             reached, driven = _reached_by_drive(problem, condensation, answer)
             if not (tension.size or penetrated.size or driven):
@@ -263,7 +265,9 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     return u, force[: len(push)], force[len(push) :]
 
 
-def least_displacement(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[OnSet, Array]:
+def least_displacement(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet, caution: float = 1.0
+) -> tuple[OnSet, Array]:
     """Among the displacements that differ by motions nothing drives and nothing resists, the one of least norm.
 
     Returns the answer there and an orthonormal basis (n, q) of those motions.
@@ -274,7 +278,8 @@ def least_displacement(problem: ContactProblem, condensation: Condensation, answ
         return answer, free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
-    return answer_on(problem, condensation, pushing_contacts(problem, Answer(u, force, None, tie)), moved), free
+    closed = pushing_contacts(problem, Answer(u, force, None, tie))
+    return answer_on(problem, condensation, closed, moved, caution=caution), free
 
 
 def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, answer: Answer) -> tuple[Vector, Array]:
