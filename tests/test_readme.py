@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 import re
 
+import numpy as np
 import pytest
 
 import contactqp as cq
@@ -12,10 +13,8 @@ import contactqp as cq
 README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
 
 
-def _block(language: str) -> str:
-    found = re.search(rf"```{language}\n(.*?)```", README, re.DOTALL)
-    assert found is not None
-    return found.group(1)
+def _block(language: str, place: int = 0) -> str:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)[place]
 
 
 def test_the_python_example_prints_what_its_comments_say(capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,6 +28,19 @@ def test_the_python_example_prints_what_its_comments_say(capsys: pytest.CaptureF
     soft = scope["soft"]
     assert isinstance(soft, cq.Solution)
     assert soft.certificate.force_error == pytest.approx(0.071, abs=5e-4)
+
+
+def test_the_body_example_presses_a_block_on_a_paraboloid() -> None:
+    scope: dict[str, object] = {}
+    exec(compile(_block("python", 1), "README.md", "exec"), scope)
+    solution, contact = scope["solution"], scope["contact"]
+    assert isinstance(solution, cq.Solution)
+    assert solution.certificate.passed
+    assert solution.work.factorisations == 1
+    pressure = scope["pressure"]
+    assert isinstance(pressure, np.ndarray)
+    assert pressure @ contact.area == pytest.approx(solution.normal_force.sum())  # type: ignore[attr-defined]
+    assert 0.2 < np.mean(solution.normal_force > 0) < 0.9
 
 
 def test_the_case_example_is_a_scene(tmp_path: pathlib.Path) -> None:

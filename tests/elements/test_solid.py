@@ -1,6 +1,5 @@
 """The stiffness of elastic bodies: patch tests, rigid motions, symmetry, and scikit-fem's own on the same mesh."""
 
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
