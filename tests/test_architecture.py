@@ -16,7 +16,7 @@ LAYERS = (
     "errors", "problem_data", "problem", "solution", "extended", "factorization", "pardiso", "elimination",
     "condensation", "delassus", "nonnegative", "range_space", "saddle", "violations", "polishing", "energy_norm",
     "admissible_pair", "bounds", "failures", "certificate", "scaling", "existence", "methods", "solving", "elements",
-    "analysis", "scene", "study", "cli",
+    "pictures", "analysis", "scene", "study", "cli",
 )  # fmt: skip
 
 

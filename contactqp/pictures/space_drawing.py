@@ -1,0 +1,149 @@
+"""Bodies in space: their outer surface, and beside it a map of the contact pressure of each pairing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.geometry import Block
+from contactqp.pictures import style
+from contactqp.pictures.contact_fields import ContactFields, PairingFields
+from contactqp.pictures.pressure_map import draw_map
+from contactqp.pictures.sampling import outline_points, sample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+# Degrees: from the left, and from above, or from below where that is where the contact is.
+AZIMUTH, FROM_ABOVE, FROM_BELOW = -60.0, 24.0, -18.0
+# Edges between facets that turn by more than this are seen on the undeformed body.
+FEATURE = np.cos(np.radians(35.0))
+
+
+def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale: float, size: float) -> Figure:
+    """The figure: bodies on the left, one map below the other on the right."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    maps = [pairing for pairing in fields.pairings if len(pairing.force)]
+    result = style.new_figure(13.0 if maps else 8.5, max(7.0, 3.4 * len(maps)))
+    halves: Any = result.subfigures(1, 2, width_ratios=[1.5, 1.0], wspace=0.06) if maps else [result]
+    left = halves[0]
+    axes = left.add_subplot(projection="3d", computed_zorder=False)
+    polygons, values = surface(fields, colour, scale)
+    norm = Normalize(*style.colour_range(np.concatenate(values)))
+    coloured = ScalarMappable(norm, style.COLOUR_MAP)
+    _draw_surface(axes, polygons, values, coloured)
+    seen = [polygon.reshape(-1, 3) for polygon in polygons]
+    seen += _draw_undeformed(axes, fields)
+    seen += _draw_arrows(axes, fields, scale, style.ARROW * size)
+    _set_axes(axes, fields, np.concatenate(seen))
+    left.colorbar(coloured, ax=axes, label=label, shrink=0.6, location="left", pad=0.02)
+    left.suptitle(title)
+    if maps:
+        panels = halves[1].subplots(len(maps), 1, squeeze=False).ravel()
+        for panel, pairing in zip(panels, maps, strict=True):
+            draw_map(halves[1], panel, fields, pairing)
+    return result
+
+
+def surface(fields: ContactFields, colour: str, scale: float) -> tuple[list[Array], list[Array]]:
+    """The deformed facets of all outer surfaces as polygons (p, q, 3), kind by kind, and their values (p,)."""
+    polygons, values = [], []
+    for body in fields.bodies:
+        mesh = body.body.mesh
+        for block in mesh.facets_of(mesh.boundary):
+            polygons.append(sample(block, body.points + scale * body.displacement, outline_points(block.kind)))
+            middle = block.kind.nodes[: block.kind.corners].mean(axis=0)[np.newaxis]
+            if colour == "displacement":
+                values.append(np.linalg.norm(sample(block, body.displacement, middle)[:, 0], axis=1))
+            else:
+                values.append(sample(block, body.von_mises[:, np.newaxis], middle)[:, 0, 0])
+    return polygons, values
+
+
+def _draw_surface(axes: Any, polygons: list[Array], values: list[Array], coloured: Any) -> None:
+    """One collection of all bodies, so that all facets are sorted from the back to the front together."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    faces = [polygon for block in polygons for polygon in block]
+    colours = coloured.to_rgba(np.concatenate(values))
+    thin = float(np.clip(6.0 / np.sqrt(len(faces)), 0.08, 0.4))
+    axes.add_collection3d(
+        Poly3DCollection(faces, facecolors=colours, edgecolors=(0.1, 0.1, 0.1, 0.6), linewidths=thin, zorder=2)
+    )
+
+
+def _draw_undeformed(axes: Any, fields: ContactFields) -> list[Array]:
+    """The sharp edges of the undeformed bodies, behind the deformed ones."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    seen = []
+    for body in fields.bodies:
+        mesh = body.body.mesh
+        lines = [sharp_edges(block, body.points) for block in mesh.facets_of(mesh.boundary)]
+        look: dict[str, Any] = dict(colors=style.UNDEFORMED, linewidths=0.8, linestyles="--", zorder=1)
+        axes.add_collection3d(Line3DCollection(np.concatenate(lines), **look))
+        seen.append(body.points)
+    return seen
+
+
+def sharp_edges(block: Block, points: Array) -> Array:
+    """Edges (e, 2, 3) of facets where the surface turns sharply, or where facets of this kind end."""
+    corners = block.nodes[:, : block.kind.corners]
+    x = points[corners]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    edge = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(corners)), corners.shape[1])
+    order = np.lexsort(edge.T)
+    edge, owner = edge[order], owner[order]
+    same = np.all(edge[1:] == edge[:-1], axis=1)
+    smooth = same & ((normal[owner[1:]] * normal[owner[:-1]]).sum(axis=1) > FEATURE)
+    hidden = np.zeros(len(edge), dtype=bool)
+    hidden[1:] |= same  # the second of a pair
+    hidden[:-1] |= smooth
+    return points[edge[~hidden]]
+
+
+def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float) -> list[Array]:
+    """Contact forces on their bodies, as long as they are large; the pressures are in the maps."""
+    largest = max((float(np.nanmax(p.force, initial=0.0)) for p in fields.pairings), default=0.0)
+    if largest <= 0:
+        return []
+    tails = []
+    for pairing in fields.pairings:
+        pushed = pairing.force > 1e-3 * largest
+        heads = (pairing.position + scale * pairing.displacement)[pushed]
+        shafts = longest / largest * pairing.force[pushed, np.newaxis] * pairing.direction[pushed]
+        tails.append(heads - shafts)
+        look: dict[str, Any] = dict(color=style.PRESSURE, linewidth=0.9, arrow_length_ratio=0.2, zorder=3)
+        axes.quiver(*tails[-1].T, *shafts.T, **look)
+    unit = style.force_unit(fields.units)
+    handle = style.line_handle(
+        f"contact force of a node, longest arrow {style.number(largest)} {unit}", color=style.PRESSURE
+    )
+    undeformed = style.line_handle("undeformed", color=style.UNDEFORMED, linestyle="--", linewidth=0.8)
+    axes.legend(handles=[handle, undeformed], loc="lower left", fontsize="small", frameon=False)
+    return tails
+
+
+def _set_axes(axes: Any, fields: ContactFields, seen: Array) -> None:
+    unit = style.length_unit(fields.units)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    for name, a, b in zip("xyz", low, high, strict=True):
+        getattr(axes, f"set_{name}lim")(a, b)
+        getattr(axes, f"set_{name}label")(f"{name} [{unit}]")
+    axes.set_proj_type("ortho")
+    axes.set_box_aspect(high - low, zoom=1.05)
+    axes.locator_params(nbins=5)
+    axes.view_init(elev=FROM_BELOW if _seen_from_below(fields.pairings) else FROM_ABOVE, azim=AZIMUTH)
+
+
+def _seen_from_below(pairings: tuple[PairingFields, ...]) -> bool:
+    """Whether the contacts push upwards on the whole: the contact side is then the lower one."""
+    push = sum((pairing.direction.sum(axis=0) for pairing in pairings), np.zeros(3))
+    return bool(push[2] > 0.5 * np.linalg.norm(push))

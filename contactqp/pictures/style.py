@@ -1,0 +1,154 @@
+"""How pictures look: colours, markers of the contact status, labels with units, legends, files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.pictures.whole_file import PICTURES, check_file, check_installed, write_whole
+from contactqp.problem import Units
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Colour = Literal["displacement", "von mises"]
+COLOURS: tuple[str, ...] = get_args(Colour)
+COLOUR_MAP = "viridis"
+# Colours of Okabe and Ito (2008), distinct to colour-blind readers and from the colour map's.
+PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.45", "0.3", "0.15"
+# Of the longest arrow, relative to the size of the bodies.
+ARROW = 0.14
+
+
+@dataclass(frozen=True)
+class Marker:
+    """The shape and the filling of a contact point."""
+
+    shape: str
+    face: str
+
+
+MARKERS: Mapping[str, Marker] = {
+    "open": Marker("o", "white"),
+    "closed": Marker("o", "black"),
+    "grazing": Marker("D", "0.7"),
+    "stick": Marker("s", "black"),
+    "slip": Marker("^", "black"),
+    "held": Marker("X", "white"),
+}
+
+
+def length_unit(units: Units) -> str:
+    """``"mm"``, or the dimension where no unit is stated."""
+    return units.length or "length"
+
+
+def force_unit(units: Units) -> str:
+    """``"N"``, or the dimension where no unit is stated."""
+    return units.force or "force"
+
+
+def pressure_unit(units: Units) -> str:
+    """``"N/mm²"``, of pressures and stresses.
+
+    >>> pressure_unit(Units(length="m", force="kN")), pressure_unit(Units())
+    ('kN/m²', 'force/length²')
+    """
+    return f"{force_unit(units)}/{length_unit(units)}²"
+
+
+def colour_label(colour: str, units: Units) -> str:
+    """What stands at the colour bar.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no such colouring.
+    """
+    if colour == "displacement":
+        return f"displacement, magnitude [{length_unit(units)}]"
+    if colour == "von mises":
+        return f"von Mises stress [{pressure_unit(units)}]"
+    raise InvalidProblem(f"colour: expected one of {', '.join(map(repr, COLOURS))}, got {colour!r}")
+
+
+def colour_range(values: Array) -> tuple[float, float]:
+    """From the least to the largest value; wider where they differ by rounding only, so that ticks can be read."""
+    low, high = float(values.min()), float(values.max())
+    size = max(abs(low), abs(high))
+    if high - low > 1e-6 * size:
+        return low, high
+    return (0.9 * low, 1.1 * high) if size > 0 else (0.0, 1.0)
+
+
+def number(value: float) -> str:
+    """Four digits, written out where that is readable.
+
+    >>> number(14992.27), number(0.00012345), number(2.5e-9)
+    ('14990', '0.0001234', '2.5e-09')
+    """
+    if 1e-4 <= abs(value) < 1e7:
+        return np.format_float_positional(value, precision=4, fractional=False, trim="-")
+    return f"{value:.4g}"
+
+
+def count_label(status: str, number: int) -> str:
+    """``"closed (13)"``."""
+    return f"{status} ({number})"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure [inch] whose parts are laid out so that none covers another."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def add_legend(figure: Figure, handles: Sequence[Any], columns: int) -> None:
+    """Below everything else."""
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
+
+
+def marker_handle(status: str, label: str) -> Any:
+    """A contact point in a legend."""
+    from matplotlib.lines import Line2D
+
+    marker = MARKERS[status]
+    return Line2D(
+        [], [], linestyle="none", marker=marker.shape, color="black", markerfacecolor=marker.face, label=label
+    )
+
+
+def line_handle(label: str, **style: Any) -> Any:
+    """A line in a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
+def check_picture(file: str | Path) -> Path:
+    """The file as a path, if a picture can be written to it.
+
+    Raises
+    ------
+    InvalidProblem
+        A suffix that is none of .png, .pdf and .svg, a folder that is not there.
+    BackendMissing
+        matplotlib is not installed.
+    """
+    path = check_file(file, PICTURES)
+    check_installed("matplotlib", "report", f"drawing {path.name}")
+    return path
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Write the figure whole or not at all."""
+    write_whole(file, lambda beside: figure.savefig(beside, dpi=160))
