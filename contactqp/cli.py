@@ -31,6 +31,8 @@ def command() -> None:
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")
+@click.option("--plot", metavar="FILE", help="Draw the deformed structure and its contacts: .png, .pdf or .svg.")
+@click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(
     cases: tuple[str, ...],
@@ -38,11 +40,16 @@ def run_command(
     penalty: str | None,
     perturbation: str | None,
     options: tuple[str, ...],
+    plot: str | None,
+    vtu: str | None,
     as_json: bool,
 ) -> None:
     """Solve each CASE (a file, or a folder of them) and compare with what it expects.
 
     Without --method: by active-set, and by every method that the case itself says something about.
+
+    --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
+    several, the names of case and method are put before the suffix of FILE.
     """
     from contactqp.scene.arguments import case_files, read_knobs
     from contactqp.scene.judging import Failure, Judgement, judge_all
@@ -51,6 +58,11 @@ def run_command(
 
     scenes = [load_scene(file) for file in case_files(cases)]
     knobs = read_knobs(penalty, perturbation, options)
+    files = None
+    if plot is not None or vtu is not None:
+        from contactqp.study.answer_files import answer_files
+
+        files = answer_files(scenes, plot, vtu, every_method=bool(methods))
     console, outcomes = _console(), []
     for scene in scenes:
         outcomes += (found := judge_all(scene, methods, knobs))
@@ -58,6 +70,8 @@ def run_command(
             _complain(failure.message)
         if not as_json:
             print_judgements(console, [outcome for outcome in found if isinstance(outcome, Judgement)])
+        for file in files.write(found) if files is not None else ():
+            click.echo(f"written: {file}", err=as_json)
     if as_json:
         _print_json([judgement_data(outcome) for outcome in outcomes])
     sys.exit(0 if all(outcome.met for outcome in outcomes) else NOT_MET)

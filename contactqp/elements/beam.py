@@ -42,6 +42,38 @@ def stiffness(modulus: Number, area: Number, inertia: Number, start: Numbers, en
     return K
 
 
+def displacements(start: Numbers, end: Numbers, ends: Numbers, at: Numbers) -> Numbers:
+    """The (k, 2) displacements along the axis of an unloaded beam, from those of its ends.
+
+    Linear along the beam; across it the cubic that has the deflections and slopes of the ends,
+
+        v = (1 - 3s^2 + 2s^3) v_1 + L (s - 2s^2 + s^3) theta_1 + (3s^2 - 2s^3) v_2 + L (s^3 - s^2) theta_2.
+
+    Parameters
+    ----------
+    start, end : (2,) arrays
+        The two nodes [length].
+    ends : (6,) array
+        (u_x, u_y, theta) of start and end [length, length, 1].
+    at : (k,) array
+        s: 0 at the start, 1 at the end [-].
+
+    >>> v = displacements([0.0, 0.0], [2.0, 0.0], np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.75]), np.array([0.5]))
+    >>> v.tolist()  # a cantilever under a force at its tip: s^2 (3 - s) / 2
+    [[0.0, 0.3125]]
+    """
+    d = np.asarray(end) - np.asarray(start)
+    length = square_root(squared_length(d))
+    u_1, v_1, theta_1, u_2, v_2, theta_2 = _rotation(d, length) @ np.asarray(ends)
+    s = np.asarray(at)
+    u = (1 - s) * u_1 + s * u_2
+    v = (1 - 3 * s**2 + 2 * s**3) * v_1 + (3 * s**2 - 2 * s**3) * v_2
+    v = v + length * ((s - 2 * s**2 + s**3) * theta_1 + (s**3 - s**2) * theta_2)
+    across = np.array([-d[1], d[0]]) / length
+    moved: Numbers = np.outer(u, d / length) + np.outer(v, across)
+    return moved
+
+
 def _local(a: Number, b: Number, length: Number) -> Numbers:
     s, r, q = 12 * b, 6 * b * length, 2 * b * length * length
     return np.array(

@@ -17,7 +17,7 @@ from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import BackendMissing, InvalidProblem
 
 Index = NDArray[np.int64]
-_MESHIO_KINDS = {
+MESHIO_KINDS = {
     "vertex": "node", "line": "line2", "line3": "line3",
     "triangle": "tri3", "triangle6": "tri6", "quad": "quad4", "quad8": "quad8", "quad9": "quad9",
     "tetra": "tet4", "tetra10": "tet10",
@@ -112,10 +112,10 @@ def _read_by_meshio(file: Path) -> Any:
 def _cells_of_meshio(mesh: Any) -> Cells:
     cells = []
     for block in mesh.cells:
-        if block.type not in _MESHIO_KINDS:
-            known = ", ".join(_MESHIO_KINDS)
+        if block.type not in MESHIO_KINDS:
+            known = ", ".join(MESHIO_KINDS)
             raise InvalidProblem(f"mesh: expected cells of {known}, got {block.type}")
-        cells.append((_MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)))
+        cells.append((MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)))
     groups: dict[str, list[Index]] = {}
     for name, members in mesh.cell_sets.items():
         if not name.startswith("gmsh:"):

@@ -84,10 +84,11 @@ def _mean_radius(body: Body, nodes: Index) -> NDArray[np.float64]:
     for block in body.mesh.facets_of(body.mesh.boundary):
         geometry = at_rule(block, body.mesh.points, block.kind.fine_rule)
         length = np.linalg.norm(geometry.normal, axis=2) * block.kind.fine_rule.weights
-        length = length * inside[block.nodes].all(axis=1)[:, np.newaxis]
+        length = length * np.all(inside[block.nodes], axis=1, keepdims=True)
         moment, shape = length * geometry.positions[..., 0], geometry.shape
         total += sum_at_nodes(block, np.stack([moment @ shape, moment @ np.abs(shape), length @ shape], axis=2), count)
     moment, size, whole = total[nodes].T
     own = body.mesh.points[nodes, 0]
     radius = np.where(whole > 0, moment / np.where(whole > 0, whole, 1.0), own)
-    return np.where((whole > 0) & (moment < CANCELLED * size), 0.0, radius)
+    cancelled = np.logical_and(whole > 0, moment < CANCELLED * size)
+    return np.where(cancelled, 0.0, radius)

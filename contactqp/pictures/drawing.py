@@ -26,7 +26,12 @@ LEAST_SIDE = 2.2
 
 
 def draw(
-    fields: ContactFields, file: str | Path, *, colour: Colour = "displacement", scale: float | None = None
+    fields: ContactFields,
+    file: str | Path,
+    *,
+    colour: Colour = "displacement",
+    scale: float | None = None,
+    title: str = "",
 ) -> None:
     """Draw deformed bodies, coloured, with the contact pressure along the boundary and the contact points by status.
 
@@ -41,6 +46,8 @@ def draw(
         How many times displacements are magnified; by default as many as make them visible, 1 where they are. The
         title says so. Gaps are those between the bodies as they are drawn: magnified bodies that met across a gap
         overlap in the picture.
+    title : str
+        Stands above that.
 
     Raises
     ------
@@ -56,10 +63,12 @@ def draw(
     facets of very different sizes may cover each other wrongly), with a map of the pressure of each pairing beside it.
     """
     path = style.check_picture(file)
-    style.save(figure(fields, colour=colour, scale=scale), path)
+    style.save(figure(fields, colour=colour, scale=scale, title=title), path)
 
 
-def figure(fields: ContactFields, *, colour: str = "displacement", scale: float | None = None) -> Figure:
+def figure(
+    fields: ContactFields, *, colour: str = "displacement", scale: float | None = None, title: str = ""
+) -> Figure:
     """The figure that `draw` writes."""
     label = style.colour_label(colour, fields.units)
     points = np.concatenate([body.points for body in fields.bodies])
@@ -72,8 +81,9 @@ def figure(fields: ContactFields, *, colour: str = "displacement", scale: float 
         np.concatenate([none, *[pairing.initial_gap for pairing in fields.pairings]]),
         np.concatenate([none, *[pairing.gap for pairing in fields.pairings]]),
     )
-    title = scale_text(scale) if colour == "displacement" else f"von Mises stress, {scale_text(scale)}"
-    title = title[0].upper() + title[1:]
+    title = style.headline(
+        title, scale_text(scale) if colour == "displacement" else f"von Mises stress, {scale_text(scale)}"
+    )
     if fields.dimension == 3:
         return draw_space(fields, colour, label, title, scale, size)
     return _plane_figure(fields, colour, label, title, scale, points)

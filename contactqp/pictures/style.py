@@ -104,6 +104,11 @@ def count_label(status: str, number: int) -> str:
     return f"{status} ({number})"
 
 
+def headline(title: str, text: str) -> str:
+    """The user's title, if any, and below it what the picture shows."""
+    return "\n".join(filter(None, [title, text[0].upper() + text[1:]]))
+
+
 def new_figure(width: float, height: float) -> Figure:
     """A figure [inch] whose parts are laid out so that none covers another."""
     from matplotlib.figure import Figure
@@ -151,4 +156,6 @@ def check_picture(file: str | Path) -> Path:
 
 def save(figure: Figure, file: Path) -> None:
     """Write the figure whole or not at all."""
+    # The layout is right from the second time on: the first one does not know the ticks yet.
+    figure.draw_without_rendering()
     write_whole(file, lambda beside: figure.savefig(beside, dpi=160))

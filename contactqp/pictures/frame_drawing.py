@@ -1,0 +1,249 @@
+"""Pictures of bars, springs and beams: undeformed and magnified, with supports, obstacles, contact forces and gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.obstacle import tangents
+from contactqp.pictures import style
+from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
+from contactqp.pictures.magnification import LARGEST, magnification, scale_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+LINES: dict[str, dict[str, Any]] = {
+    "bar": dict(color="#0072B2", linewidth=2.2),
+    "beam": dict(color="#0072B2", linewidth=3.0),
+    "spring": dict(color="#009E73", linewidth=1.6, linestyle=":"),
+    "matrix": dict(color="#56B4E9", linewidth=1.2, linestyle="-."),
+}
+GROUNDED = "spring to the ground"
+# Rows of the legend that contacts may take, and node names that can be told apart.
+MOST_CONTACTS, MOST_NAMES = 12, 24
+# Relative to the size: half the length of an obstacle's symbol, and how far the deformed line is below the undeformed.
+OBSTACLE, BELOW = 0.07, 0.12
+# An obstacle further than this from its node, relative to the size, is left to the legend.
+FAR = 0.6
+MARGIN = 0.12
+# [inch]: width, least height and the height of title, axis and legend; and the largest ratio of height to width.
+WIDTH, LEAST, TEXT, MOST_UPRIGHT = 9.0, 1.6, 1.5, 0.75
+# Nodes closer than this, relative to the size, share a label.
+CLOSE = 0.02
+
+
+def draw_structure(fields: FrameFields, file: str | Path, *, scale: float | None = None, title: str = "") -> None:
+    """Draw the undeformed and the deformed members, supports, and contacts with their force or gap.
+
+    Parameters
+    ----------
+    fields : FrameFields
+    file : str or Path
+        Ends in .png, .pdf or .svg.
+    scale : float, optional
+        How many times displacements are magnified; by default as many as make them visible. The title says so.
+    title : str
+        Stands above that.
+
+    Raises
+    ------
+    InvalidProblem
+        Another suffix, a scale that is not positive, a folder that is not there.
+    BackendMissing
+        matplotlib is not installed.
+
+    Notes
+    -----
+    An obstacle is a symbol, drawn at `scale` times the initial gap from the undeformed node, so that the deformed node
+    meets it exactly where the contact is closed. In 1D the deformed line is drawn below the undeformed one.
+    """
+    path = style.check_picture(file)
+    style.save(structure_figure(fields, scale=scale, title=title), path)
+
+
+def structure_figure(fields: FrameFields, *, scale: float | None = None, title: str = "") -> Figure:
+    """The figure that `draw_structure` writes."""
+    size = _size(fields)
+    pairs = [(contact.initial_gap, contact.gap) for contact in fields.contacts if len(contact.nodes) == 2]
+    initial_gap, gap = np.array(pairs).reshape(-1, 2).T
+    scale = magnification(scale, size, fields.displacement, initial_gap, gap)
+    result = style.new_figure(WIDTH, WIDTH)
+    axes: Any = result.add_subplot(projection="3d") if len(fields.axes) == 3 else result.add_subplot()
+    below = BELOW * size
+    handles = _draw_members(axes, fields, scale, below)
+    seen = [_flat(fields.position, 0.0), _flat(fields.position + scale * fields.displacement, -below)]
+    handles += _draw_nodes(axes, fields, scale, below)
+    for contact in fields.contacts:
+        seen += _draw_partner(axes, fields, contact, scale, size)
+    seen += _draw_forces(axes, fields, scale, size)
+    handles += _draw_contacts(axes, fields, scale, below)
+    shape = _set_axes(axes, fields, np.concatenate(seen), size)
+    result.set_size_inches(WIDTH, TEXT + 0.12 * len(handles) + max(WIDTH * min(shape, MOST_UPRIGHT), LEAST))
+    result.suptitle(style.headline(title, scale_text(scale)))
+    style.add_legend(result, handles, columns=2)
+    return result
+
+
+def _size(fields: FrameFields) -> float:
+    """The longest side of the box around the nodes; where they are all at one place, what displacements call for."""
+    side = float(np.ptp(fields.position, axis=0).max())
+    moved = float(np.linalg.norm(fields.displacement, axis=1).max())
+    return side if side > 0 else (moved / LARGEST if moved > 0 else 1.0)
+
+
+def _flat(points: Array, row: float) -> Array:
+    """Points on a line get a second coordinate, the row they are drawn in."""
+    if points.shape[1] > 1:
+        return points
+    return np.column_stack([points, np.full(len(points), row)])
+
+
+def _joined(paths: Iterable[Array]) -> Array:
+    """One line with breaks between the paths."""
+    return np.concatenate([part for path in paths for part in (path, np.full((1, path.shape[1]), np.nan))])
+
+
+def _draw_members(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
+    lines = [member for member in fields.members if len(member.nodes) > 1]
+    handles = []
+    if lines:
+        look = dict(color=style.UNDEFORMED, linestyle="--", linewidth=1.0)
+        axes.plot(*_joined(_flat(member.path, 0.0) for member in lines).T, gid="undeformed", **look)
+        handles.append(style.line_handle("undeformed", **look))
+    for kind, look in LINES.items():
+        mine = [_flat(_deformed(member, scale), -below) for member in lines if member.kind == kind]
+        if mine:
+            axes.plot(*_joined(mine).T, gid=kind, **look)
+            handles.append(style.line_handle(f"{kind}, deformed", **look))
+    grounded = [_flat(_deformed(member, scale), -below) for member in fields.members if len(member.nodes) == 1]
+    if grounded:
+        look = dict(color=LINES["spring"]["color"], linestyle="none", marker="v", markersize=9, fillstyle="none")
+        axes.plot(*np.concatenate(grounded).T, gid=GROUNDED, **look)
+        handles.append(style.line_handle(GROUNDED, **look))
+    return handles
+
+
+def _deformed(member: Member, scale: float) -> Array:
+    return member.path + scale * member.displacement
+
+
+def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
+    """Nodes with their names; in 1D hair lines lead from the undeformed to the deformed row."""
+    start = _flat(fields.position, 0.0)
+    end = _flat(fields.position + scale * fields.displacement, -below)
+    axes.plot(*end.T, color="#0072B2", linestyle="none", marker="o", markersize=3.5, gid="nodes")
+    if len(fields.axes) == 1:
+        axes.plot(*start.T, color=style.UNDEFORMED, linestyle="none", marker="o", markersize=3)
+        axes.plot(*_joined(np.stack([start, end], axis=1)).T, color=style.UNDEFORMED, linewidth=0.5)
+    if len(fields.nodes) <= MOST_NAMES:
+        _draw_names(axes, fields.nodes, start, CLOSE * below / BELOW)
+    supported = end[fields.held.any(axis=1)]
+    if not len(supported):
+        return []
+    look: dict[str, Any] = dict(color="black", linestyle="none", marker="^", markersize=9, fillstyle="none")
+    axes.plot(*supported.T, gid="support", **look)
+    return [style.line_handle("support", **look)]
+
+
+def _draw_names(axes: Any, names: Iterable[str], places: Array, close: float) -> None:
+    """The names of the nodes, those of near ones together."""
+    at: dict[tuple[int, ...], list[str]] = {}
+    first: dict[tuple[int, ...], list[float]] = {}
+    for name, place in zip(names, places.tolist(), strict=True):
+        cell = tuple(round(x / close) for x in place)
+        at.setdefault(cell, []).append(name)
+        first.setdefault(cell, place)
+    for cell, near in at.items():
+        axes.text(*first[cell], f"  {', '.join(near)}", fontsize="small", color="0.3", va="bottom")
+
+
+def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: float, size: float) -> list[Array]:
+    """The obstacle that a node may touch, or a line between the two nodes; returns what the picture has to show."""
+    row = -BELOW * size
+    if len(contact.nodes) == 2:
+        i, j = contact.nodes
+        ends = _flat((fields.position + scale * fields.displacement)[[i, j]], row)
+        axes.plot(*ends.T, color="black", linewidth=0.8, linestyle=":", gid="pair")
+        return []
+    if scale * abs(contact.initial_gap) > FAR * size:
+        return []
+    out = contact.push[0]
+    foot = _flat((fields.position[contact.nodes[0]] - scale * contact.initial_gap * out)[np.newaxis], row)[0]
+    along = np.array([[0.0, 1.0]]) if len(out) == 1 else tangents(out)
+    for tangent in np.asarray(along, dtype=float):
+        ends = foot + OBSTACLE * size * np.array([[-1.0], [1.0]]) * tangent
+        axes.plot(*ends.T, color=style.OBSTACLE, linewidth=3.5, gid="obstacle", zorder=1.5)
+    return [foot[np.newaxis]]
+
+
+def _draw_forces(axes: Any, fields: FrameFields, scale: float, size: float) -> list[Array]:
+    """What contact does to each node, as arrows that end there."""
+    pushed = [contact for contact in fields.contacts if contact.force > 0]
+    if not pushed:
+        return []
+    nodes = [node for contact in pushed for node in contact.nodes]
+    forces = np.concatenate([contact.force * contact.push for contact in pushed])
+    shafts = style.ARROW * size / np.abs(forces).max() * forces
+    heads = _flat((fields.position + scale * fields.displacement)[nodes], -BELOW * size)
+    shafts = np.column_stack([shafts, np.zeros((len(shafts), heads.shape[1] - shafts.shape[1]))])
+    look: dict[str, Any] = dict(angles="xy", scale_units="xy", scale=1.0, width=0.004)
+    if heads.shape[1] == 3:
+        look = dict(arrow_length_ratio=0.2)
+    axes.quiver(*(heads - shafts).T, *shafts.T, color=style.PRESSURE, zorder=3, gid="contact forces", **look)
+    return [heads - shafts]
+
+
+def _draw_contacts(axes: Any, fields: FrameFields, scale: float, below: float) -> list[Any]:
+    """Contact points by status; the legend says of each what its force and its gap are."""
+    places = _flat(fields.position + scale * fields.displacement, -below)
+    handles = []
+    for contact in fields.contacts:
+        marker = style.MARKERS[contact.status]
+        look: dict[str, Any] = dict(marker=marker.shape, markerfacecolor=marker.face, color="black", markersize=6)
+        axes.plot(*places[list(contact.nodes)].T, linestyle="none", gid=contact.status, zorder=4, **look)
+        handles.append(style.marker_handle(contact.status, contact_label(contact, fields)))
+    if len(handles) > MOST_CONTACTS:
+        rest = style.line_handle(f"and {len(handles) - MOST_CONTACTS} more contacts", linestyle="none")
+        handles = [*handles[:MOST_CONTACTS], rest]
+    if any(contact.force > 0 for contact in fields.contacts):
+        largest = max(contact.force for contact in fields.contacts)
+        label = f"contact force, longest arrow {style.number(largest)} {style.force_unit(fields.units)}"
+        handles.append(style.line_handle(label, color=style.PRESSURE))
+    return handles
+
+
+def contact_label(contact: FrameContact, fields: FrameFields) -> str:
+    """``"tip: closed, force 142.5 kN, gap 0 m"``."""
+    force = f"force {style.number(contact.force)} {style.force_unit(fields.units)}"
+    gap = f"gap {style.number(contact.gap)} {style.length_unit(fields.units)}"
+    return f"{contact.name}: {contact.status}, {force}, {gap}"
+
+
+def _set_axes(axes: Any, fields: FrameFields, seen: Array, size: float) -> float:
+    """Limits and labels; returns the ratio of height to width."""
+    unit = style.length_unit(fields.units)
+    low, high = seen.min(axis=0) - MARGIN * size, seen.max(axis=0) + MARGIN * size
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_xlabel(f"{fields.axes[0]} [{unit}]")
+    if len(fields.axes) == 3:
+        axes.set_zlim(low[2], high[2])
+        axes.set_zlabel(f"{fields.axes[2]} [{unit}]")
+        axes.set_proj_type("ortho")
+        axes.set_box_aspect(high - low)
+    else:
+        axes.set_aspect("equal")
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    if len(fields.axes) > 1:
+        axes.set_ylabel(f"{fields.axes[1]} [{unit}]")
+    else:
+        axes.yaxis.set_visible(False)
+        axes.spines["left"].set_visible(False)
+    return float((high - low)[1] / (high - low)[0]) if len(low) == 2 else MOST_UPRIGHT

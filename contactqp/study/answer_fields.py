@@ -1,0 +1,94 @@
+"""From a scene and its solution to the fields that pictures and VTU files show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements import beam
+from contactqp.pictures.contact_fields import ContactFields
+from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
+from contactqp.problem import Units
+from contactqp.scene.building import exact_problem
+from contactqp.scene.schema import Scene
+from contactqp.scene.unknowns import ROTATION, of_node
+from contactqp.solution import Solution
+
+Array = NDArray[np.float64]
+# Points along a beam: its cubic looks smooth.
+BEAM_POINTS = 25
+
+
+def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
+    """The fields of a scene's solution, in the scene's units.
+
+    The one place that decides what kind of picture a scene gets. Bars, springs, beams and matrices give FrameFields.
+    Elastic bodies give ``contact_fields(system, pairings, solution)`` with the System and the Pairings that the scene's
+    problem was made of; draw, write_vtu and the command line take either.
+
+    Parameters
+    ----------
+    scene : Scene
+    solution : Solution
+        Of ``scene.problem()``, by any method.
+    """
+    unknowns = exact_problem(scene).unknowns
+    value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
+    return FrameFields(
+        axes=scene.axes,
+        nodes=tuple(node.name for node in scene.nodes),
+        position=np.array([[float(scene.system.value(x)) for x in node.at] for node in scene.nodes]),
+        displacement=np.array([[value[name] for name in of_node(scene, node.name)] for node in scene.nodes]),
+        held=np.array([[name in unknowns.fixed for name in of_node(scene, node.name)] for node in scene.nodes]),
+        members=tuple(_members(scene, value)),
+        contacts=tuple(_contacts(scene, solution)),
+        units=Units(length=scene.units.length, force=scene.units.force),
+    )
+
+
+def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:
+    place = _places(scene)
+
+    def straight(kind: str, names: Sequence[str]) -> Member:
+        path = np.array([_point(scene, name) for name in names])
+        moved = np.array([[value[unknown] for unknown in of_node(scene, name)] for name in names])
+        return Member(kind, tuple(place[name] for name in names), path, moved)
+
+    for bar in scene.bars:
+        yield straight("bar", bar.nodes)
+    for spring in scene.springs:
+        yield straight("spring", spring.nodes)
+    for girder in scene.beams:
+        start, end = (_point(scene, name) for name in girder.nodes)
+        at = np.linspace(0.0, 1.0, BEAM_POINTS)
+        ends = [value[name] for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}")]
+        moved = beam.displacements(start, end, np.array(ends), at)
+        nodes = tuple(place[name] for name in girder.nodes)
+        yield Member("beam", nodes, start + np.outer(at, end - start), moved)
+    for matrix in scene.matrices:
+        yield straight("matrix", list(dict.fromkeys(name.rpartition(".")[0] for name in matrix.unknowns)))
+
+
+def _contacts(scene: Scene, solution: Solution) -> Iterator[FrameContact]:
+    place, gaps = _places(scene), solution.gap
+    for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
+        push = [[-float(form.normal.get(name, 0)) for name in of_node(scene, node)] for node in contact.touched]
+        yield FrameContact(
+            name=contact.name,
+            nodes=tuple(place[name] for name in contact.touched),
+            push=np.array(push),
+            force=float(solution.normal_force[i]),
+            gap=float(gaps[i]),
+            initial_gap=float(form.gap),
+            status=str(solution.contact_status[i]),
+        )
+
+
+def _places(scene: Scene) -> dict[str, int]:
+    return {node.name: i for i, node in enumerate(scene.nodes)}
+
+
+def _point(scene: Scene, name: str) -> Array:
+    return np.array([float(scene.system.value(x)) for x in scene.node(name).at])

@@ -1,0 +1,103 @@
+"""Pictures and VTU files of what was solved on the command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from contactqp.errors import InvalidProblem
+from contactqp.pictures.contact_fields import ContactFields
+from contactqp.pictures.drawing import draw
+from contactqp.pictures.frame_drawing import draw_structure
+from contactqp.pictures.style import check_picture
+from contactqp.pictures.vtu import check_vtu, write_vtu
+from contactqp.scene.judging import Failure, Judgement, Trial
+from contactqp.scene.schema import Scene
+from contactqp.study.answer_fields import fields_of
+
+
+@dataclass(frozen=True)
+class AnswerFiles:
+    """Where answers are drawn and written to.
+
+    Parameters
+    ----------
+    plot, vtu : Path or None
+        As asked for. With several cases the name of the case is put before the suffix, with several answers of one
+        case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``.
+    several_cases : bool
+    every_method : bool
+        All answers of a case; otherwise the first one, which is the one that is printed in full.
+    """
+
+    plot: Path | None
+    vtu: Path | None
+    several_cases: bool
+    every_method: bool
+
+    def write(self, outcomes: Sequence[Judgement | Failure]) -> list[Path]:
+        """Write the files of one scene's outcomes, and return them; a trial without an answer has none."""
+        chosen = outcomes if self.every_method else outcomes[:1]
+        written = []
+        for outcome in chosen:
+            if isinstance(outcome, Judgement):
+                names = [_stem(outcome.scene)] if self.several_cases else []
+                names += [_slug(outcome.trial)] if len(chosen) > 1 else []
+                written += self._write_one(outcome, names)
+        return written
+
+    def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
+        fields = fields_of(judgement.scene, judgement.solution)
+        written = []
+        if self.plot is not None:
+            written.append(_named(self.plot, names))
+            title = f"{judgement.scene.title}, {judgement.trial}"
+            if isinstance(fields, ContactFields):
+                draw(fields, written[-1], title=title)
+            else:
+                draw_structure(fields, written[-1], title=title)
+        if self.vtu is not None:
+            written.append(_named(self.vtu, names))
+            write_vtu(fields, written[-1])
+        return written
+
+
+def answer_files(scenes: Sequence[Scene], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
+    """What the command line asks for, checked before anything is solved.
+
+    Raises
+    ------
+    InvalidProblem
+        A wrong suffix, a folder that is not there, two cases that would write to one file.
+    BackendMissing
+        matplotlib or meshio is not installed.
+    """
+    stems = [_stem(scene) for scene in scenes]
+    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    if twice is not None:
+        asked = Path(plot if plot is not None else str(vtu))
+        raise InvalidProblem(
+            f"{asked}: expected cases whose files have distinct names, got {twice!r} more than once: they would all be "
+            f"written to {_named(asked, [twice])}"
+        )
+    return AnswerFiles(
+        None if plot is None else check_picture(plot),
+        None if vtu is None else check_vtu(vtu),
+        len(scenes) > 1,
+        every_method,
+    )
+
+
+def _stem(scene: Scene) -> str:
+    return scene.file.stem if scene.file is not None else scene.title
+
+
+def _slug(trial: Trial) -> str:
+    """The trial as a part of a file name: ``penalty-penalty=1e8-kN-m``."""
+    return re.sub(r"[^\w.+=-]+", "-", str(trial))
+
+
+def _named(file: Path, names: Sequence[str]) -> Path:
+    return file.with_name(".".join([file.stem, *names]) + file.suffix)

@@ -1,0 +1,146 @@
+"""Fields against uniform states that are known exactly; a force is no pressure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.elements.structure import Structure, Support
+from contactqp.errors import InvalidProblem
+from contactqp.pictures.contact_fields import contact_fields
+from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial
+
+
+@pytest.mark.parametrize("kind", ["tri3", "quad4", "tri6", "quad8"])
+@pytest.mark.parametrize("thickness", [1.0, 0.5])
+def test_a_block_under_pressure(kind, thickness):
+    fields = block(kind, thickness=thickness).fields
+    (body,), (pairing,) = fields.bodies, fields.pairings
+    np.testing.assert_allclose(body.displacement, uniaxial(body.points), atol=1e-13)
+    np.testing.assert_allclose(body.stress, np.tile([0, -PRESSURE, 0, 0, 0, 0], (len(body.points), 1)), atol=1e-10)
+    np.testing.assert_allclose(body.von_mises, PRESSURE, rtol=1e-11)
+    np.testing.assert_allclose(pairing.pressure, PRESSURE, rtol=1e-10)
+    assert np.isclose(pairing.force.sum(), PRESSURE * 2.0 * thickness, rtol=1e-12)
+    np.testing.assert_allclose(body.contact_force.sum(axis=0), [0, PRESSURE * 2.0 * thickness], atol=1e-12)
+    np.testing.assert_allclose(pairing.position, body.points[pairing.node])
+    np.testing.assert_allclose(pairing.displacement, body.displacement[pairing.node])
+    np.testing.assert_allclose(pairing.gap, 0, atol=1e-14)
+    assert set(pairing.status) == {"closed"}
+    assert pairing.on_obstacle
+    assert (fields.units.length, fields.units.force) == ("mm", "N")
+
+
+@pytest.mark.parametrize("kind", ["quad4", "tri3", "quad8", "tri6"])
+def test_the_pressure_of_a_cylinder_is_that_of_the_full_circle(kind):
+    """Its force is 2 pi r p da, so force over the area of the meridian is none."""
+    found = block(kind, "axisymmetric")
+    (pairing,) = found.fields.pairings
+    axis = pairing.position[:, 0] == 0
+    assert np.isclose(pairing.force.sum(), PRESSURE * np.pi * 2.0**2, rtol=1e-12)
+    np.testing.assert_allclose(pairing.pressure[~axis], PRESSURE, rtol=1e-9)
+    if kind in ("quad4", "tri3"):
+        np.testing.assert_allclose(pairing.pressure[axis], PRESSURE, rtol=1e-9)
+    else:  # no force and no area there
+        assert np.isnan(pairing.pressure[axis]).all()
+        np.testing.assert_allclose(pairing.force[axis], 0, atol=1e-12)
+    meridian = found.pairings[0].pressure(found.solution.normal_force)
+    assert np.abs(meridian / PRESSURE - 1).max() > 1
+
+
+@pytest.mark.parametrize("kind", ["hex8", "tet4", "hex27"])
+def test_a_cube_under_pressure(kind):
+    fields = cube(kind).fields
+    (body,), (pairing,) = fields.bodies, fields.pairings
+    np.testing.assert_allclose(body.displacement, uniaxial(body.points), atol=1e-13)
+    np.testing.assert_allclose(pairing.pressure, PRESSURE, rtol=1e-10)
+    np.testing.assert_allclose(body.von_mises, PRESSURE, rtol=1e-10)
+    assert np.isclose(pairing.force.sum(), PRESSURE * 2.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cells", [(3, 2), (4, 2)])
+def test_two_bodies_and_two_pairings(cells):
+    """With (4, 2) every slave node stands on a master node: the contact belongs to the slave, the upper body."""
+    fields = stack(cells).fields
+    lower, upper = fields.bodies
+    floor, between = fields.pairings
+    assert set(floor.body) == {0}
+    assert set(between.body) == {1}
+    assert (floor.on_obstacle, between.on_obstacle) == (True, False)
+    for pairing in fields.pairings:
+        np.testing.assert_allclose(pairing.pressure, PRESSURE, rtol=1e-9)
+        assert np.isclose(pairing.force.sum(), 2 * PRESSURE, rtol=1e-12)
+    np.testing.assert_allclose(between.position, upper.points[between.node])
+    np.testing.assert_allclose(lower.contact_force.sum(axis=0), 0, atol=1e-11)
+    np.testing.assert_allclose(upper.contact_force.sum(axis=0), [0, 2 * PRESSURE], atol=1e-11)
+    whole = uniaxial(np.concatenate([lower.points, upper.points]))
+    np.testing.assert_allclose(np.concatenate([lower.displacement, upper.displacement]), whole, atol=1e-13)
+    assert [pairing.name for pairing in fields.pairings] == ["contact 1", "contact 2"]
+
+
+def test_points_without_area_have_a_force_and_no_pressure():
+    found = block()
+    surface = found.system.structure.surface("block", "bottom")
+    nodes = surface.nodes
+    pairing = cq.pair(
+        surface.points[nodes], FLOOR, unknowns=surface.unknowns[nodes], dimension=found.system.structure.size
+    )
+    (bare,), (whole,) = solved(found.system, pairing).fields.pairings, found.fields.pairings
+    assert bare.pressure is None
+    np.testing.assert_allclose(bare.force, whole.force, rtol=1e-10)
+    assert bare.node.tolist() == nodes.tolist()
+
+
+def test_a_held_contact_has_no_known_force_and_says_so():
+    structure = Structure([block().system.structure.bodies[0]])
+    corner = structure.body("block").mesh.nearest((0.0, 0.0))
+    supports = [Support("block", corner, 0), Support("block", corner, 1), Support("block", "top", 1, -0.01)]
+    pairing = cq.pair(structure.surface("block", "bottom"), FLOOR, dimension=structure.size)
+    (fields,) = solved(structure.assemble(supports), pairing).fields.pairings
+    held = fields.status == "held"
+    assert fields.node[held].tolist() == [corner]
+    assert np.isnan(fields.force[held]).all()
+    assert np.isnan(fields.pressure[held]).all()
+    assert np.isfinite(fields.force[~held]).all()
+    assert fields.gap[held] == 0
+
+
+def test_open_contacts_keep_their_gap():
+    found = block()
+    structure = found.system.structure
+    low = cq.Plane(point=[0.0, -0.5], normal=[0.0, 2.0])
+    system = structure.assemble([Support("block", "top", 0), Support("block", "top", 1, -0.1)])
+    (fields,) = solved(
+        system, cq.pair(structure.surface("block", "bottom"), low, dimension=structure.size)
+    ).fields.pairings
+    np.testing.assert_allclose(fields.gap, 0.4, rtol=1e-12)
+    np.testing.assert_allclose(fields.initial_gap, 0.5)
+    assert set(fields.status) == {"open"}
+    assert np.abs(fields.force).max() == np.abs(fields.pressure).max() == 0
+
+
+def test_friction_pushes_against_the_slip_on_the_body():
+    found = block()
+    solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])
+    fields = contact_fields(found.system, found.pairings, solution)
+    np.testing.assert_allclose(fields.bodies[0].contact_force.sum(axis=0), [-PRESSURE, 2 * PRESSURE], rtol=1e-11)
+
+
+def test_what_does_not_belong_together_is_refused():
+    found = block()
+    with pytest.raises(InvalidProblem, match=r"solution: expected 39 unknowns and 10 contacts.*, got 39 and 5"):
+        contact_fields(found.system, found.pairings * 2, found.solution)
+    with pytest.raises(InvalidProblem, match="names: expected one for each of 1 pairings, got 2"):
+        contact_fields(found.system, found.pairings, found.solution, names=["a", "b"])
+    moved = replace(found.pairings[0], points=found.pairings[0].points + np.array([0.0, 0.1]))
+    with pytest.raises(InvalidProblem, match=r"contact: contact 0 at \[.*0.1\]: expected a node of the structure"):
+        contact_fields(found.system, [moved], found.solution)
+
+
+def test_plane_strain_has_the_stress_across_the_plane():
+    (body,) = block(model="plane-strain").fields.bodies
+    np.testing.assert_allclose(body.stress[:, 2], -POISSON * PRESSURE, rtol=1e-10)
+    shape = np.sqrt(1 - POISSON + POISSON**2)  # of (0, -p, -nu p)
+    np.testing.assert_allclose(body.von_mises, PRESSURE * shape, rtol=1e-10)

@@ -1,0 +1,252 @@
+"""Pictures of elastic bodies: what was drawn, read back from the artists and not from pixels."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contactqp.elements.geometry import Block
+from contactqp.elements.reference import REFERENCES
+from contactqp.errors import BackendMissing, InvalidProblem
+from contactqp.pictures.drawing import draw, figure
+from contactqp.pictures.magnification import magnification
+from contactqp.pictures.plane_drawing import contact_zone, segments, triangles
+from contactqp.pictures.pressure_map import facets, fans
+from contactqp.pictures.sampling import edge_points, edges, outline_points, pieces, sample
+from contactqp.pictures.space_drawing import sharp_edges, surface
+from contactqp.pictures.style import MARKERS
+from tests.elements.bodies import PLANE, SOLID, distorted
+from tests.pictures.examples import MODULUS, PRESSURE, block, cube, stack, unloaded
+
+pytest.importorskip("matplotlib")
+
+
+def area(points: np.ndarray, corners: np.ndarray) -> float:
+    a, b, c = (points[corners[:, i]] for i in range(3))
+    return float(0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum())
+
+
+@pytest.mark.parametrize("kind", PLANE)
+def test_the_small_triangles_fill_the_elements(kind):
+    """On straight edges exactly; curved ones to the error of six chords, 1/36 of what the chord leaves out."""
+    mesh = distorted(kind)
+    total = 0.0
+    for block_ in mesh.blocks:
+        parts = pieces(block_.kind, 6)
+        x = sample(block_, mesh.points, parts.points)
+        total += sum(area(element, parts.triangles) for element in x)
+    quadratic = len(REFERENCES[kind].nodes) > REFERENCES[kind].corners
+    assert np.isclose(total, mesh.volume(), rtol=2e-4 if quadratic else 1e-12)
+
+
+@pytest.mark.parametrize("kind", PLANE)
+def test_every_edge_is_there_once(kind):
+    mesh = block(kind).fields.bodies[0].body.mesh
+    found = sum(len(b) for b in edges(mesh))
+    corners = len({int(n) for b in mesh.blocks for n in b.nodes[:, : b.kind.corners].ravel()})
+    assert corners - found + mesh.elements == 1  # Euler
+
+
+@pytest.mark.parametrize("scale", [1.0, 7.0])
+@pytest.mark.parametrize("kind", ["quad4", "tri6"])
+def test_positions_and_values_are_those_of_the_fields(kind, scale):
+    fields = block(kind).fields
+    strain = PRESSURE / MODULUS
+    drawn = triangles(fields, "displacement", scale)
+    undeformed = drawn.points / (1 + scale * strain * np.array([0.25, -1.0]))
+    assert np.isclose(area(undeformed, drawn.triangles), 2.0, rtol=1e-12)
+    exact = np.hypot(*(strain * np.array([0.25, -1.0]) * undeformed).T)
+    np.testing.assert_allclose(drawn.values, exact, atol=1e-14)
+    np.testing.assert_allclose(triangles(fields, "von mises", scale).values, PRESSURE, rtol=1e-10)
+
+
+def test_the_picture_of_two_bodies():
+    fields = stack().fields
+    result = figure(fields, colour="von mises", scale=10.0, title="Two blocks")
+    axes, bar = result.axes
+    assert result.get_suptitle() == "Two blocks\nVon Mises stress, displacements magnified 10 times"
+    assert bar.get_ylabel() == "von Mises stress [N/mm²]"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "y [mm]")
+    assert axes.get_aspect() == 1
+    drawn = {artist.get_gid(): artist for artist in axes.collections}
+    undeformed = [artist for artist in axes.collections if artist.get_gid() == "undeformed"]
+    outline = np.concatenate([np.concatenate(artist.get_segments()) for artist in undeformed])
+    np.testing.assert_allclose([outline.min(axis=0), outline.max(axis=0)], [[0, 0], [2, 2]])
+    points = np.concatenate([p.position + 10 * p.displacement for p in fields.pairings])
+    np.testing.assert_allclose(drawn["closed"].get_offsets(), points)
+    arrows = drawn["pressure arrows"]
+    np.testing.assert_allclose(np.hypot(arrows.U, arrows.V), 0.14 * 2, rtol=1e-9)
+    assert (arrows.V > 0).all()
+    labels = [text.get_text() for text in result.legends[0].get_texts()]
+    assert labels == [
+        "undeformed",
+        "rigid obstacle",
+        "contact pressure, longest arrow 3 N/mm²",
+        "closed (9)",
+    ]
+    obstacle = np.concatenate(drawn["obstacle"].get_segments())
+    assert np.abs(obstacle[:, 1]).max() == 0
+    assert (obstacle[:, 0].min(), obstacle[:, 0].max()) == (0, 2)
+
+
+def test_nothing_is_clipped():
+    axes = figure(stack().fields, scale=10.0).axes[0]
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    for artist in axes.collections:
+        paths = [path.vertices for path in artist.get_paths()] if artist.get_gid() in ("deformed", "pressure") else []
+        for x in paths:
+            assert left < x[:, 0].min()
+            assert x[:, 0].max() < right
+            assert low < x[:, 1].min()
+            assert x[:, 1].max() < high
+
+
+def test_the_title_says_the_chosen_magnification():
+    result = figure(block().fields)
+    # The largest displacement is that of the upper corner, 0.015 * sqrt(1 + 0.5^2): less than 2 % of 2 mm.
+    assert result.get_suptitle() == "Displacements magnified 5 times"
+    assert figure(block().fields, scale=1.0).get_suptitle() == "Displacements true to scale"
+
+
+@pytest.mark.parametrize(
+    ("size", "moved", "initial_gap", "gap", "expected"),
+    [
+        (1.0, 1e-3, 0.0, 0.0, 50.0),
+        (1e6, 1e3, 0.0, 0.0, 50.0),  # in other units
+        (1.0, 0.3, 0.0, 0.0, 1.0),  # large enough
+        (1.0, 0.0, 0.0, 0.0, 1.0),
+        (1.0, 1e-3, 1e-3, 0.0, 10.0),  # overlap of at most (10 - 1) * 1e-3 < 0.01
+        (1.0, 1e-3, 1e-3, 2e-3, 50.0),  # opens
+    ],
+)
+def test_the_magnification_is_visible_and_bounded(size, moved, initial_gap, gap, expected):
+    u = np.array([[0.0, -moved]])
+    assert magnification(None, size, u, np.array([initial_gap]), np.array([gap])) == expected
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_a_scale_that_is_none_is_refused(scale):
+    with pytest.raises(InvalidProblem, match="scale: expected a positive number"):
+        figure(block().fields, scale=scale)
+
+
+def test_an_unknown_colour_is_refused():
+    with pytest.raises(InvalidProblem, match="colour: expected one of 'displacement', 'von mises', got 'stress'"):
+        figure(block().fields, colour="stress")
+
+
+def test_neighbouring_contacts_follow_the_boundary():
+    for kind, count in (("quad4", 4), ("quad8", 8)):
+        fields = block(kind).fields
+        (pairing,) = fields.pairings
+        ends = pairing.position[segments(fields, pairing)]
+        assert len(ends) == count
+        np.testing.assert_allclose(np.abs(np.diff(ends[:, :, 0], axis=1)), 2.0 / count)
+
+
+def test_a_small_contact_zone_gets_its_own_window():
+    fields = block().fields
+    assert contact_zone(fields, 1.0, 2.0) is None
+    window = contact_zone(fields, 0.0, 20.0)
+    np.testing.assert_allclose(window, [[-2, -3], [4, 3]])
+
+
+@pytest.mark.parametrize("kind", SOLID)
+def test_the_surface_of_a_cube(kind):
+    fields = unloaded(kind)
+    polygons, values = surface(fields, "von mises", 1.0)
+    np.testing.assert_allclose(np.concatenate(values), PRESSURE, rtol=1e-9)
+    strain = PRESSURE / MODULUS
+    high = np.concatenate([p.reshape(-1, 3) for p in polygons]).max(axis=0)
+    np.testing.assert_allclose(high, [2 + 0.5 * strain, 1 + 0.25 * strain, 1 - strain], rtol=1e-12)
+    (body,) = fields.bodies
+    lines = [sharp_edges(b, body.points) for b in body.body.mesh.facets_of(body.body.mesh.boundary)]
+    assert np.isclose(np.linalg.norm(np.diff(np.concatenate(lines), axis=1), axis=2).sum(), 4 * (2 + 1 + 1))
+
+
+@pytest.mark.parametrize("kind", ["hex8", "tet4", "hex20", "tet10", "hex27"])
+def test_the_map_covers_the_contact_surface(kind):
+    fields = cube(kind).fields
+    (pairing,) = fields.pairings
+    at = pairing.position[:, :2]
+    places, values, corners = fans(at, np.ones(len(at)), facets(fields, pairing))
+    a, b, c = (places[corners[:, i]] for i in range(3))
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert np.isclose(np.abs(twice).sum() / 2, 2.0)
+    np.testing.assert_allclose(values, 1.0)
+
+
+def test_the_picture_of_a_cube(tmp_path):
+    fields = cube().fields
+    result = figure(fields, colour="displacement", scale=2.0)
+    labels = {label for axes in result.get_axes() for label in (axes.get_xlabel(), axes.get_ylabel())}
+    assert {"x [mm]", "y [mm]", "contact pressure [N/mm²]", "displacement, magnitude [mm]"} <= labels
+    (panel,) = [axes for axes in result.get_axes() if axes.get_title()]
+    assert panel.get_title() == "contact: at most 3 N/mm²"
+    draw(fields, tmp_path / "cube.png")
+    assert (tmp_path / "cube.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
+def test_files_are_written_whole(tmp_path, suffix, start):
+    file = tmp_path / f"block{suffix}"
+    draw(block().fields, str(file))
+    assert file.read_bytes().startswith(start)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    file = tmp_path / "block.png"
+    file.write_bytes(b"old")
+
+    def full(_, name, **__):
+        Path(name).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
+    with pytest.raises(InvalidProblem, match=r"block.png: cannot be written \(No space left on device\)"):
+        draw(block().fields, file)
+    assert file.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_files_that_cannot_be_are_refused(tmp_path):
+    fields = block().fields
+    with pytest.raises(InvalidProblem, match=r"a.jpg: expected a file name that ends in .png or .pdf or .svg"):
+        draw(fields, tmp_path / "a.jpg")
+    with pytest.raises(InvalidProblem, match="there is no folder"):
+        draw(fields, tmp_path / "none" / "a.png")
+    (tmp_path / "b.png").mkdir()
+    with pytest.raises(InvalidProblem, match="expected a file, this is a folder"):
+        draw(fields, tmp_path / "b.png")
+
+
+def test_a_missing_matplotlib_is_named_with_its_remedy(tmp_path, monkeypatch):
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else real(name, *a))
+    with pytest.raises(BackendMissing, match=r"drawing a.png needs matplotlib: pip install 'contactqp\[report\]'"):
+        draw(block().fields, tmp_path / "a.png")
+
+
+def test_every_status_has_its_own_marker():
+    assert len(set(MARKERS.values())) == len(MARKERS)
+    assert {"open", "closed", "grazing", "stick", "slip", "held"} == set(MARKERS)
+
+
+@pytest.mark.parametrize("kind", ["tri3", "quad4", "tri6", "quad8", "quad9"])
+def test_outlines_go_once_around(kind):
+    reference = REFERENCES[kind]
+    x = outline_points(reference)
+    nodes = {tuple(p) for p in np.round(x, 12).tolist()}
+    on_edge = reference.nodes[[sorted({n for f in reference.facets for n in f})][0]]
+    assert all(tuple(p) in nodes for p in np.round(on_edge, 12).tolist())
+
+
+def test_a_line_of_three_nodes_is_drawn_as_the_parabola():
+    curve = Block(REFERENCES["line3"], np.array([[0, 1, 2]]))
+    (x,) = sample(curve, np.array([[-1.0, 1.0], [1.0, 1.0], [0.0, 0.0]]), edge_points(curve))
+    np.testing.assert_allclose(x[:, 1], x[:, 0] ** 2, atol=1e-15)
+    assert len(x) == 7

@@ -1,0 +1,144 @@
+"""Pictures of bars and beams: the members, obstacles and labels that were drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.elements import beam
+from contactqp.errors import InvalidProblem
+from contactqp.pictures.frame_drawing import draw_structure, structure_figure
+from contactqp.study.answer_fields import fields_of
+
+pytest.importorskip("matplotlib")
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def fields(case):
+    scene = case if isinstance(case, cq.Scene) else cq.load_scene(CASES / f"{case}.toml")
+    return fields_of(scene, cq.run(scene)[-1])
+
+
+def lines(figure, gid):
+    return [
+        np.array(line.get_data_3d() if hasattr(line, "get_data_3d") else line.get_data()).T
+        for line in figure.axes[0].get_lines()
+        if line.get_gid() == gid
+    ]
+
+
+def test_the_fields_of_the_truss_on_the_floor():
+    found = fields("truss_floor")
+    assert found.axes == ("x", "z")
+    assert found.nodes == ("1", "right", "left")
+    np.testing.assert_allclose(found.position, [[0, 0], [3, 3], [-3, 4]])
+    np.testing.assert_allclose(found.displacement[0], [59 * np.sqrt(2) / 274204 + 55807 / 68551000, -1e-3], rtol=1e-12)
+    np.testing.assert_array_equal(found.displacement[1:], 0)
+    assert found.held.tolist() == [[False, False], [True, True], [True, True]]
+    assert [(member.kind, member.nodes) for member in found.members] == [("bar", (0, 1)), ("bar", (0, 2))]
+    (contact,) = found.contacts
+    assert contact.push.tolist() == [[0.0, 1.0]]
+    assert contact.force == pytest.approx(64855 / 1399 - 15930 * np.sqrt(2) / 1399)
+    assert (contact.initial_gap, contact.status) == (1e-3, "closed")
+    assert abs(contact.gap) < 1e-15
+
+
+def test_two_bodies_push_each_other_apart():
+    (contact,) = fields("two_bars").contacts
+    assert contact.push.tolist() == [[-1.0], [1.0]]
+    assert contact.force == pytest.approx(95.0)
+
+
+def test_the_picture_of_the_truss():
+    figure = structure_figure(fields("truss_floor"), scale=100.0, title="Truss")
+    assert figure.get_suptitle() == "Truss\nDisplacements magnified 100 times"
+    (bars,), (undeformed,) = lines(figure, "bar"), lines(figure, "undeformed")
+    foot = 100 * np.array([59 * np.sqrt(2) / 274204 + 55807 / 68551000, -1e-3])
+    np.testing.assert_allclose(bars, [foot, [3, 3], [np.nan] * 2, foot, [-3, 4], [np.nan] * 2])
+    np.testing.assert_allclose(undeformed[[0, 1, 4]], [[0, 0], [3, 3], [-3, 4]])
+    (floor,) = lines(figure, "obstacle")
+    np.testing.assert_allclose(floor[:, 1], foot[1])  # the closed contact lies on it
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "foot: closed, force 30.25 kN, gap 0 m" in labels
+    assert "contact force, longest arrow 30.25 kN" in labels
+    (arrow,) = [c for c in figure.axes[0].collections if c.get_gid() == "contact forces"]
+    assert (arrow.U[0], arrow.V[0]) == (0.0, pytest.approx(0.14 * 6))
+    assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
+
+
+def test_a_beam_is_drawn_as_its_cubic():
+    """A cantilever under a force at its tip: v(s) = v(1) s^2 (3 - s) / 2, exact at every point."""
+    scene = cq.Scene(
+        title="cantilever", axes=["x", "y"],
+        nodes=[{"name": "a", "at": ["0 m", "0 m"]}, {"name": "b", "at": ["0 m", "2 m"]}],
+        beams=[{"name": "beam", "nodes": ["a", "b"], "area": "1 m^2", "inertia": "1 m^4", "modulus": "8 Pa"}],
+        fixed=["a", "a.theta"], loads=[{"unknown": "b.x", "value": "0.3 N"}],
+    )  # fmt: skip
+    (bar,) = fields(scene).members
+    s = bar.path[:, 1] / 2
+    tip = 0.3 * 2**3 / (3 * 8)
+    np.testing.assert_allclose(bar.displacement[:, 0], tip * s**2 * (3 - s) / 2, atol=1e-15)
+    np.testing.assert_allclose(bar.displacement[:, 1], 0, atol=1e-15)
+    wrong = beam.displacements([0.0, 0.0], [0.0, 2.0], np.array([0, 0, 0, tip, 0, 0.0]), s)
+    assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
+
+
+@pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
+def test_every_case_has_a_picture_whose_labels_stand_free(case, tmp_path):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    found = fields(case.stem)
+    draw_structure(found, tmp_path / "case.pdf")
+    assert (tmp_path / "case.pdf").read_bytes().startswith(b"%PDF")
+    figure = structure_figure(found)
+    canvas = FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    legend = figure.legends[0].get_window_extent(renderer)
+    assert figure.axes[0].xaxis.label.get_window_extent(renderer).y0 > legend.y1
+    for line in figure.axes[0].get_lines():
+        x = np.asarray(line.get_xdata(), dtype=float)
+        low, high = figure.axes[0].get_xlim()
+        assert np.nanmin(x) >= low
+        assert np.nanmax(x) <= high
+
+
+def tripod(gap="1 mm"):
+    return cq.Scene(
+        title="tripod", axes=["x", "y", "z"],
+        nodes=[{"name": n, "at": [f"{x} m" for x in at]}
+               for n, at in {"foot": (0, 0, 0), "a": (3, 0, 4), "b": (-2, 3, 4), "c": (-2, -3, 4)}.items()],
+        bars=[{"name": n, "nodes": ["foot", n], "area": "15 cm^2", "modulus": "210 GPa"} for n in "abc"],
+        fixed=["a", "b", "c"], obstacles=[{"name": "floor", "point": ["0 m", "0 m", f"-{gap}"], "normal": [0, 0, 1]}],
+        contacts=[{"name": "foot", "node": "foot", "obstacle": "floor"}],
+        loads=[{"unknown": "foot.z", "value": "-500 kN"}],
+    )  # fmt: skip
+
+
+def test_three_dimensions():
+    figure = structure_figure(fields(tripod()), scale=100.0)
+    (bars,) = lines(figure, "bar")
+    np.testing.assert_allclose(bars[0, 2], -0.1)
+    assert len(lines(figure, "obstacle")) == 2  # a cross
+    assert figure.axes[0].get_zlabel() == "z [m]"
+
+
+def test_an_obstacle_far_away_is_left_to_the_legend():
+    figure = structure_figure(fields(tripod("3 m")), scale=100.0)
+    assert lines(figure, "obstacle") == []
+    bars = np.array([[3, 0, 4], [-2, 3, 4], [-2, -3, 4]], dtype=float)
+    lengths = np.linalg.norm(bars, axis=1)
+    K = sum(15e-4 * 210e9 / L**3 * np.outer(d, d) for d, L in zip(bars, lengths, strict=True))
+    gap = 3 + np.linalg.solve(K, [0, 0, -500e3])[2]
+    assert f"foot: open, force 0 N, gap {gap:.3f} m" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path):
+    with pytest.raises(InvalidProblem, match=r"a.gif: expected a file name that ends in .png or .pdf or .svg"):
+        draw_structure(fields("bar_wall"), tmp_path / "a.gif")
+    with pytest.raises(InvalidProblem, match="scale: expected a positive number, got -1"):
+        draw_structure(fields("bar_wall"), tmp_path / "a.png", scale=-1.0)

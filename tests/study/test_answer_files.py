@@ -1,0 +1,127 @@
+"""`contactqp run --plot --vtu`: names, exit codes, and nothing solved or written in vain."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from tests.test_cli import CASES, WALL, run
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("meshio")
+TRUSS = str(CASES / "truss_floor.toml")
+
+
+def names(folder):
+    return sorted(file.name for file in folder.iterdir())
+
+
+@pytest.fixture
+def unsolved(monkeypatch):
+    """Nothing may be solved."""
+
+    def refuse(*_, **__):
+        raise AssertionError("solved before the file was checked")
+
+    monkeypatch.setattr("contactqp.scene.judging.judge_all", refuse)
+
+
+def test_one_case_writes_the_files_that_were_named(capsys, tmp_path):
+    code, out, err = run(capsys, "run", WALL, "--plot", tmp_path / "wall.png", "--vtu", tmp_path / "wall.vtu")
+    assert (code, err) == (0, "")
+    assert names(tmp_path) == ["wall.png", "wall.vtu"]
+    assert f"written: {tmp_path / 'wall.png'}" in out
+
+
+def test_several_cases_put_their_names_before_the_suffix(capsys, tmp_path):
+    assert run(capsys, "run", WALL, TRUSS, "--plot", tmp_path / "a.svg")[0] == 0
+    assert names(tmp_path) == ["a.bar_wall.svg", "a.truss_floor.svg"]
+
+
+def test_several_methods_put_their_names_before_the_suffix(capsys, tmp_path):
+    methods = ("--method", "active-set", "--method", "lemke")
+    assert run(capsys, "run", WALL, TRUSS, *methods, "--vtu", tmp_path / "a.vtu")[0] == 0
+    assert names(tmp_path) == [
+        f"a.{case}.{m}.vtu" for case in ("bar_wall", "truss_floor") for m in ("active-set", "lemke")
+    ]
+
+
+def test_a_knob_is_part_of_the_name(capsys, tmp_path):
+    run(capsys, "run", WALL, "--method", "penalty", "--vtu", tmp_path / "a.vtu")
+    assert names(tmp_path) == [f"a.penalty-penalty=1e{i}-kN-m.vtu" for i in (4, 5, 6, 7, 8)]
+    (tmp_path / "one").mkdir()
+    knob = ("--method", "penalty", "--penalty", "1e8 kN/m")
+    run(capsys, "run", WALL, *knob, "--vtu", tmp_path / "one" / "a.vtu")
+    assert names(tmp_path / "one") == ["a.vtu"]
+
+
+def test_json_stays_json(capsys, tmp_path):
+    import json
+
+    code, out, err = run(capsys, "run", WALL, "--json", "--plot", tmp_path / "a.pdf")
+    assert code == 0
+    assert json.loads(out)
+    assert "written" in err
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "words"),
+    [
+        ("--plot", "a.jpg", ".png or .pdf or .svg"),
+        ("--plot", "a", ".png or .pdf or .svg"),
+        ("--vtu", "a.png", ".vtu"),
+        ("--plot", "none/a.png", "there is no folder"),
+    ],
+)
+@pytest.mark.usefixtures("unsolved")
+def test_a_wrong_file_is_exit_2_before_anything_is_solved(capsys, tmp_path, option, name, words):
+    code, out, err = run(capsys, "run", WALL, option, tmp_path / name)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("package", "option", "name", "extra"),
+    [("matplotlib", "--plot", "a.png", "report"), ("meshio", "--vtu", "a.vtu", "solids")],
+)
+@pytest.mark.usefixtures("unsolved")
+def test_a_missing_package_is_exit_3_before_anything_is_solved(
+    capsys, tmp_path, monkeypatch, package, option, name, extra
+):
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda asked, *a: None if asked == package else real(asked, *a))
+    code, _, err = run(capsys, "run", WALL, option, tmp_path / name)
+    assert code == 3
+    assert f"pip install 'contactqp[{extra}]'" in err
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_two_cases_of_one_name_are_exit_2_before_anything_is_solved(capsys, tmp_path):
+    (tmp_path / "other").mkdir()
+    copy = tmp_path / "other" / "bar_wall.toml"
+    copy.write_text(Path(WALL).read_text())
+    code, _, err = run(capsys, "run", WALL, copy, "--plot", tmp_path / "a.png")
+    assert code == 2
+    assert "'bar_wall' more than once" in err
+    assert names(tmp_path) == ["other"]
+
+
+def test_a_trial_without_an_answer_has_no_picture(capsys, tmp_path):
+    file = tmp_path / "loose.toml"
+    file.write_text(
+        """
+title = "pushed off"
+axes = ["x"]
+nodes = [{ name = "1", at = ["0 m"] }]
+obstacles = [{ name = "wall", point = ["1 m"], normal = [-1] }]
+contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
+loads = [{ unknown = "1.x", value = "-1 N" }]
+"""
+    )
+    code, _, _ = run(capsys, "run", file, "--plot", tmp_path / "a.png")
+    assert code == 1
+    assert names(tmp_path) == ["loose.toml"]
