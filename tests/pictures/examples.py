@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ class Solved:
     pairings: list[Any]
     solution: cq.Solution
 
-    @property
+    @cached_property
     def fields(self) -> ContactFields:
         return contact_fields(self.system, self.pairings, self.solution)
 
@@ -37,6 +38,7 @@ def solved(system: System, *pairings: Any) -> Solved:
     return Solved(system, list(pairings), cq.solve(system.problem(pairings, units=UNITS)))
 
 
+@cache
 def block(kind: str = "quad4", model: str = "plane-stress", thickness: float = 1.0) -> Solved:
     """A block of 2 by 1, or a cylinder of radius 2 and height 1, under PRESSURE from above, on a floor."""
     body = Body(rectangle(2.0, 1.0, (4, 3), kind), MATERIAL, model, thickness=thickness, name="block")
@@ -46,6 +48,7 @@ def block(kind: str = "quad4", model: str = "plane-stress", thickness: float = 1
     return solved(system, cq.pair(structure.surface("block", "bottom"), FLOOR, dimension=structure.size))
 
 
+@cache
 def stack(upper_cells: tuple[int, int] = (3, 2)) -> Solved:
     """A block on a block on a floor under PRESSURE from above, on meshes that match with (4, 2) only."""
     bodies = [
@@ -62,9 +65,10 @@ def stack(upper_cells: tuple[int, int] = (3, 2)) -> Solved:
     return solved(system, on_floor, between)
 
 
+@cache
 def cube(kind: str = "hex8") -> Solved:
     """A block of 2 by 1 by 1 under PRESSURE from above, on a floor."""
-    body = Body(box((2.0, 1.0, 1.0), (2, 2, 1), kind), MATERIAL, "3d", name="cube")
+    body = Body(box((2.0, 1.0, 1.0), (2, 1, 1), kind), MATERIAL, "3d", name="cube")
     structure = Structure([body])
     system = structure.assemble(
         [Support("cube", "left", 0), Support("cube", "front", 1)], [Pressure("cube", "top", PRESSURE)]
@@ -73,6 +77,7 @@ def cube(kind: str = "hex8") -> Solved:
     return solved(system, cq.pair(structure.surface("cube", "bottom"), floor, dimension=structure.size))
 
 
+@cache
 def unloaded(kind: str) -> ContactFields:
     """The body of `cube` in its uniform state, in no contact at all."""
     body = Body(box((2.0, 1.0, 1.0), (2, 2, 1), kind), MATERIAL, "3d", name="cube")

@@ -80,6 +80,16 @@ def test_two_bodies_and_two_pairings(cells):
     assert [pairing.name for pairing in fields.pairings] == ["contact 1", "contact 2"]
 
 
+def test_the_contact_belongs_to_the_slave_also_where_its_body_comes_first():
+    found = stack((4, 2))
+    structure = found.system.structure
+    surfaces = structure.surface("lower", "top"), structure.surface("upper", "bottom")
+    between = cq.pair_mortar(*surfaces, dimension=structure.size)
+    fields = solved(found.system, found.pairings[0], between).fields
+    assert set(fields.pairings[1].body) == {0}
+    np.testing.assert_allclose(fields.pairings[1].pressure, PRESSURE, rtol=1e-9)
+
+
 def test_points_without_area_have_a_force_and_no_pressure():
     found = block()
     surface = found.system.structure.surface("block", "bottom")

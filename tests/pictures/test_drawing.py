@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import contactqp as cq
 from contactqp.elements.geometry import Block
 from contactqp.elements.reference import REFERENCES
+from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.pictures.drawing import draw, figure
 from contactqp.pictures.magnification import magnification
@@ -19,7 +21,7 @@ from contactqp.pictures.sampling import edge_points, edges, outline_points, piec
 from contactqp.pictures.space_drawing import sharp_edges, surface
 from contactqp.pictures.style import MARKERS
 from tests.elements.bodies import PLANE, SOLID, distorted
-from tests.pictures.examples import MODULUS, PRESSURE, block, cube, stack, unloaded
+from tests.pictures.examples import MODULUS, PRESSURE, block, cube, solved, stack, unloaded
 
 pytest.importorskip("matplotlib")
 
@@ -44,7 +46,7 @@ def test_the_small_triangles_fill_the_elements(kind):
 
 @pytest.mark.parametrize("kind", PLANE)
 def test_every_edge_is_there_once(kind):
-    mesh = block(kind).fields.bodies[0].body.mesh
+    mesh = distorted(kind)
     found = sum(len(b) for b in edges(mesh))
     corners = len({int(n) for b in mesh.blocks for n in b.nodes[:, : b.kind.corners].ravel()})
     assert corners - found + mesh.elements == 1  # Euler
@@ -80,6 +82,8 @@ def test_the_picture_of_two_bodies():
     arrows = drawn["pressure arrows"]
     np.testing.assert_allclose(np.hypot(arrows.U, arrows.V), 0.14 * 2, rtol=1e-9)
     assert (arrows.V > 0).all()
+    heads = arrows.get_offsets() + np.stack([arrows.U, arrows.V], axis=1)
+    np.testing.assert_allclose(heads, points[-len(heads) :], atol=1e-12)
     labels = [text.get_text() for text in result.legends[0].get_texts()]
     assert labels == [
         "undeformed",
@@ -90,6 +94,18 @@ def test_the_picture_of_two_bodies():
     obstacle = np.concatenate(drawn["obstacle"].get_segments())
     assert np.abs(obstacle[:, 1]).max() == 0
     assert (obstacle[:, 0].min(), obstacle[:, 0].max()) == (0, 2)
+
+
+def test_an_obstacle_is_drawn_where_it_is():
+    structure = block().system.structure
+    system = structure.assemble([Support("block", "top", 0), Support("block", "top", 1, -0.1)])
+    floor = cq.Plane(point=[0.0, -0.5], normal=[0.0, 1.0])
+    found = solved(system, cq.pair(structure.surface("block", "bottom"), floor, dimension=structure.size))
+    axes = figure(found.fields, scale=3.0).axes[0]
+    (drawn,) = [artist for artist in axes.collections if artist.get_gid() == "obstacle"]
+    np.testing.assert_allclose(np.concatenate(drawn.get_segments())[:, 1], -0.5)
+    assert axes.get_ylim()[0] < -0.5
+    assert not [artist for artist in axes.collections if artist.get_gid() == "pressure arrows"]
 
 
 def test_nothing_is_clipped():
