@@ -59,8 +59,9 @@ def draw(
     Notes
     -----
     In 2D arrows show the pressure, or the force of contacts without area, and push the body that the contact nodes
-    belong to. In 3D the outer surface is drawn facet by facet from the back to the front (the painter's algorithm:
-    facets of very different sizes may cover each other wrongly), with a map of the pressure of each pairing beside it.
+    belong to; of many contacts every so many-th gets one, while the shaded bars and the maps show all. In 3D the outer
+    surface is drawn facet by facet from the back to the front (the painter's algorithm: facets of very different sizes
+    may cover each other wrongly), with a map of the pressure of each pairing beside it.
     """
     path = style.check_picture(file)
     style.save(figure(fields, colour=colour, scale=scale, title=title), path)

@@ -17,6 +17,8 @@ from contactqp.pictures.sampling import MANY, cuts, edge_points, edges, pieces, 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 MARGIN = 0.04
+# Of one pairing; more of them run into each other.
+MOST_ARROWS = 60
 # Contacts under force that spread over less than this part of the bodies get a window, so many times wider than they.
 SMALL_ZONE, WIDER = 0.15, 3.0
 
@@ -79,7 +81,7 @@ def draw_plane(
     look: dict[str, Any] = dict(shading="gouraud", cmap=style.COLOUR_MAP, vmin=low, vmax=high, rasterized=True)
     coloured = axes.tripcolor(x, y, drawn.triangles, drawn.values, **look)
     seen = [drawn.points, bodies]
-    handles = [style.line_handle("undeformed", color=style.UNDEFORMED, linestyle="--", linewidth=0.8)]
+    handles = [style.line_handle("undeformed", color=style.UNDEFORMED, linewidth=0.8)]
     for body in fields.bodies:
         _draw_outlines(axes, body, scale)
     for pairing in fields.pairings:
@@ -95,10 +97,10 @@ def draw_plane(
 
 
 def _draw_outlines(axes: Any, body: BodyFields, scale: float) -> None:
-    """The undeformed boundary dashed, the deformed one solid, and between elements hair lines."""
+    """The undeformed boundary in grey, the deformed one in black, and between elements hair lines."""
     mesh, deformed = body.body.mesh, body.points + scale * body.displacement
     boundary = mesh.facets_of(mesh.boundary)
-    _add_lines(axes, boundary, body.points, "undeformed", color=style.UNDEFORMED, linewidths=0.8, linestyles="--")
+    _add_lines(axes, boundary, body.points, "undeformed", color=style.UNDEFORMED, linewidths=0.8)
     if mesh.elements <= MANY:
         _add_lines(axes, edges(mesh), deformed, "elements", color=style.OUTLINE, linewidths=_hair(mesh))
     _add_lines(axes, boundary, deformed, "deformed", color=style.OUTLINE, linewidths=0.9)
@@ -169,7 +171,7 @@ def _draw_arrows(
             bars = np.stack([heads[i], heads[j], tails[-1][j], tails[-1][i]], axis=1)
             look: dict[str, Any] = dict(facecolor=style.PRESSURE, alpha=0.3, edgecolor="none", zorder=3, gid="pressure")
             axes.add_collection(PolyCollection(list(bars), **look), autolim=False)
-        pushed = value > 1e-3 * largest
+        pushed = style.arrows_to_draw(pairing.position, value, MOST_ARROWS)
         starts, arrows = tails[-1][pushed].T, shafts[pushed].T
         unscaled: dict[str, Any] = dict(
             angles="xy", scale_units="xy", scale=1.0, color=style.PRESSURE, width=0.003, zorder=3.5

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # Degrees: from the left, and from above, or from below where that is where the contact is.
 AZIMUTH, FROM_ABOVE, FROM_BELOW = -60.0, 24.0, -18.0
+# Of one pairing; more of them hide the body.
+MOST_ARROWS = 80
 # Edges between facets that turn by more than this are seen on the undeformed body.
 FEATURE = np.cos(np.radians(35.0))
 
@@ -85,7 +87,7 @@ def _draw_undeformed(axes: Any, fields: ContactFields) -> list[Array]:
     for body in fields.bodies:
         mesh = body.body.mesh
         lines = [sharp_edges(block, body.points) for block in mesh.facets_of(mesh.boundary)]
-        look: dict[str, Any] = dict(colors=style.UNDEFORMED, linewidths=0.8, linestyles="--", zorder=1)
+        look: dict[str, Any] = dict(colors=style.UNDEFORMED, linewidths=0.8, zorder=1)
         axes.add_collection3d(Line3DCollection(np.concatenate(lines), **look))
         seen.append(body.points)
     return seen
@@ -116,7 +118,7 @@ def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float)
         return []
     tails = []
     for pairing in fields.pairings:
-        pushed = pairing.force > 1e-3 * largest
+        pushed = style.arrows_to_draw(pairing.position, pairing.force, MOST_ARROWS)
         heads = (pairing.position + scale * pairing.displacement)[pushed]
         shafts = longest / largest * pairing.force[pushed, np.newaxis] * pairing.direction[pushed]
         tails.append(heads - shafts)
@@ -126,7 +128,7 @@ def _draw_arrows(axes: Any, fields: ContactFields, scale: float, longest: float)
     handle = style.line_handle(
         f"contact force of a node, longest arrow {style.number(largest)} {unit}", color=style.PRESSURE
     )
-    undeformed = style.line_handle("undeformed", color=style.UNDEFORMED, linestyle="--", linewidth=0.8)
+    undeformed = style.line_handle("undeformed", color=style.UNDEFORMED, linewidth=0.8)
     axes.legend(handles=[handle, undeformed], loc="lower left", fontsize="small", frameon=False)
     return tails
 

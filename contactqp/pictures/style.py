@@ -22,9 +22,11 @@ Colour = Literal["displacement", "von mises"]
 COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"
 # Colours of Okabe and Ito (2008), distinct to colour-blind readers and from the colour map's.
-PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.45", "0.3", "0.15"
+PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
 # Of the longest arrow, relative to the size of the bodies.
 ARROW = 0.14
+# Smaller ones than this part of the longest are no more than a dot.
+DOT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,20 @@ def number(value: float) -> str:
 def count_label(status: str, number: int) -> str:
     """``"closed (13)"``."""
     return f"{status} ({number})"
+
+
+def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64]:
+    """Which contacts get an arrow: all that push; of more than `most` every so many-th, and always the largest.
+
+    They are counted along the longest side of the box around their positions (p, d).
+    """
+    largest = float(np.nanmax(value, initial=0.0))
+    along = position[:, np.argmax(np.ptp(position, axis=0))] if len(position) else np.zeros(0)
+    order = np.argsort(along, kind="stable")
+    pushing = order[value[order] > DOT * largest]
+    if not len(pushing):
+        return pushing
+    return np.unique([*pushing[:: -(-len(pushing) // most)], pushing[np.argmax(value[pushing])]])
 
 
 def headline(title: str, text: str) -> str:

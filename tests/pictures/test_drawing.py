@@ -19,7 +19,7 @@ from contactqp.pictures.plane_drawing import contact_zone, segments, triangles
 from contactqp.pictures.pressure_map import facets, fans
 from contactqp.pictures.sampling import edge_points, edges, outline_points, pieces, sample
 from contactqp.pictures.space_drawing import sharp_edges, surface
-from contactqp.pictures.style import MARKERS
+from contactqp.pictures.style import MARKERS, arrows_to_draw
 from tests.elements.bodies import PLANE, SOLID, distorted
 from tests.pictures.examples import MODULUS, PRESSURE, block, cube, solved, stack, unloaded
 
@@ -245,6 +245,18 @@ def test_a_missing_matplotlib_is_named_with_its_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else real(name, *a))
     with pytest.raises(BackendMissing, match=r"drawing a.png needs matplotlib: pip install 'contactqp\[report\]'"):
         draw(block().fields, tmp_path / "a.png")
+
+
+def test_many_arrows_are_thinned_out_but_for_the_largest():
+    x = np.linspace(0, 1, 1001)[:, np.newaxis] * [0.1, 1.0]
+    value = np.where(np.arange(1001) < 900, 1.0, 0.0)
+    value[7], value[8] = 2.0, np.nan
+    drawn = arrows_to_draw(x[::-1], value[::-1], 60)
+    assert 55 <= len(drawn) <= 61
+    assert 1000 - 7 in drawn
+    assert (value[::-1][drawn] > 0).all()
+    assert arrows_to_draw(x[:50], value[:50], 60).tolist() == [i for i in range(50) if i != 8]
+    assert len(arrows_to_draw(x, np.zeros(1001), 60)) == 0
 
 
 def test_every_status_has_its_own_marker():
