@@ -219,18 +219,20 @@ class System:
         *,
         friction: ArrayLike | None = None,
         units: Any = None,
+        names: Sequence[str] | None = None,
     ) -> ContactProblem:
         """The contact problem of the free unknowns: E_N of the free unknowns, gap := gap - E_N u_prescribed.
 
         Parameters
         ----------
         pairings : sequence of Pairing
-            Rows over all unknowns. Contact i of the problem is named ``contact j`` after its place j among all rows of
-            all pairings, because contacts between supported nodes, which no free unknown moves, are left out.
+            Rows over all unknowns. Contacts between supported nodes, which no free unknown moves, are left out.
         friction : float or array with one coefficient for each row of all pairings, optional
             With it the tangent rows come in, and slip starts from what the supports prescribe.
         units : Units or mapping, optional
             As ContactProblem takes them.
+        names : sequence of str, optional
+            What the rows of all pairings are called; by default ``contact j``, j the place among all rows.
 
         Raises
         ------
@@ -242,12 +244,15 @@ class System:
         gap = gap - normal @ self.given
         kept = self.free_contacts(pairings)
         held = np.setdiff1d(np.arange(len(gap)), kept)
+        called = [f"contact {i}" for i in range(len(gap))] if names is None else names
+        if len(called) != len(gap):
+            raise InvalidProblem(f"names: expected one for each of {len(gap)} rows, got {len(called)}")
         if held.size and gap[held].min() < 0:
             i = held[np.argmin(gap[held])]
             raise InvalidProblem(
-                f"contact {i}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
+                f"{called[i]}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
             )
-        names = self.structure.unknown_names()
+        unknowns = self.structure.unknown_names()
         tangential: dict[str, Any] = {}
         if friction is not None:
             tangent = self._stacked([pairing.tangent for pairing in pairings])
@@ -263,8 +268,8 @@ class System:
             load=self.f,
             normal=sp.csr_array(normal[kept][:, self.free]),
             gap=gap[kept],
-            dof_names=[names[j] for j in self.free],
-            contact_names=[f"contact {i}" for i in kept],
+            dof_names=[unknowns[j] for j in self.free],
+            contact_names=[called[i] for i in kept],
             units=units,
             **tangential,
         )

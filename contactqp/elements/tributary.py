@@ -15,14 +15,17 @@ GAUSS_POINTS = 5
 NOT_POSITIVE = ("tri6", "quad8")
 
 
-def tributary_areas(surface: Surface) -> NDArray[np.float64]:
+def tributary_areas(surface: Surface, *, revolved: bool = False) -> NDArray[np.float64]:
     """a_i = integral of N_i over the facets, one for each of `surface.nodes`, positive [length in 2D, area in 3D].
+
+    With `revolved` (2D) the integral is over the circles about the axis x = 0, a_i = integral of 2 pi r N_i ds [area].
 
     Under a constant pressure p the force on node i is p a_i, so that force / area returns p. That cannot be had from
     six-node triangles and eight-node quadrilaterals: their consistent forces are zero (tri6) or tensile (quad8, -1/12
     of the facet's) at the corners, where no positive area turns them into p, and where one-sided contact lets go. For
     these the areas are a_i = A_f int N_i^2 / sum_j int N_j^2 on each facet (Hinton, Rock & Zienkiewicz 1976): positive
-    and of the right sum; the pressure they give is too low at corners and too high at middles, right in the mean.
+    and of the right sum; the pressure they give is too low at corners and too high at middles, right in the mean. So
+    are those of revolved quadratic facets, whose consistent force is zero at a node on the axis.
 
     Raises
     ------
@@ -33,7 +36,9 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
     xi, weights = kind.quadrature(GAUSS_POINTS)
     shape = kind.shape(xi)
     elements = np.linalg.norm(_normals_at(surface, xi), axis=2) * weights  # (p, q)
-    if kind.name in NOT_POSITIVE:
+    if revolved:
+        elements = elements * 2 * np.pi * (surface.points[surface.facets][:, :, 0] @ shape.T)
+    if kind.name in NOT_POSITIVE or (revolved and kind.quadratic):
         squares = elements @ shape**2
         parts = squares * (elements.sum(axis=1) / squares.sum(axis=1))[:, np.newaxis]
     else:

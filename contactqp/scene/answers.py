@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +13,15 @@ from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
 from contactqp.errors import SceneError
 from contactqp.scene import elimination
-from contactqp.scene.building import ExactProblem, point, spring_direction
+from contactqp.scene.building import ExactProblem, NodeModel, point, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import of_node
 from contactqp.solution import Solution
+
+if TYPE_CHECKING:
+    from contactqp.scene.answers_of_bodies import BodyAnswer
+    from contactqp.scene.bodies import BodyModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,21 @@ class Answer:
         return np.array([self.displacement(name) for name in of_node(self.scene, node)])
 
 
-def value_of(claim: Claim, answer: Answer) -> tuple[Number, ...] | str:
+def answer_of(
+    model: NodeModel | BodyModel, solution: Solution, load_factor: Fraction = Fraction(1), events: Sequence[Any] = ()
+) -> Answer | BodyAnswer:
+    """A solution of the model's problem, under all loads times the factor."""
+    if isinstance(model, NodeModel):
+        return Answer(model.scene, model.exact, solution, load_factor, events)
+    from contactqp.scene.answers_of_bodies import BodyAnswer
+
+    return BodyAnswer(model.scene, model, solution, load_factor)
+
+
+def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
     """What the answer says of the claim's quantity, in the scene's units: a number, a word, or a matrix row by row."""
+    if not isinstance(answer, Answer):
+        return (answer.value_of(claim),)
     value = _READERS[claim.quantity](claim, answer)
     if isinstance(value, str):
         return value

@@ -6,10 +6,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.elements import beam, node_contact, point_mass, spring, truss
 from contactqp.elements.exact import Number, Numbers
@@ -19,7 +21,8 @@ from contactqp.scene.units import KINDS, Quantity, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Bar, Beam, Contact, Scene, Spring
+    from contactqp.scene.schema import Bar, Beam, Scene, Spring
+    from contactqp.scene.schema_contacts import Contact
 
 # A linear form of the unknowns, and the stiffness, by the unknowns' names; what is zero is left out.
 Row = Mapping[str, Number]
@@ -93,12 +96,28 @@ def exact_problem(scene: Scene) -> ExactProblem:
     )
 
 
-def problem(scene: Scene) -> ContactProblem:
-    """The ContactProblem of a scene on its free unknowns, in the scene's units; every number is rounded once.
+@dataclass(frozen=True, eq=False)
+class NodeModel:
+    """What a scene of nodes is made into."""
 
-    Tangential rows are there only if a contact has friction.
-    """
-    exact = exact_problem(scene)
+    scene: Scene
+    exact: ExactProblem
+
+    @cached_property
+    def problem(self) -> ContactProblem:
+        """On the free unknowns, in the scene's units; every number is rounded once.
+
+        Tangential rows are there only if a contact has friction.
+        """
+        return _rounded(self.scene, self.exact)
+
+    def load_at(self, factor: Fraction) -> NDArray[np.float64]:
+        """The load on the free unknowns when all loads are scaled by the factor."""
+        load = self.exact.load
+        return np.array([float(factor) * float(load.get(name, 0)) for name in self.exact.unknowns.free])
+
+
+def _rounded(scene: Scene, exact: ExactProblem) -> ContactProblem:
     free = exact.unknowns.free
     place = {name: i for i, name in enumerate(free)}
     n = len(free)
@@ -228,4 +247,4 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
 
 def _plane(scene: Scene, name: str) -> Plane:
     item = scene.obstacle(name)
-    return Plane(point=np.array([_value(scene, x) for x in item.point]), normal=np.array(item.normal))
+    return Plane(point=np.array([_value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
-from contactqp.methods import methods
-from contactqp.scene.claims import Claim
+from contactqp.scene.checking_bodies import check_bodies, check_no_bodies
+from contactqp.scene.checking_claims import claims_fit
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
 from contactqp.scene.wording import unknown
@@ -16,17 +15,35 @@ from contactqp.scene.wording import unknown
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene, Tie
 
-_LISTS = ("nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts")
+_LISTS = (
+    "nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts", "bodies", "supports",
+    "tractions", "pressures", "point_loads",
+)  # fmt: skip
+
+
+_VECTORS = {
+    "obstacles": ("point", "normal", "centre", "apex", "axis"),
+    "springs": ("direction",),
+    "contacts": ("direction",),
+    "supports": ("near",),
+    "point_loads": ("near", "force"),
+    "tractions": ("value",),
+}
 
 
 def check(scene: Scene) -> None:
     """Raise SceneError at the first part that does not fit the others."""
     _names_are_distinct(scene)
     _dimensions_fit(scene)
+    if scene.bodies:
+        check_bodies(scene)
+        claims_fit(scene, Unknowns((), frozenset()))
+        return
+    check_no_bodies(scene)
     _nodes_exist(scene)
     _lengths_are_positive(scene)
     unknowns = of_scene(scene)
-    for part in (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, _claims_fit):
+    for part in (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, claims_fit):
         part(scene, unknowns)
 
 
@@ -54,13 +71,11 @@ def _dimensions_fit(scene: Scene) -> None:
 
 def _vectors(scene: Scene) -> Iterator[tuple[str, tuple[object, ...]]]:
     yield from ((f"nodes[{i}].at ({node.name!r})", node.at) for i, node in enumerate(scene.nodes))
-    for i, obstacle in enumerate(scene.obstacles):
-        yield f"obstacles[{i}].point ({obstacle.name!r})", obstacle.point
-        yield f"obstacles[{i}].normal ({obstacle.name!r})", obstacle.normal
-    for key in ("springs", "contacts"):
+    for key, names in _VECTORS.items():
         for i, item in enumerate(getattr(scene, key)):
-            if item.direction is not None:
-                yield f"{key}[{i}].direction ({item.name!r})", item.direction
+            for name in names:
+                if (vector := getattr(item, name)) is not None:
+                    yield f"{key}[{i}].{name} ({item.name!r})", vector
     if scene.gravity is not None:
         yield "gravity", scene.gravity
 
@@ -99,8 +114,10 @@ def _lengths_are_positive(scene: Scene) -> None:
         if scene.gravity is None:
             raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
     for i, obstacle in enumerate(scene.obstacles):
-        if not any(obstacle.normal):
-            raise SceneError(f"obstacles[{i}].normal ({obstacle.name!r}): expected a direction, got the zero vector")
+        for key in ("normal", "axis"):
+            vector = getattr(obstacle, key)
+            if vector is not None and not any(vector):
+                raise SceneError(f"obstacles[{i}].{key} ({obstacle.name!r}): expected a direction, got the zero vector")
 
 
 def _apart(scene: Scene, where: str, nodes: tuple[str, ...]) -> None:
@@ -225,58 +242,3 @@ def _nothing_hangs(scene: Scene, unknowns: Unknowns) -> None:
             raise SceneError(
                 f"nodes[{i}] ({node.name!r}): expected an element, tie or contact at this free node, got none"
             )
-
-
-def _claims_fit(scene: Scene, unknowns: Unknowns) -> None:
-    places = _places(scene, unknowns)
-    for key in ("expect", "published"):
-        for i, claim in enumerate(getattr(scene, key)):
-            _claim_fits(f"{key}[{i}]", claim, scene, places)
-            if claim.method is not None:
-                _method_fits(f"{key}[{i}]", claim.method, claim.knobs)
-    for i, study in enumerate(scene.study):
-        _method_fits(f"study[{i}]", study.method, {**dict([study.knob]), **study.options})
-
-
-def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
-    """The method exists, and its knobs are its own, of values that it can have."""
-    known = {method.name: method for method in methods()}
-    if name not in known:
-        raise SceneError(f"{where}.method: {unknown(name, known, 'method')}")
-    own = [*known[name].options, *(["tolerance"] if known[name].knob == "tolerance" else [])]
-    for knob, stated in knobs.items():
-        if knob not in own:
-            raise SceneError(f"{where}.{knob}: {name!r} has no such knob; its own: {', '.join(own) or 'none'}")
-        for value in stated if isinstance(stated, tuple) else (stated,):
-            size: Any = getattr(value, "si", value)
-            # Without a penalty the augmented Lagrangian is the Lagrange multiplier method.
-            if not isinstance(size, str) and (size < 0 or (size == 0 and not known[name].exact)):
-                raise SceneError(f"{where}.{knob}: expected positive values, got {float(size):g}")
-
-
-def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
-    """What ``at`` can name, for each thing a quantity can be asked of."""
-    named: Callable[[str], tuple[str, ...]] = lambda key: tuple(item.name for item in getattr(scene, key))  # noqa: E731
-    return {
-        "unknown": unknowns.free,
-        "support": tuple(name for name in unknowns.names if name in unknowns.fixed),
-        "contact": named("contacts"),
-        "bar": named("bars"),
-        "spring": named("springs"),
-        "tie": named("ties"),
-    }
-
-
-def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[str, ...]]) -> None:
-    measure = claim.measure
-    if measure.at is not None and claim.at not in places[measure.at]:
-        raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
-    if measure.along and claim.along not in places["unknown"]:
-        raise SceneError(f"{where}.along: {unknown(claim.along, places['unknown'], 'unknown')}")
-    for j, name in enumerate(claim.unknowns or ()):
-        if name not in places["unknown"]:
-            raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
-    if measure.path and scene.path is None:
-        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
-    if claim.load_factor != Fraction(1) and not measure.solved:
-        raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")

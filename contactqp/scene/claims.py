@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
+from contactqp.scene import fields
 from contactqp.scene.expression import NotANumber
 from contactqp.scene.fields import Block, KnobStiffness, Name, Number
 from contactqp.scene.quantities import QUANTITIES, Measure
@@ -31,7 +32,9 @@ def _text(value: Any) -> str:
 
 
 def _tolerance(value: Any) -> Quantity:
-    kinds = [kind for kind in KINDS.values() if kind.name in ("number", "length", "force", "moment", "stiffness")]
+    kinds = [
+        kind for kind in KINDS.values() if kind.name in ("number", "length", "force", "moment", "stiffness", "pressure")
+    ]
     tolerance = read_quantity(value, kinds)
     if tolerance.si <= 0:
         raise ValueError(f"expected a positive tolerance, got {value}")
@@ -52,6 +55,8 @@ class Claim(Block):
     quantity: QuantityName
     at: Name | None = None
     along: Name | None = None
+    near: fields.Point | None = None
+    component: Literal["xx", "yy", "zz", "xy", "yz", "zx", "von-mises"] | None = None
     unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
     load_factor: Number = Fraction(1)
     method: Name | None = None
@@ -76,9 +81,15 @@ class Claim(Block):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         measure = self.measure
-        for key, needed in (("at", measure.at), ("along", "unknown" if measure.along else None)):
+        wanted = {
+            "at": measure.at and f"naming the {measure.at}",
+            "along": measure.along and f"naming the {measure.along}",
+            "near": "with a point" if measure.near else None,
+            "component": "of the stress" if measure.component else None,
+        }
+        for key, needed in wanted.items():
             if (getattr(self, key) is None) != (needed is None):
-                what = f"'{key}' naming the {needed}" if needed else f"no '{key}'"
+                what = f"'{key}' {needed}" if needed else f"no '{key}'"
                 raise ValueError(f"the quantity {self.quantity!r} expects {what}")
         if self.unknowns is not None and not measure.matrix:
             raise ValueError(f"the quantity {self.quantity!r} expects no 'unknowns'")
@@ -88,6 +99,8 @@ class Claim(Block):
 
     def __str__(self) -> str:
         where = f" {self.at}" if self.at else ""
+        where = f" {self.component}{where}" if self.component else where
+        where += f" near ({', '.join(map(str, self.near))})" if self.near else ""
         where += f" along {self.along}" if self.along else ""
         return self.quantity + where + (f" at load factor {self.load_factor}" if self.load_factor != 1 else "")
 
@@ -194,3 +207,10 @@ class Study(Block):
     def options(self) -> dict[str, str]:
         """What the method is told besides its knob."""
         return {} if self.update is None else {"update": self.update}
+
+
+class Report(Block):
+    """The methods that a report tries on the case, where all of them would take too long, and why those."""
+
+    methods: Annotated[tuple[Name, ...], Field(min_length=1)]
+    why: Text

@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from contactqp.elements.exact import Number
 from contactqp.scene.answers import Answer, value_of
 from contactqp.scene.claims import Claim, Expectation, Published
 from contactqp.scene.units import Quantity, UnitSystem
+
+if TYPE_CHECKING:
+    from contactqp.scene.answers_of_bodies import BodyAnswer
 
 Shown = float | str | tuple[float, ...]
 
@@ -31,7 +35,7 @@ class Comparison:
     verdict: str | None = None  # on a printed number
 
 
-def compare_expectation(expectation: Expectation, answer: Answer) -> Comparison:
+def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
     """The exact value against the answer's."""
     got = value_of(expectation, answer)
     if isinstance(got, str):
@@ -58,7 +62,7 @@ def compare_expectation(expectation: Expectation, answer: Answer) -> Comparison:
     )
 
 
-def compare_published(published: Published, answer: Answer) -> Comparison:
+def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
     """A printed number against the answer: a right one agrees to half a unit of its last digit, a wrong one not."""
     got = value_of(published, answer)
     system, target = answer.scene.system, published.target

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 from contactqp.elements.exact import Number
-from contactqp.scene.building import ExactProblem, Row, exact_problem
+from contactqp.scene.building import ExactProblem, NodeModel, Row
+from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_block
+from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import is_rotation
 
@@ -21,31 +22,14 @@ _ELEMENTS = (
 )
 
 
-@dataclass(frozen=True)
-class BuildingBlock:
-    """One part that a contact problem can have."""
-
-    name: str
-    included: bool
-    reason: str
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A scene in words."""
-
-    title: str
-    units: str
-    unknowns: tuple[str, ...]
-    fixed: tuple[str, ...]
-    contacts: tuple[str, ...]
-    ties: tuple[str, ...]
-    blocks: tuple[BuildingBlock, ...]
-
-
 def explain(scene: Scene) -> Explanation:
     """Read off the scene itself; nothing is solved."""
-    exact = exact_problem(scene)
+    model = build(scene)
+    if not isinstance(model, NodeModel):
+        from contactqp.scene.explaining_bodies import explain_bodies
+
+        return explain_bodies(model)
+    exact = model.exact
     names = exact.unknowns
     return Explanation(
         title=scene.title,
@@ -67,28 +51,29 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
         yield BuildingBlock(name, count > 0, f"{count} in the scene" if count else "none in the scene")
     yield _rotations(exact)
     yield _supports(exact)
-    yield _counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
+    yield counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
     rubbing = [contact.name for contact in exact.contacts if contact.friction]
-    yield _counted("tangential rows E_T, friction", len(rubbing), "contact with friction", "no contact has friction")
-    yield _counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
+    yield counted("tangential rows E_T, friction", len(rubbing), "contact with friction", "no contact has friction")
+    yield counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
     yield _condensation(exact)
-    yield _path(scene)
+    yield path_block(scene)
     weigh = "masses only weigh" if scene.masses else "the scene has no masses"
     yield BuildingBlock("mass matrix", False, f"statics: nothing moves in time, {weigh}")
     kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
     yield BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
     yield _exactness(exact)
+    yield report_block(scene)
 
 
 def _rotations(exact: ExactProblem) -> BuildingBlock:
     count = sum(is_rotation(name) for name in exact.unknowns.free)
-    return _counted("rotations", count, "free rotation", "no beam ends at a free node")
+    return counted("rotations", count, "free rotation", "no beam ends at a free node")
 
 
 def _supports(exact: ExactProblem) -> BuildingBlock:
     count = len(exact.unknowns.fixed)
-    return _counted("supports", count, "fixed unknown left out of the system", "nothing is fixed")
+    return counted("supports", count, "fixed unknown left out of the system", "nothing is fixed")
 
 
 def _condensation(exact: ExactProblem) -> BuildingBlock:
@@ -99,21 +84,9 @@ def _condensation(exact: ExactProblem) -> BuildingBlock:
     return BuildingBlock("condensation onto the contact unknowns", 0 < len(touched) < len(free), some)
 
 
-def _path(scene: Scene) -> BuildingBlock:
-    if scene.path is None:
-        return BuildingBlock("load path", False, "the loads are applied at once")
-    steps = f"{scene.path.steps} steps" if scene.path.steps else "no steps but the events"
-    found = "every closing and opening is found exactly" if scene.path.events else "a change is seen at the next step"
-    return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
-
-
 def _exactness(exact: ExactProblem) -> BuildingBlock:
     reason = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
     return BuildingBlock("exact rational numbers", exact.rational, reason)
-
-
-def _counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
-    return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
 
 
 def _form(row: Row) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import (
     BackendFailed,
@@ -18,15 +18,19 @@ from contactqp.errors import (
     Unsupported,
 )
 from contactqp.methods import find
-from contactqp.scene.answers import Answer
-from contactqp.scene.building import exact_problem
+from contactqp.scene.answers import Answer, answer_of
 from contactqp.scene.claims import KNOBS, Claim
 from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
-from contactqp.scene.running import run
+from contactqp.scene.models import build
+from contactqp.scene.running import run_model
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solution import Solution
 from contactqp.solving import solve
+
+if TYPE_CHECKING:
+    from contactqp.scene.answers_of_bodies import BodyAnswer
+    from contactqp.scene.models import Model
 
 Knob = Quantity | str | float | int | bool
 # A step of the load path stands at a load factor if it does so to rounding.
@@ -63,6 +67,7 @@ class Judgement:
     """One trial of one scene."""
 
     scene: Scene
+    model: Model
     trial: Trial
     solution: Solution
     events: Sequence[Any]
@@ -155,17 +160,18 @@ def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
 
 def judge(scene: Scene, trial: Trial) -> Judgement:
     """Solve a scene by one method and compare with all that the case says of that method."""
-    options = trial.options(scene)
+    options, model = trial.options(scene), build(scene)
     if scene.path is not None and find(trial.method).exact:
-        history = run(scene, trial.method, **options)
+        history = run_model(model, trial.method, **options)
         solutions = {time: solution for time, solution in zip(history.times, history, strict=True)}
         events: Sequence[Any] = history.events
     else:
-        solutions = {1.0: solve(scene.problem(), trial.method, **options)}
+        solutions = {1.0: solve(model.problem, trial.method, **options)}
         events = ()
-    answers = _Answers(scene, trial, solutions, events)
+    answers = _Answers(model, trial, solutions, events)
     return Judgement(
         scene=scene,
+        model=model,
         trial=trial,
         solution=answers.at(Fraction(1)).solution,
         events=events,
@@ -183,18 +189,17 @@ def judge(scene: Scene, trial: Trial) -> Judgement:
 class _Answers:
     """Answers by load factor: from the load path where it has been there, solved for otherwise."""
 
-    def __init__(self, scene: Scene, trial: Trial, solutions: Mapping[float, Solution], events: Sequence[Any]) -> None:
-        self._scene, self._trial, self._events = scene, trial, events
+    def __init__(self, model: Model, trial: Trial, solutions: Mapping[float, Solution], events: Sequence[Any]) -> None:
+        self._model, self._trial, self._events = model, trial, events
         self._solutions = dict(solutions)
-        self._exact = exact_problem(scene)
         self._problem = next(iter(solutions.values())).problem
 
-    def at(self, load_factor: Fraction) -> Answer:
+    def at(self, load_factor: Fraction) -> Answer | BodyAnswer:
         factor = float(load_factor)
         time = next((time for time in self._solutions if abs(time - factor) <= SAME_TIME), None)
         if time is None:
-            load = [factor * float(self._exact.load.get(name, 0)) for name in self._exact.unknowns.free]
-            options = self._trial.options(self._scene)
-            self._solutions[factor] = solve(self._problem.replace(load=load), self._trial.method, **options)
+            options = self._trial.options(self._model.scene)
+            problem = self._problem.replace(load=self._model.load_at(load_factor))
+            self._solutions[factor] = solve(problem, self._trial.method, **options)
             time = factor
-        return Answer(self._scene, self._exact, self._solutions[time], load_factor, self._events)
+        return answer_of(self._model, self._solutions[time], load_factor, self._events)

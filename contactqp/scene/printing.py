@@ -14,9 +14,12 @@ from rich.table import Table
 from rich.text import Text
 
 from contactqp.methods import Method
+from contactqp.scene.building import NodeModel
 from contactqp.scene.expectations import Comparison, Shown
-from contactqp.scene.explaining import Explanation, shortened
+from contactqp.scene.explaining import shortened
+from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
+from contactqp.scene.summaries import summaries, summary_data
 
 # Rows of a table on a screen; --json has all.
 MOST_ROWS = 60
@@ -39,12 +42,16 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     solution, scene = judgement.solution, judgement.scene
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial))}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
-    unknowns = zip(scene.problem().dof_names or (), solution.displacement, strict=False)
-    _print(console, ["unknown", f"displacement [{length}]"], [[name, _number(u)] for name, u in unknowns])
-    contacts = zip(scene.contacts, solution.contact_status, solution.normal_force, solution.gap, strict=True)
-    rows = [[contact.name, str(status), _number(f), _number(g)] for contact, status, f, g in contacts]
-    _print(console, ["contact", "status", f"normal force [{force}]", f"gap [{length}]"], rows)
-    names = [contact.name for contact in scene.contacts]
+    names = list(solution.problem.contact_names or ())
+    if not isinstance(judgement.model, NodeModel):
+        for header, table in summaries(judgement.model, solution):
+            _print(console, header, [[c if isinstance(c, str) else _number(c) for c in row] for row in table])
+    else:
+        unknowns = zip(solution.problem.dof_names or (), solution.displacement, strict=False)
+        _print(console, ["unknown", f"displacement [{length}]"], [[name, _number(u)] for name, u in unknowns])
+        contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
+        rows = [[name, str(status), _number(f), _number(g)] for name, status, f, g in contacts]
+        _print(console, ["contact", "status", f"normal force [{force}]", f"gap [{length}]"], rows)
     _print(
         console,
         ["event", "contact", "load factor"],
@@ -125,7 +132,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         }
     solution, scene = judgement.solution, judgement.scene
     certificate = solution.certificate
-    names = [contact.name for contact in scene.contacts]
+    names = list(solution.problem.contact_names or ())
     return {
         "case": str(scene.file) if scene.file else None,
         "title": scene.title,
@@ -145,6 +152,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "proven": bool(certificate.proven),
             "failures": [str(failure) for failure in certificate.failures],
         },
+        **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -11,13 +12,22 @@ class Measure:
 
     meaning: str
     kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for a word
-    at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie"
-    along: bool = False  # ``along`` names a second unknown
+    at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie", "body"
+    along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
+    near: bool = False  # ``near`` is a point: the nearest node is meant
+    component: bool = False  # ``component`` is one of COMPONENTS
     matrix: bool = False  # its value is ``rows``
     solved: bool = True  # needs a solution; otherwise read off the problem
     path: bool = False  # needs the load path
+    of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
 
 
+def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
+    return Measure(meaning, (kind,), of="bodies", **asked)
+
+
+# Stresses in the order of contactqp.elements.stress, and the equivalent one.
+COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
 QUANTITIES = {
     "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown"),
     "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact"),
@@ -27,12 +37,53 @@ QUANTITIES = {
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support"),
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
-    "energy": Measure("1/2 u'Ku - f'u", ("energy",)),
+    "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
     "closing load factor": Measure("load factor at which a contact closes", ("number",), at="contact", path=True),
-    "closing load": Measure("load on `along` when a contact closes", ("force",), at="contact", along=True, path=True),
-    "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along=True, solved=False),
+    "closing load": Measure("load on `along` when it closes", ("force",), at="contact", along="unknown", path=True),
+    "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", solved=False),
     "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, solved=False),
     "tie rank": Measure("number of independent ties", ("number",), solved=False),
     "reduced stiffness": Measure("T'KT on the masters", ("stiffness",), matrix=True, solved=False),
     "reduced load": Measure("T'(f - K b) on the masters", ("force",), matrix=True, solved=False),
+    "node displacement": _of_bodies(
+        "displacement of the node of a body nearest to `near`, along an axis",
+        "length",
+        at="body",
+        along="axis",
+        near=True,
+    ),
+    "stress": _of_bodies(
+        "stress at that node, averaged over its elements, tension positive",
+        "stress",
+        at="body",
+        near=True,
+        component=True,
+    ),
+    "contact force": _of_bodies(
+        "sum of the normal forces of a contact, each along its own normal, positive in compression",
+        "force",
+        at="contact",
+    ),
+    "contact resultant": _of_bodies(
+        "sum of the normal forces of a contact as vectors, on the body or the slave, along an axis",
+        "force",
+        at="contact",
+        along="axis",
+    ),
+    "peak pressure": _of_bodies(
+        "largest normal force over area among the nodes of a contact", "pressure", at="contact"
+    ),
+    "contact pressure": _of_bodies(
+        "normal force over area of the contact's node nearest to `near`", "pressure", at="contact", near=True
+    ),
+    "contact half-width": _of_bodies(
+        "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True
+    ),
+    "closed contacts": _of_bodies("number of nodes of a contact that press", "number", at="contact"),
+    "node gap": _of_bodies(
+        "gap of the contact's node nearest to `near`, positive when open", "length", at="contact", near=True
+    ),
+    "support force": _of_bodies(
+        "sum of the forces of a support on the body, along the support's axis", "force", at="support"
+    ),
 }

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactqp.analysis.history import History, static_energies
 from contactqp.analysis.load_path import follow_path
+from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.solving import solve
+
+if TYPE_CHECKING:
+    from contactqp.scene.models import Model
 
 
 def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
@@ -23,9 +27,13 @@ def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
     **options
         Of `contactqp.solve`; numbers are in the scene's units.
     """
-    problem = scene.problem()
-    if scene.path is None:
+    return run_model(build(scene), method, **options)
+
+
+def run_model(model: Model, method: str, **options: Any) -> History:
+    """As `run`, of a scene that is built already."""
+    problem, path = model.problem, model.scene.path
+    if path is None:
         solution = solve(problem, method, **options)
         return History([solution], [1.0], static_energies([solution]))
-    path = scene.path
     return follow_path(problem, loads=[problem.load], steps=path.steps, events=path.events, method=method, **options)

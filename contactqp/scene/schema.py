@@ -9,14 +9,15 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_
 
 from contactqp.errors import SceneError
 from contactqp.problem import ContactProblem
-from contactqp.scene import building, fields
+from contactqp.scene import fields
 from contactqp.scene.checking import check
-from contactqp.scene.claims import Expectation, Published, Remark, Study
-from contactqp.scene.fields import Block, Name, NodeName, Number
+from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
+from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
+from contactqp.scene.models import build
+from contactqp.scene.schema_bodies import Body, PointLoad, PressureLoad, Support, Traction
+from contactqp.scene.schema_contacts import Contact, Obstacle
 from contactqp.scene.units import KINDS, UnitSystem, describe, read_unit
 from contactqp.scene.wording import first_error
-
-NodeNames = Annotated[tuple[Name, ...], Field(min_length=2, max_length=2)]
 
 
 class UnitNames(Block):
@@ -45,7 +46,7 @@ class Bar(Block):
     """An axial bar between two nodes, in one, two or three dimensions."""
 
     name: Name
-    nodes: NodeNames
+    nodes: TwoNames
     area: fields.Area
     modulus: fields.Modulus
 
@@ -63,7 +64,7 @@ class Beam(Block):
     """A plane Euler-Bernoulli beam; its nodes get the rotation ``theta``, from the first axis to the second."""
 
     name: Name
-    nodes: NodeNames
+    nodes: TwoNames
     area: fields.Area
     inertia: fields.Inertia
     modulus: fields.Modulus
@@ -110,45 +111,6 @@ class Tie(Block):
     value: fields.TieValue
 
 
-class Obstacle(Block):
-    """A rigid plane through `point`; `normal`, of any length, points out of it, to where the body is."""
-
-    name: Name
-    point: fields.Point
-    normal: fields.Vector
-
-
-class Contact(Block):
-    """A node that may touch an obstacle, or two nodes that may touch each other along `direction`.
-
-    Without `direction` two nodes touch along the line from the first to the second.
-    """
-
-    name: Name
-    node: Name | None = None
-    obstacle: Name | None = None
-    nodes: NodeNames | None = None
-    direction: fields.Vector | None = None
-    friction: fields.FrictionCoefficient | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        if self.nodes is None and self.node is None:
-            raise ValueError("expected 'node' and 'obstacle', or 'nodes', got neither")
-        if self.nodes is not None and (self.node is not None or self.obstacle is not None):
-            raise ValueError("expected 'node' and 'obstacle', or 'nodes', got both")
-        if self.node is not None and self.obstacle is None:
-            raise ValueError("expected 'obstacle', what the node may touch, and it is missing")
-        if self.node is not None and self.direction is not None:
-            raise ValueError("direction: expected none, the obstacle has its normal")
-        return self
-
-    @property
-    def touched(self) -> tuple[str, ...]:
-        """The one node, or the two."""
-        return self.nodes or ((self.node,) if self.node else ())
-
-
 class Load(Block):
     """A force along an unknown, or a moment about a rotation."""
 
@@ -187,7 +149,7 @@ class Scene(Block):
     units: UnitNames = UnitNames()
     axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1, max_length=3), AfterValidator(_axes)]
     gravity: Annotated[tuple[fields.Acceleration, ...], Field(min_length=1, max_length=3)] | None = None
-    nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
+    nodes: tuple[Node, ...] = ()
     bars: tuple[Bar, ...] = ()
     springs: tuple[Spring, ...] = ()
     beams: tuple[Beam, ...] = ()
@@ -195,14 +157,20 @@ class Scene(Block):
     matrices: tuple[StiffnessMatrix, ...] = ()
     fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
     ties: tuple[Tie, ...] = ()
+    bodies: tuple[Body, ...] = ()
+    supports: tuple[Support, ...] = ()  # of bodies
     obstacles: tuple[Obstacle, ...] = ()
     contacts: tuple[Contact, ...] = ()
-    loads: tuple[Load, ...] = ()
+    loads: tuple[Load, ...] = ()  # on unknowns of nodes
+    tractions: tuple[Traction, ...] = ()  # on sides of bodies
+    pressures: tuple[PressureLoad, ...] = ()
+    point_loads: tuple[PointLoad, ...] = ()
     path: LoadPath | None = None
     expect: tuple[Expectation, ...] = ()
     published: tuple[Published, ...] = ()
     remarks: tuple[Remark, ...] = ()
     study: tuple[Study, ...] = ()
+    report: Report | None = None
     _file: Path | None = PrivateAttr(default=None)
 
     def __init__(self, /, **keys: Any) -> None:
@@ -223,11 +191,22 @@ class Scene(Block):
         return self._file
 
     def problem(self) -> ContactProblem:
-        """The contact problem on the free unknowns, in the scene's units."""
-        return building.problem(self)
+        """The contact problem on the free unknowns, in the scene's units.
+
+        Raises
+        ------
+        InvalidProblem, SceneError
+            The numbers are no contact problem; of bodies: a mesh, a side or a pair that is no good, and which.
+        BackendMissing
+            A mesh file that needs meshio, which is not installed.
+        """
+        return build(self).problem
 
     def node(self, name: str) -> Node:
         return next(node for node in self.nodes if node.name == name)
+
+    def body(self, name: str) -> Body:
+        return next(body for body in self.bodies if body.name == name)
 
     def obstacle(self, name: str) -> Obstacle:
         return next(obstacle for obstacle in self.obstacles if obstacle.name == name)

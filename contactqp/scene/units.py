@@ -98,6 +98,9 @@ KINDS = {
         Kind("energy", Dimension(1, 1, 0), "3 kN*m"),
         Kind("stiffness", Dimension(1, -1, 0), "1e5 kN/m"),
         Kind("modulus", Dimension(1, -2, 0), "210 GPa"),
+        Kind("pressure", Dimension(1, -2, 0), "1 MPa"),
+        Kind("stress", Dimension(1, -2, 0), "1 MPa"),
+        Kind("density", Dimension(1, -4, 2), "7850 kg/m^3"),
         Kind("mass", Dimension(1, -1, 2), "2 kg"),
         Kind("acceleration", Dimension(0, 1, -2), "9.81 m/s^2"),
     )
@@ -139,6 +142,16 @@ class UnitSystem:
     def _factor(self, dimension: Dimension) -> Fraction:
         length, force = read_unit(self.length)[0], read_unit(self.force)[0]
         return length**dimension.length * force**dimension.force
+
+
+def number(system: UnitSystem, quantity: Quantity) -> float:
+    """The quantity in these units, rounded once."""
+    return float(system.value(quantity))
+
+
+def vector(system: UnitSystem, quantities: Sequence[Quantity]) -> tuple[float, ...]:
+    """Quantities in these units, each rounded once."""
+    return tuple(number(system, quantity) for quantity in quantities)
 
 
 def _power(unit: str, power: int) -> str:

@@ -12,12 +12,12 @@ import numpy as np
 from contactqp.errors import BackendMissing, ContactQPError, Unsupported
 from contactqp.methods import Method
 from contactqp.problem import ContactProblem
-from contactqp.scene.answers import Answer
-from contactqp.scene.building import exact_problem
+from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
 from contactqp.scene.expectations import compare_expectation
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.loading import load_scene
+from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solution import Solution
@@ -93,12 +93,12 @@ class FullLoad:
     """What a case expects of every exact answer under the full load."""
 
     def __init__(self, scene: Scene) -> None:
-        self._scene, self._exact = scene, exact_problem(scene)
+        self._model = build(scene)
         self._claims = [claim for claim in scene.expect if _at_full_load(claim)]
 
     def unmet(self, solution: Solution) -> Sequence[str] | None:
         """The expectations that this answer misses; None where there are none to compare."""
-        answer = Answer(self._scene, self._exact, solution, Fraction(1), ())
+        answer = answer_of(self._model, solution)
         missed = [str(claim) for claim in self._claims if not compare_expectation(claim, answer).ok]
         return missed if self._claims else None
 
@@ -124,7 +124,10 @@ def load_studies(
             raise type(error)(f"{path}: {error}") from None
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
         rungs = tuple(
-            rung for method in methods for rung in all_rungs(problem, method, tolerances, stated_ladders(scene, method))
+            rung
+            for method in methods
+            if scene.report is None or method.name in scene.report.methods
+            for rung in all_rungs(problem, method, tolerances, stated_ladders(scene, method))
         )
         studies.append(CaseStudy(name, scene, problem, rungs))
     return tuple(studies)

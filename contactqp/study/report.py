@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
+from contactqp.scene.explanation import report_note
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.printing import judgement_data
 from contactqp.study import picture
@@ -124,7 +125,7 @@ def write_report(
         finished = _run(studies, repeats, progress)
         rows = tuple(row for case in finished for row in case.rows)
         summary = summarise(rows, (text for case in finished for text in case.unmet))
-        notes = _draw(finished, rows, workshop)
+        notes = (*_limited(studies), *_draw(finished, rows, workshop))
         facts: dict[str, Any] = dict(
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             machine=machine(),
@@ -185,6 +186,13 @@ def _progress(shown: bool) -> Progress:
 
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown)
+
+
+def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
+    """Which cases keep methods out of the report."""
+    for study in studies:
+        if study.scene.report is not None:
+            yield f"{study.name}: {report_note(study.scene)}"
 
 
 def _draw(finished: Sequence[_Finished], rows: Sequence[Row], workshop: Path) -> tuple[str, ...]:

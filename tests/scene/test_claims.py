@@ -109,9 +109,10 @@ def test_the_knobs_of_a_case_are_tried():
 
 
 def test_every_quantity_has_a_meaning_and_a_reader():
-    from contactqp.scene import answers
+    from contactqp.scene import answers, answers_of_bodies
 
-    assert set(answers._READERS) == set(QUANTITIES)
+    for of, readers in (("nodes", answers._READERS), ("bodies", answers_of_bodies._READERS)):
+        assert set(readers) == {name for name, measure in QUANTITIES.items() if measure.of in (of, "both")}
     assert all(measure.meaning for measure in QUANTITIES.values())
 
 

@@ -1,0 +1,122 @@
+"""The quantities of quantities.QUANTITIES that are asked of elastic bodies, read off a model and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.solid import Body
+from contactqp.elements.stress import stress_at_nodes, von_mises
+from contactqp.errors import InvalidProblem, SceneError
+from contactqp.scene.bodies import BodyModel, PairedContact
+from contactqp.scene.claims import Claim
+from contactqp.scene.meshing import nearest_node
+from contactqp.scene.quantities import COMPONENTS
+from contactqp.scene.schema import Scene
+from contactqp.scene.units import vector
+from contactqp.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class BodyAnswer:
+    """A solution of a scene of bodies at one load factor."""
+
+    scene: Scene
+    model: BodyModel
+    solution: Solution
+    load_factor: Fraction
+
+    def value_of(self, claim: Claim) -> float:
+        """The claim's quantity in the scene's units; NaN where nothing presses and a width is asked for."""
+        return _READERS[claim.quantity](claim, self)
+
+    def contact(self, claim: Claim) -> PairedContact:
+        return self.model.contacts[self.model.place(str(claim.at))]
+
+    def body(self, claim: Claim) -> Body:
+        return self.model.structure.body(str(claim.at))
+
+    def near(self, claim: Claim) -> NDArray[np.float64]:
+        """The point of the claim, in the scene's unit of length."""
+        return np.array(vector(self.scene.system, claim.near or ()))
+
+    def node(self, claim: Claim) -> int:
+        """The node of the claim's body nearest to its point."""
+        try:
+            return nearest_node(self.body(claim).mesh, self.near(claim), f"the body {claim.at!r}")
+        except InvalidProblem as error:
+            raise SceneError(f"{claim}: {error}") from None
+
+    def contact_node(self, claim: Claim) -> int:
+        """The place among a contact's nodes of the one nearest to the claim's point."""
+        points = self.contact(claim).pairing.points
+        apart = np.linalg.norm(points - self.near(claim), axis=1)
+        return int(np.argmin(apart))
+
+
+def _axis(claim: Claim, answer: BodyAnswer) -> int:
+    names: list[str] = list(answer.scene.axes)
+    return names.index(str(claim.along))
+
+
+def _node_displacement(claim: Claim, answer: BodyAnswer) -> float:
+    u = answer.model.structure.displacements(str(claim.at), answer.model.displacement(answer.solution))
+    return float(u[answer.node(claim), _axis(claim, answer)])
+
+
+def _stress(claim: Claim, answer: BodyAnswer) -> float:
+    body = answer.body(claim)
+    u = answer.model.structure.displacements(body.name, answer.model.displacement(answer.solution))
+    stress = stress_at_nodes(body, u.ravel())[answer.node(claim)]
+    if claim.component == "von-mises":
+        return float(von_mises(stress))
+    return float(stress[COMPONENTS.index(str(claim.component))])
+
+
+def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
+    """Of -E_N' lambda, the force on the body or the slave, which moves along `direction`."""
+    force = answer.model.normal_forces(str(claim.at), answer.solution)
+    return float(force @ answer.contact(claim).pairing.direction[:, _axis(claim, answer)])
+
+
+def _contact_half_width(claim: Claim, answer: BodyAnswer) -> float:
+    closed = answer.model.closed(str(claim.at), answer.solution)
+    apart = np.linalg.norm(answer.contact(claim).pairing.points - answer.near(claim), axis=1)
+    return float(apart[closed].max()) if closed.any() else float("nan")
+
+
+def _energy(_: Claim, answer: BodyAnswer) -> float:
+    u, load = answer.model.displacement(answer.solution), answer.model.system.load
+    return float(u @ (answer.model.structure.stiffness @ u) / 2 - float(answer.load_factor) * (load @ u))
+
+
+def _support_force(claim: Claim, answer: BodyAnswer) -> float:
+    """Summed over the nodes of the support; a node that two supports hold along one axis counts in both."""
+    i = [support.name for support in answer.scene.supports].index(str(claim.at))
+    forces = answer.model.support_forces(answer.solution, answer.load_factor)
+    return float(forces[answer.model.held_by(i)].sum())
+
+
+def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
+    return answer.model.pressures(str(claim.at), answer.solution)
+
+
+_READERS: dict[str, Callable[[Claim, BodyAnswer], float]] = {
+    "node displacement": _node_displacement,
+    "stress": _stress,
+    "contact force": lambda claim, answer: float(answer.model.normal_forces(str(claim.at), answer.solution).sum()),
+    "contact resultant": _contact_resultant,
+    "peak pressure": lambda claim, answer: float(_pressures(claim, answer).max()),
+    "contact pressure": lambda claim, answer: float(_pressures(claim, answer)[answer.contact_node(claim)]),
+    "contact half-width": _contact_half_width,
+    "closed contacts": lambda claim, answer: float(answer.model.closed(str(claim.at), answer.solution).sum()),
+    "node gap": lambda claim, answer: float(
+        answer.model.gaps(str(claim.at), answer.solution)[answer.contact_node(claim)]
+    ),
+    "support force": _support_force,
+    "energy": _energy,
+}

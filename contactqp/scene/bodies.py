@@ -1,0 +1,218 @@
+"""From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements import loads, solid
+from contactqp.elements.material import Material
+from contactqp.elements.mortar import pair_mortar
+from contactqp.elements.node_to_segment import pair_node_to_segment
+from contactqp.elements.pairing import Pairing, pair
+from contactqp.elements.structure import Structure, System
+from contactqp.elements.structure import Support as Held
+from contactqp.elements.tributary import tributary_areas
+from contactqp.errors import InvalidProblem, SceneError
+from contactqp.problem import ContactProblem, Units
+from contactqp.scene.meshing import body_mesh, nearest_node
+from contactqp.scene.obstacles import obstacle
+from contactqp.scene.units import number, vector
+from contactqp.solution import Solution
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema_bodies import Body, PointLoad, Support
+    from contactqp.scene.schema_contacts import Contact
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PairedContact:
+    """One entry of the scene's contacts: many contacts in the problem, one for each paired node.
+
+    Attributes
+    ----------
+    name : str
+    pairing : Pairing
+    area : (p,) array
+        What the force of each is divided by to be a pressure [length^2]: with the thickness, and in axial symmetry of
+        the full circle.
+    friction : Fraction
+    """
+
+    name: str
+    pairing: Pairing
+    area: Vector
+    friction: Fraction
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """What a scene of bodies is made into, all numbers in the scene's units."""
+
+    scene: Scene
+    structure: Structure
+    system: System
+    supports: tuple[Held, ...]
+    contacts: tuple[PairedContact, ...]
+
+    @cached_property
+    def problem(self) -> ContactProblem:
+        """On the free unknowns. A contact is called ``floor 12``: its entry in the scene and its node."""
+        friction = np.concatenate([np.zeros(0), *[np.full(len(c.area), float(c.friction)) for c in self.contacts]])
+        return self.system.problem(
+            [contact.pairing for contact in self.contacts],
+            friction=friction if friction.any() else None,
+            units=Units(length=self.scene.units.length, force=self.scene.units.force),
+            names=[f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes],
+        )
+
+    def load_at(self, factor: Fraction) -> Vector:
+        """The right-hand side when all loads are scaled by the factor; prescribed displacements stay."""
+        scaled = float(factor) * self.system.load - self.structure.stiffness @ self.system.given
+        return np.asarray(scaled[self.system.free])
+
+    def place(self, name: str) -> int:
+        """The place of an entry of the scene's contacts among them."""
+        return [contact.name for contact in self.contacts].index(name)
+
+    def normal_forces(self, name: str, solution: Solution) -> Vector:
+        """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
+        return self._of_entry(name, solution.normal_force, 0.0)
+
+    def pressures(self, name: str, solution: Solution) -> Vector:
+        """lambda / area of each paired node of one entry, (p,) [force / length^2], positive in compression."""
+        return self.normal_forces(name, solution) / self.contacts[self.place(name)].area
+
+    def closed(self, name: str, solution: Solution) -> NDArray[np.bool_]:
+        """Which paired nodes of one entry press, (p,)."""
+        return self._of_entry(name, (solution.contact_status == "closed").astype(float), 0.0) > 0
+
+    def gaps(self, name: str, solution: Solution) -> Vector:
+        """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
+        return self._of_entry(name, solution.gap, np.nan)
+
+    def displacement(self, solution: Solution) -> Vector:
+        """u of all unknowns, prescribed ones included."""
+        return self.system.expand(solution.displacement)
+
+    def support_forces(self, solution: Solution, load_factor: Fraction) -> Vector:
+        """What the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
+        rows = [contact.pairing.normal.T @ self.normal_forces(contact.name, solution) for contact in self.contacts]
+        pressed = sum(rows, np.zeros(self.structure.size)) + (1 - float(load_factor)) * self.system.load
+        return self.system.support_forces(self.displacement(solution), pressed)
+
+    def held_by(self, support: int) -> NDArray[np.int64]:
+        """The places in u of the unknowns that an entry of the scene's supports holds."""
+        held = self.supports[support]
+        body = self.structure.body(held.body)
+        return self.structure.first(body.name) + body.dimension * loads.node_numbers(body, held.nodes) + held.axis
+
+    def _of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
+        sizes = [len(contact.area) for contact in self.contacts]
+        every = np.full(sum(sizes), otherwise)
+        every[self.system.free_contacts([contact.pairing for contact in self.contacts])] = values
+        start = sum(sizes[: self.place(name)])
+        return every[start : start + sizes[self.place(name)]]
+
+
+def body_model(scene: Scene) -> BodyModel:
+    """Meshes, structure, supports, loads and pairs of a scene.
+
+    Raises
+    ------
+    SceneError
+        What is no good, its key first.
+    """
+    bodies = []
+    for i, body in enumerate(scene.bodies):
+        with _at(f"bodies[{i}] ({body.name!r})"):
+            bodies.append(_body(scene, body))
+    with _at("bodies"):
+        whole = Structure(bodies)
+    acting = list(_loads(scene, whole))
+    supports = list(_supports(scene, whole))
+    with _at("supports"):
+        system = whole.assemble(supports, acting)
+    contacts = []
+    for i, contact in enumerate(scene.contacts):
+        with _at(f"contacts[{i}] ({contact.name!r})"):
+            contacts.append(_contact(scene, whole, contact))
+    return BodyModel(scene, whole, system, tuple(supports), tuple(contacts))
+
+
+@contextmanager
+def _at(where: str) -> Iterator[None]:
+    """What the elements refuse is refused with the key that they were made from."""
+    try:
+        yield
+    except InvalidProblem as error:
+        raise SceneError(f"{where}: {error}") from None
+
+
+def _body(scene: Scene, body: Body) -> solid.Body:
+    density = 0.0 if body.density is None else number(scene.system, body.density)
+    material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
+    thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
+    return solid.Body(body_mesh(scene, body), material, body.model, thickness=thickness, name=body.name)
+
+
+def _nodes(scene: Scene, whole: Structure, place: Support | PointLoad) -> str | int:
+    if place.near is None:
+        whole.body(place.body).mesh.nodes(place.nodes)
+        return place.nodes
+    return nearest_node(whole.body(place.body).mesh, vector(scene.system, place.near), f"the body {place.body!r}")
+
+
+def _supports(scene: Scene, whole: Structure) -> Iterator[Held]:
+    for i, support in enumerate(scene.supports):
+        with _at(f"supports[{i}] ({support.name!r})"):
+            nodes = _nodes(scene, whole, support)
+        value = 0.0 if support.value is None else number(scene.system, support.value)
+        yield Held(support.body, nodes, scene.axes.index(support.axis), value)
+
+
+def _loads(scene: Scene, whole: Structure) -> Iterator[loads.Load]:
+    for i, traction in enumerate(scene.tractions):
+        with _at(f"tractions[{i}] ({traction.name!r})"):
+            whole.body(traction.body).mesh.side(traction.nodes)
+        yield loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
+    for i, pressure in enumerate(scene.pressures):
+        with _at(f"pressures[{i}] ({pressure.name!r})"):
+            whole.body(pressure.body).mesh.side(pressure.nodes)
+        yield loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
+    for i, point_load in enumerate(scene.point_loads):
+        with _at(f"point_loads[{i}] ({point_load.name!r})"):
+            nodes = _nodes(scene, whole, point_load)
+        yield loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
+    if scene.gravity is not None:
+        for body in whole.bodies:
+            if body.material.density > 0:
+                yield loads.Gravity(body.name, vector(scene.system, scene.gravity))
+
+
+def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
+    ends = [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
+    surfaces = [whole.surface(*end) for end in ends]
+    if contact.obstacle is not None:
+        found = pair(surfaces[0], obstacle(scene, contact.obstacle), dimension=whole.size)
+    else:
+        method = pair_mortar if contact.pairing == "mortar" else pair_node_to_segment
+        reach = None if contact.reach is None else number(scene.system, contact.reach)
+        overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
+        found = method(*surfaces, reach=reach, overlap=overlap, dimension=whole.size)
+    body = whole.body(ends[0][0])
+    area = np.asarray(found.area) * body.thickness
+    if body.model == "axisymmetric":
+        areas = tributary_areas(surfaces[0], revolved=True)
+        area = areas[np.searchsorted(surfaces[0].nodes, found.nodes)]
+    return PairedContact(contact.name, found, area, contact.friction or Fraction(0))

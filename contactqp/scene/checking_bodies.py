@@ -1,0 +1,124 @@
+"""What the parts of a scene of elastic bodies must have in common; meshes are only looked at when they are built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from contactqp.errors import SceneError
+from contactqp.scene.wording import unknown
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene
+
+# What only scenes of nodes have, and what takes its place.
+_OF_NODES = {
+    "nodes": "bodies and nodes in one scene are not offered yet",
+    "bars": "bodies and bars in one scene are not offered yet",
+    "springs": "bodies and springs in one scene are not offered yet",
+    "beams": "bodies and beams in one scene are not offered yet",
+    "masses": "a body weighs by its density",
+    "matrices": "a body has its own stiffness",
+    "ties": "ties between bodies are not offered yet",
+    "fixed": "'supports' hold bodies",
+    "loads": "'tractions', 'pressures' and 'point_loads' act on bodies",
+}
+_OF_BODIES = ("supports", "tractions", "pressures", "point_loads")
+# The dimensions that an obstacle exists in.
+_DIMENSIONS = {"plane": (2, 3), "circle": (2,), "sphere": (3,), "cylinder": (3,), "paraboloid": (2, 3)}
+
+
+def check_no_bodies(scene: Scene) -> None:
+    """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
+    for key in _OF_BODIES:
+        if getattr(scene, key):
+            raise SceneError(f"{key}: expected none in a scene without bodies")
+    if not scene.nodes:
+        raise SceneError("nodes: expected 'nodes' or 'bodies', got neither")
+    for i, obstacle in enumerate(scene.obstacles):
+        if obstacle.kind != "plane":
+            raise SceneError(
+                f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
+            )
+    for i, contact in enumerate(scene.contacts):
+        if contact.touching_sides:
+            raise SceneError(f"contacts[{i}] ({contact.name!r}): expected 'node' or 'nodes' in a scene without bodies")
+
+
+def check_bodies(scene: Scene) -> None:
+    """Raise SceneError at the first part that does not fit the others."""
+    for key, instead in _OF_NODES.items():
+        if getattr(scene, key):
+            raise SceneError(f"{key}: expected none in a scene of bodies: {instead}")
+    if scene.axes not in (("x", "y"), ("x", "y", "z")):
+        raise SceneError(f"axes: expected ['x', 'y'] or ['x', 'y', 'z'] in a scene of bodies, got {list(scene.axes)}")
+    _models_fit(scene)
+    _bodies_exist(scene)
+    _obstacles_exist(scene)
+    for i, support in enumerate(scene.supports):
+        if support.axis not in scene.axes:
+            raise SceneError(f"supports[{i}].axis ({support.name!r}): {unknown(support.axis, scene.axes, 'axis')}")
+        if scene.path is not None and support.value is not None and support.value.si:
+            raise SceneError(
+                f"supports[{i}].value ({support.name!r}): expected 0 with a load path, which makes loads grow and "
+                f"prescribed displacements not, got {support.value}"
+            )
+    loaded = scene.tractions or scene.pressures or scene.point_loads or scene.gravity
+    if scene.path is not None and not loaded:
+        raise SceneError("path: expected loads that grow along it, got none")
+
+
+def _models_fit(scene: Scene) -> None:
+    round_ones = [body.model == "axisymmetric" for body in scene.bodies]
+    for i, body in enumerate(scene.bodies):
+        where = f"bodies[{i}].model ({body.name!r})"
+        if (body.model == "3d") != (len(scene.axes) == 3):
+            raise SceneError(f"{where}: expected a model for the axes {list(scene.axes)}, got {body.model!r}")
+        if round_ones[i] != round_ones[0]:
+            raise SceneError(f"{where}: expected axisymmetric bodies only, or none, got {body.model!r}")
+        if scene.gravity is not None and body.density is None:
+            raise SceneError(f"bodies[{i}].density ({body.name!r}): expected, since there is gravity, and missing")
+
+
+def _places(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Every place that names a body, and the body."""
+    for key, name in (("supports", "on"), ("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
+        for i, item in enumerate(getattr(scene, key)):
+            yield f"{key}[{i}].{name} ({item.name!r})", item.body
+    for i, contact in enumerate(scene.contacts):
+        for j, side in enumerate(contact.touching_sides):
+            key = f"contacts[{i}].sides[{j}]" if contact.sides else f"contacts[{i}].side"
+            yield f"{key} ({contact.name!r})", side.partition(".")[0]
+
+
+def _bodies_exist(scene: Scene) -> None:
+    known = [body.name for body in scene.bodies]
+    for key, name in _places(scene):
+        if name not in known:
+            raise SceneError(f"{key}: {unknown(name, known, 'body')}")
+
+
+def _obstacles_exist(scene: Scene) -> None:
+    d, known = len(scene.axes), [obstacle.name for obstacle in scene.obstacles]
+    for i, obstacle in enumerate(scene.obstacles):
+        if d not in _DIMENSIONS[obstacle.kind]:
+            raise SceneError(
+                f"obstacles[{i}].kind ({obstacle.name!r}): a {obstacle.kind} does not exist in {d} dimensions"
+            )
+    for i, contact in enumerate(scene.contacts):
+        where = f"contacts[{i}]"
+        if not contact.touching_sides:
+            raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
+        if contact.obstacle is not None and contact.obstacle not in known:
+            raise SceneError(f"{where}.obstacle ({contact.name!r}): {unknown(contact.obstacle, known, 'obstacle')}")
+        if contact.sides is not None:
+            _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
+
+
+def _pairs_fit(scene: Scene, where: str, sides: tuple[str, ...], pairing: str | None) -> None:
+    first, second = (scene.body(side.partition(".")[0]) for side in sides)
+    thicknesses = [None if body.thickness is None else body.thickness.si for body in (first, second)]
+    if thicknesses[0] != thicknesses[1]:
+        raise SceneError(f"{where}: expected bodies of one thickness, got {first.thickness} and {second.thickness}")
+    if first.model == "axisymmetric" and pairing == "mortar":
+        raise SceneError(f"{where}: expected the pairing 'node-to-segment' between axisymmetric bodies, got 'mortar'")

@@ -1,0 +1,83 @@
+"""The meshes of a scene's bodies: built-in shapes and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contactqp.elements import shapes
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.mesh_files import read_mesh
+from contactqp.errors import InvalidProblem
+from contactqp.scene.units import number, read_unit, vector
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema_bodies import Body, MeshFile, Shape
+
+
+def body_mesh(scene: Scene, body: Body) -> Mesh:
+    """The mesh of a body in the scene's unit of length.
+
+    Raises
+    ------
+    InvalidProblem
+        The file or its mesh is no good, or the shape's numbers are none.
+    BackendMissing
+        A file that needs meshio, which is not installed.
+    """
+    if body.shape is not None:
+        return _mesh_of_shape(scene, body.shape)
+    if body.mesh is not None:
+        return _mesh_of_file(scene, body.mesh)
+    raise InvalidProblem("expected 'shape' or 'mesh', got neither")
+
+
+def _mesh_of_file(scene: Scene, source: MeshFile) -> Mesh:
+    folder = Path() if scene.file is None else scene.file.parent
+    mesh = read_mesh(folder / source.file, part=source.part, drop_unconnected=source.drop_unconnected)
+    scale = float(read_unit(source.unit)[0] / read_unit(scene.units.length)[0])
+    return mesh if scale == 1 else mesh.mapped(lambda points: scale * points)
+
+
+def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
+    options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
+    for key, name in (("corner", "corner"), ("centre", "center")):
+        if getattr(shape, key) is not None:
+            options[name] = vector(scene.system, getattr(shape, key))
+    options |= {name: getattr(shape, name) for name in ("towards", "part") if getattr(shape, name) is not None}
+    divisions: Any = shape.divisions
+    size: Any = None if shape.size is None else vector(scene.system, shape.size)
+    radius = 0.0 if shape.radius is None else number(scene.system, shape.radius)
+    if shape.kind == "rectangle":
+        return shapes.rectangle(size[0], size[1], divisions, shape.element, **options)
+    if shape.kind == "box":
+        return shapes.box(size, divisions, shape.element, **options)
+    if shape.kind == "cylinder":
+        height = 0.0 if shape.height is None else number(scene.system, shape.height)
+        return shapes.cylinder(radius, height, divisions, shape.element, **options)
+    if shape.kind == "ball":
+        return shapes.ball(radius, divisions, shape.element, **options)
+    discs = {"disc": shapes.disc, "half-disc": shapes.half_disc, "quarter-disc": shapes.quarter_disc}
+    return discs[shape.kind](radius, divisions, shape.element, **options)
+
+
+def nearest_node(mesh: Mesh, point: ArrayLike, what: str) -> int:
+    """The node nearest to a point.
+
+    Raises
+    ------
+    InvalidProblem
+        It is further away than the largest element is long: the point is not one of the body's.
+    """
+    node = mesh.nearest(point)
+    apart = float(np.linalg.norm(mesh.points[node] - np.asarray(point)))
+    largest = max(
+        float(np.linalg.norm(np.ptp(mesh.points[block.nodes], axis=1), axis=1).max()) for block in mesh.blocks
+    )
+    if apart > largest:
+        raise InvalidProblem(f"near: expected a point of {what}, got one that is {apart:.6g} from its nearest node")
+    return node

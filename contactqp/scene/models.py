@@ -1,0 +1,30 @@
+"""From a scene to what it is computed with."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from contactqp.scene.building import NodeModel, exact_problem
+
+if TYPE_CHECKING:
+    from contactqp.scene.bodies import BodyModel
+    from contactqp.scene.schema import Scene
+
+    Model = NodeModel | BodyModel
+
+
+def build(scene: Scene) -> Model:
+    """Nodes with bars and springs in exact numbers, or elastic bodies in floats; only the second loads meshes.
+
+    Raises
+    ------
+    SceneError
+        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
+    BackendMissing
+        A mesh file that needs meshio, which is not installed.
+    """
+    if scene.bodies:
+        from contactqp.scene.bodies import body_model
+
+        return body_model(scene)
+    return NodeModel(scene, exact_problem(scene))

@@ -1,0 +1,209 @@
+"""The keys of elastic bodies: their meshes and materials, what holds them, and what loads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Literal, NamedTuple, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from contactqp.elements.reference import KINDS as ELEMENTS
+from contactqp.scene import fields
+from contactqp.scene.fields import Block, BodyName, Name
+from contactqp.scene.units import KINDS, read_unit
+from contactqp.scene.wording import unknown
+
+Axis = Literal["x", "y", "z"]
+Divisions = Annotated[int, Field(strict=True, ge=1, le=100_000)]
+
+
+class ShapeKeys(NamedTuple):
+    """What a shape must state besides its element, what it may, and how many numbers those that are lists have."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+    divisions: int
+    dimension: int
+
+
+_BOX, _DISC = ("size", "divisions"), ("radius", "divisions")
+SHAPES: Mapping[str, ShapeKeys] = {
+    "rectangle": ShapeKeys(_BOX, ("corner", "grading", "towards"), 2, 2),
+    "box": ShapeKeys(_BOX, ("corner", "grading", "towards"), 3, 3),
+    "disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
+    "half-disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
+    "quarter-disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
+    "ball": ShapeKeys(_DISC, ("centre", "grading", "part"), 2, 3),
+    "cylinder": ShapeKeys(("radius", "height", "divisions"), ("centre", "grading", "part"), 3, 3),
+}
+
+
+def _known(names: tuple[str, ...] | Mapping[str, object], what: str) -> Callable[[str], str]:
+    def check(value: str) -> str:
+        if value not in names:
+            raise ValueError(unknown(value, names, what))
+        return value
+
+    return check
+
+
+class Shape(Block):
+    """A simple shape with a structured mesh, graded towards where contact is expected.
+
+    The sides that each shape has, and what its divisions count, are listed in contactqp.elements.shapes.
+    """
+
+    kind: Annotated[str, AfterValidator(_known(SHAPES, "shape"))]
+    element: Annotated[str, AfterValidator(_known(ELEMENTS, "element"))]
+    divisions: tuple[Divisions, ...] | None = None
+    size: tuple[fields.PositiveLength, ...] | None = None  # of a rectangle or box, along each axis
+    radius: fields.PositiveLength | None = None
+    height: fields.PositiveLength | None = None
+    corner: fields.Point | None = None  # the lowest coordinates of a rectangle or box; by default 0
+    centre: fields.Point | None = None  # of the round shapes, and of a cylinder's bottom; by default 0
+    grading: fields.Grading | None = None  # largest over smallest element
+    towards: tuple[Name, ...] | None = None  # the sides, or "middle", that elements of a rectangle or box shrink to
+    part: Literal["full", "half", "quarter", "eighth"] | None = None
+
+    @model_validator(mode="after")
+    def _own_keys(self) -> Self:
+        keys = SHAPES[self.kind]
+        for name in keys.required:
+            if getattr(self, name) is None:
+                raise ValueError(f"{name}: expected for a {self.kind}, and missing")
+        for name in type(self).model_fields:
+            own = ("kind", "element", *keys.required, *keys.optional)
+            if name not in own and getattr(self, name) is not None:
+                raise ValueError(f"{name}: a {self.kind} has no such key; its own: {', '.join(own)}")
+        for name, count in (("divisions", keys.divisions), ("size", keys.dimension)):
+            if getattr(self, name) is not None and len(getattr(self, name)) != count:
+                raise ValueError(f"{name}: expected {count} for a {self.kind}, got {len(getattr(self, name))}")
+        for name in ("corner", "centre"):
+            if getattr(self, name) is not None and len(getattr(self, name)) != keys.dimension:
+                raise ValueError(
+                    f"{name}: expected {keys.dimension} components for a {self.kind}, got {len(getattr(self, name))}"
+                )
+        return self
+
+    @property
+    def dimension(self) -> int:
+        return SHAPES[self.kind].dimension
+
+
+class MeshFile(Block):
+    """A mesh from a file, whose path is relative to the case file; its coordinates are in `unit`."""
+
+    file: Name
+    unit: str
+    part: Name | None = None  # the group of elements that makes up the body; by default all
+    drop_unconnected: bool = False
+
+    @model_validator(mode="after")
+    def _a_length(self) -> Self:
+        if read_unit(self.unit)[1] != KINDS["length"].dimension:
+            raise ValueError(f'unit: expected a unit of length such as "mm", got {self.unit!r}')
+        return self
+
+
+class Body(Block):
+    """A linear elastic body.
+
+    `model` is ``plane-strain``, ``plane-stress``, ``axisymmetric`` (x is the radius, y the axis, and every force is
+    that of the full circle) or ``3d``. Plane bodies have a `thickness`. Under gravity every body states its density.
+    """
+
+    name: BodyName
+    shape: Shape | None = None
+    mesh: MeshFile | None = None
+    model: Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
+    thickness: fields.PositiveLength | None = None
+    modulus: fields.Modulus
+    poisson: fields.Poisson
+    density: fields.Density | None = None
+
+    @model_validator(mode="after")
+    def _one_mesh(self) -> Self:
+        if (self.shape is None) == (self.mesh is None):
+            raise ValueError(f"expected 'shape' or 'mesh', got {'neither' if self.shape is None else 'both'}")
+        plane = self.model.startswith("plane")
+        if plane and self.thickness is None:
+            raise ValueError(f"thickness: expected for the model {self.model!r}, and missing")
+        if not plane and self.thickness is not None:
+            raise ValueError(f"thickness: the model {self.model!r} has none")
+        if self.shape is not None and (self.shape.dimension == 3) != (self.model == "3d"):
+            raise ValueError(f"model: expected one for a {self.shape.kind}, got {self.model!r}")
+        return self
+
+
+class _Place(Block):
+    """Nodes of a body: ``on = "body.set"``, a side or node set, or ``on = "body"`` and the node nearest `near`."""
+
+    on: Name
+    near: fields.Point | None = None
+
+    @property
+    def body(self) -> str:
+        return self.on.partition(".")[0]
+
+    @property
+    def nodes(self) -> str:
+        """The name of the set; empty with `near`."""
+        return self.on.partition(".")[2]
+
+    @model_validator(mode="after")
+    def _a_set_or_a_point(self) -> Self:
+        if self.near is None and not self.nodes:
+            raise ValueError(
+                f"on: expected a set of a body such as \"block.top\", or 'near' beside it, got {self.on!r}"
+            )
+        if self.near is not None and self.nodes:
+            raise ValueError(f"on: expected a body alone beside 'near', got {self.on!r}")
+        return self
+
+
+class Support(_Place):
+    """Prescribed displacement of nodes along an axis: zero holds them."""
+
+    name: Name
+    axis: Axis
+    value: fields.Length | None = None
+
+
+class PointLoad(_Place):
+    """A force on each of some nodes, in axial symmetry that on the full circle."""
+
+    name: Name
+    force: fields.Forces
+
+
+class _OnSide(Block):
+    """A side of a body: ``side = "body.side"``."""
+
+    name: Name
+    side: Name
+
+    @property
+    def body(self) -> str:
+        return self.side.partition(".")[0]
+
+    @property
+    def nodes(self) -> str:
+        return self.side.partition(".")[2]
+
+    @model_validator(mode="after")
+    def _a_side(self) -> Self:
+        if not self.nodes:
+            raise ValueError(f'side: expected a side of a body such as "block.top", got {self.side!r}')
+        return self
+
+
+class Traction(_OnSide):
+    """A force per area on a side, along the axes."""
+
+    value: fields.Tractions
+
+
+class PressureLoad(_OnSide):
+    """A pressure on a side, positive where it pushes the body."""
+
+    value: fields.Pressure

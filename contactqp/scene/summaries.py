@@ -1,0 +1,55 @@
+"""The answer of a scene of bodies in a few lines: its unknowns and contacts are too many to list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from contactqp.scene.units import KINDS
+from contactqp.solution import Solution
+
+if TYPE_CHECKING:
+    from contactqp.scene.bodies import BodyModel
+
+Table = tuple[list[str], list[list[str | float]]]
+
+
+def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
+    """For each body how far it moves, and for each contact of the scene its force, peak pressure and smallest gap."""
+    system = model.scene.system
+    length, force = system.length, system.force
+    pressure = system.label(KINDS["pressure"].dimension)
+    u = model.displacement(solution)
+    rows: list[list[str | float]] = []
+    for body in model.structure.bodies:
+        moved = model.structure.displacements(body.name, u)
+        for axis, low, high in zip(model.scene.axes, moved.min(axis=0), moved.max(axis=0), strict=False):
+            rows.append([body.name, axis, float(low), float(high)])
+    yield ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"], rows
+    header = ["contact", "nodes", "pressing", f"normal force [{force}]", f"peak pressure [{pressure}]"]
+    yield [*header, f"smallest gap [{length}]"], [list(row.values()) for row in _contacts(model, solution)]
+
+
+def summary_data(model: BodyModel, solution: Solution) -> dict[str, Any]:
+    """The contacts of the scene for JSON; forces and pressures in the scene's units."""
+    return {"contacts": _contacts(model, solution)}
+
+
+def _contacts(model: BodyModel, solution: Solution) -> list[dict[str, str | float]]:
+    rows: list[dict[str, str | float]] = []
+    for contact in model.contacts:
+        gaps = model.gaps(contact.name, solution)
+        known = gaps[np.isfinite(gaps)]
+        rows.append(
+            {
+                "contact": contact.name,
+                "nodes": len(contact.area),
+                "pressing": int(model.closed(contact.name, solution).sum()),
+                "normal_force": float(model.normal_forces(contact.name, solution).sum()),
+                "peak_pressure": float(model.pressures(contact.name, solution).max()),
+                "smallest_gap": float(known.min()) if known.size else 0.0,
+            }
+        )
+    return rows
