@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.geometry import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.kinematics import measure
+from contactqp.elements.membrane import Membrane
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
 
@@ -150,7 +151,7 @@ class PointLoad:
         return total.ravel()
 
 
-def node_numbers(body: Body, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
+def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
     """The nodes that a name, a number or numbers stand for, each once.
 
     Raises

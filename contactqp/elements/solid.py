@@ -71,6 +71,11 @@ class Body:
         return self.mesh.dimension
 
     @property
+    def axes(self) -> str:
+        """The axes that a node moves along: ``"xy"`` or ``"xyz"``."""
+        return "xyz"[: self.dimension]
+
+    @property
     def size(self) -> int:
         """How many unknowns the body has: N d."""
         return int(self.mesh.points.size)

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.loads import Load, node_numbers
+from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
@@ -21,7 +22,8 @@ from contactqp.problem import ContactProblem
 
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]
-AXES = "xyz"
+Part = Body | Membrane
+_KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Support:
     nodes : str, int or sequence of int
         A named set (of nodes, or a side), or node numbers.
     axis : int
-        0, 1 or 2 for x, y or z.
+        0, 1 or 2 for x, y or z; 0 for the one axis of a membrane.
     value : float
         The displacement [length]; 0 holds the nodes.
     """
@@ -51,16 +53,16 @@ class Structure:
 
     Parameters
     ----------
-    bodies : sequence of Body
+    bodies : sequence of Body or of Membrane
         With distinct names, all in the same number of dimensions.
 
     Raises
     ------
     InvalidProblem
-        No bodies, names that are not distinct, 2D and 3D bodies together.
+        No bodies, names that are not distinct, 2D and 3D bodies or membranes together.
     """
 
-    bodies: Sequence[Body]
+    bodies: Sequence[Part]
 
     def __post_init__(self) -> None:
         names = [body.name for body in self.bodies]
@@ -69,21 +71,29 @@ class Structure:
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise InvalidProblem(f"structure: expected bodies with distinct names, got {twice!r} more than once")
-        if len({body.dimension for body in self.bodies}) > 1:
-            raise InvalidProblem("structure: expected bodies of one dimension, got 2D and 3D ones")
+        kinds = dict.fromkeys(_KINDS[body.axes] for body in self.bodies)
+        if len(kinds) > 1:
+            raise InvalidProblem(f"structure: expected bodies of one dimension, got {' and '.join(kinds)} ones")
 
     @property
     def size(self) -> int:
         """How many unknowns all bodies have."""
         return sum(body.size for body in self.bodies)
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> Part:
         """The body of that name."""
         for body in self.bodies:
             if body.name == name:
                 return body
         known = ", ".join(repr(body.name) for body in self.bodies)
         raise InvalidProblem(f"structure: there is no body {name!r}; it has {known}")
+
+    def solid(self, name: str) -> Body:
+        """The elastic body of that name; InvalidProblem for a membrane."""
+        body = self.body(name)
+        if isinstance(body, Membrane):
+            raise InvalidProblem(f"structure: expected an elastic body, got the membrane {name!r}")
+        return body
 
     def first(self, name: str) -> int:
         """The place in u of the body's first unknown."""
@@ -92,12 +102,12 @@ class Structure:
 
     def surface(self, body: str, side: str) -> Surface:
         """A side of a body, numbered in the u of the structure."""
-        return self.body(body).surface(side, first=self.first(body))
+        return self.solid(body).surface(side, first=self.first(body))
 
     def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
-        """The (N, d) displacements of one body's nodes out of the u of all unknowns."""
+        """The (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
         body, first = self.body(name), self.first(name)
-        return np.asarray(displacement, dtype=float)[first : first + body.size].reshape(body.mesh.points.shape)
+        return np.asarray(displacement, dtype=float)[first : first + body.size].reshape(-1, len(body.axes))
 
     def unknown_names(self) -> tuple[str, ...]:
         """``"block node 12 x"`` for each unknown."""
@@ -105,7 +115,7 @@ class Structure:
             f"{body.name} node {i} {axis}"
             for body in self.bodies
             for i in range(len(body.mesh.points))
-            for axis in AXES[: body.dimension]
+            for axis in body.axes
         )
 
     @cached_property
@@ -125,7 +135,7 @@ class Structure:
         load = np.zeros(self.size)
         for acting in loads:
             first = self.first(acting.body)
-            body = self.body(acting.body)
+            body = self.solid(acting.body)
             load[first : first + body.size] += acting.forces(body)
         return System(self, load, self._prescribed(supports))
 
@@ -134,19 +144,18 @@ class Structure:
         prescribed = np.full(self.size, np.nan)
         for support in supports:
             body = self.body(support.body)
-            if support.axis not in range(body.dimension):
-                raise InvalidProblem(
-                    f"support of {body.name!r}: expected an axis below {body.dimension}, got {support.axis}"
-                )
+            d = len(body.axes)
+            if support.axis not in range(d):
+                raise InvalidProblem(f"support of {body.name!r}: expected an axis below {d}, got {support.axis}")
             if not math.isfinite(support.value):
                 raise InvalidProblem(f"support of {body.name!r}: expected a finite displacement, got {support.value}")
             nodes = node_numbers(body, support.nodes)
-            places = self.first(body.name) + body.dimension * nodes + support.axis
+            places = self.first(body.name) + d * nodes + support.axis
             before = prescribed[places]
             other = np.flatnonzero(~np.isnan(before) & (before != support.value))
             if other.size:
                 raise InvalidProblem(
-                    f"support of {body.name!r}: node {nodes[other[0]]} along {AXES[support.axis]} is to move by "
+                    f"support of {body.name!r}: node {nodes[other[0]]} along {body.axes[support.axis]} is to move by "
                     f"{support.value:.6g} and, by another support, by {before[other[0]]:.6g}"
                 )
             prescribed[places] = support.value

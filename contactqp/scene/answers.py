@@ -130,6 +130,7 @@ _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "bar force": _bar_force,
     "spring force": _spring_force,
     "energy": lambda _, answer: answer.solution.energy,
+    "free motions": lambda _, answer: len(answer.solution.free_motions),
     "closing load factor": _closing,
     "closing load": _closing_load,
     "stiffness": lambda claim, answer: answer.exact.stiffness.get((str(claim.at), str(claim.along)), Fraction(0)),

@@ -9,7 +9,6 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.solid import Body
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.bodies import BodyModel, PairedContact
@@ -37,9 +36,6 @@ class BodyAnswer:
     def contact(self, claim: Claim) -> PairedContact:
         return self.model.contacts[self.model.place(str(claim.at))]
 
-    def body(self, claim: Claim) -> Body:
-        return self.model.structure.body(str(claim.at))
-
     def near(self, claim: Claim) -> NDArray[np.float64]:
         """The point of the claim, in the scene's unit of length."""
         return np.array(vector(self.scene.system, claim.near or ()))
@@ -47,7 +43,7 @@ class BodyAnswer:
     def node(self, claim: Claim) -> int:
         """The node of the claim's body nearest to its point."""
         try:
-            return nearest_node(self.body(claim).mesh, self.near(claim), f"the body {claim.at!r}")
+            return nearest_node(self.model.structure.body(str(claim.at)), self.near(claim), f"the body {claim.at!r}")
         except InvalidProblem as error:
             raise SceneError(f"{claim}: {error}") from None
 
@@ -58,18 +54,14 @@ class BodyAnswer:
         return int(np.argmin(apart))
 
 
-def _axis(claim: Claim, answer: BodyAnswer) -> int:
-    names: list[str] = list(answer.scene.axes)
-    return names.index(str(claim.along))
-
-
 def _node_displacement(claim: Claim, answer: BodyAnswer) -> float:
     u = answer.model.structure.displacements(str(claim.at), answer.model.displacement(answer.solution))
-    return float(u[answer.node(claim), _axis(claim, answer)])
+    axes = answer.model.structure.body(str(claim.at)).axes
+    return float(u[answer.node(claim), axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
 
 
 def _stress(claim: Claim, answer: BodyAnswer) -> float:
-    body = answer.body(claim)
+    body = answer.model.structure.solid(str(claim.at))
     u = answer.model.structure.displacements(body.name, answer.model.displacement(answer.solution))
     stress = stress_at_nodes(body, u.ravel())[answer.node(claim)]
     if claim.component == "von-mises":
@@ -78,9 +70,12 @@ def _stress(claim: Claim, answer: BodyAnswer) -> float:
 
 
 def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
-    """Of -E_N' lambda, the force on the body or the slave, which moves along `direction`."""
-    force = answer.model.normal_forces(str(claim.at), answer.solution)
-    return float(force @ answer.contact(claim).pairing.direction[:, _axis(claim, answer)])
+    """The sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
+    model, contact = answer.model, answer.contact(claim)
+    forces = -(contact.pairing.normal.T @ model.normal_forces(contact.name, answer.solution))
+    on_body = model.structure.displacements(contact.body, forces)
+    axes = model.structure.body(contact.body).axes
+    return float(on_body[:, axes.index(str(claim.along))].sum()) if str(claim.along) in axes else 0.0
 
 
 def _contact_half_width(claim: Claim, answer: BodyAnswer) -> float:
@@ -119,4 +114,5 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float]] = {
     ),
     "support force": _support_force,
     "energy": _energy,
+    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 
 from contactqp.elements import loads, solid
 from contactqp.elements.material import Material
+from contactqp.elements.membrane import Membrane
 from contactqp.elements.mortar import pair_mortar
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.pairing import Pairing, pair
-from contactqp.elements.structure import Structure, System
+from contactqp.elements.scalar_pairing import pair_scalar
+from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.problem import ContactProblem, Units
 from contactqp.scene.meshing import body_mesh, nearest_node
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number, vector
 from contactqp.solution import Solution
 
@@ -42,6 +44,8 @@ class PairedContact:
     Attributes
     ----------
     name : str
+    body : str
+        The body or membrane that touches; of two bodies the slave.
     pairing : Pairing
     area : (p,) array
         What the force of each is divided by to be a pressure [length^2]: with the thickness, and in axial symmetry of
@@ -50,6 +54,7 @@ class PairedContact:
     """
 
     name: str
+    body: str
     pairing: Pairing
     area: Vector
     friction: Fraction
@@ -115,7 +120,7 @@ class BodyModel:
         """The places in u of the unknowns that an entry of the scene's supports holds."""
         held = self.supports[support]
         body = self.structure.body(held.body)
-        return self.structure.first(body.name) + body.dimension * loads.node_numbers(body, held.nodes) + held.axis
+        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
 
     def _of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
         sizes = [len(contact.area) for contact in self.contacts]
@@ -133,10 +138,14 @@ def body_model(scene: Scene) -> BodyModel:
     SceneError
         What is no good, its key first.
     """
-    bodies = []
+    bodies: list[Part] = []
     for i, body in enumerate(scene.bodies):
         with _at(f"bodies[{i}] ({body.name!r})"):
             bodies.append(_body(scene, body))
+    for i, membrane in enumerate(scene.membranes):
+        with _at(f"membranes[{i}] ({membrane.name!r})"):
+            tension = number(scene.system, membrane.tension)
+            bodies.append(Membrane(body_mesh(scene, membrane), tension, name=membrane.name))
     with _at("bodies"):
         whole = Structure(bodies)
     acting = list(_loads(scene, whole))
@@ -170,7 +179,7 @@ def _nodes(scene: Scene, whole: Structure, place: Support | PointLoad) -> str | 
     if place.near is None:
         whole.body(place.body).mesh.nodes(place.nodes)
         return place.nodes
-    return nearest_node(whole.body(place.body).mesh, vector(scene.system, place.near), f"the body {place.body!r}")
+    return nearest_node(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
 
 
 def _supports(scene: Scene, whole: Structure) -> Iterator[Held]:
@@ -178,7 +187,7 @@ def _supports(scene: Scene, whole: Structure) -> Iterator[Held]:
         with _at(f"supports[{i}] ({support.name!r})"):
             nodes = _nodes(scene, whole, support)
         value = 0.0 if support.value is None else number(scene.system, support.value)
-        yield Held(support.body, nodes, scene.axes.index(support.axis), value)
+        yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
 
 
 def _loads(scene: Scene, whole: Structure) -> Iterator[loads.Load]:
@@ -195,12 +204,14 @@ def _loads(scene: Scene, whole: Structure) -> Iterator[loads.Load]:
             nodes = _nodes(scene, whole, point_load)
         yield loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
     if scene.gravity is not None:
-        for body in whole.bodies:
-            if body.material.density > 0:
+        for body in scene.bodies:
+            if body.density is not None and body.density.si > 0:
                 yield loads.Gravity(body.name, vector(scene.system, scene.gravity))
 
 
 def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
+    if contact.membrane is not None:
+        return _membrane_contact(scene, whole, contact, contact.membrane)
     ends = [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
     surfaces = [whole.surface(*end) for end in ends]
     if contact.obstacle is not None:
@@ -210,9 +221,22 @@ def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
         reach = None if contact.reach is None else number(scene.system, contact.reach)
         overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
         found = method(*surfaces, reach=reach, overlap=overlap, dimension=whole.size)
-    body = whole.body(ends[0][0])
+    body = whole.solid(ends[0][0])
     area = np.asarray(found.area) * body.thickness
     if body.model == "axisymmetric":
         areas = tributary_areas(surfaces[0], revolved=True)
         area = areas[np.searchsorted(surfaces[0].nodes, found.nodes)]
-    return PairedContact(contact.name, found, area, contact.friction or Fraction(0))
+    return PairedContact(contact.name, body.name, found, area, contact.friction or Fraction(0))
+
+
+def _membrane_contact(scene: Scene, whole: Structure, contact: Contact, name: str) -> PairedContact:
+    """All free nodes of a membrane over an obstacle; where the obstacle has no height there is no contact."""
+    membrane = whole.body(name)
+    if not isinstance(membrane, Membrane) or contact.obstacle is None:
+        raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")
+    heights = height_of(obstacle(scene, contact.obstacle), contact.obstacle, membrane.mesh.points)
+    unknowns = whole.first(name) + np.arange(membrane.size)
+    found = pair_scalar(membrane.mesh.points, heights, unknowns=unknowns, dimension=whole.size)
+    up = np.tile([0.0, 0.0, 1.0], (len(found.nodes), 1))
+    found = replace(found, points=membrane.points[found.nodes], direction=up)
+    return PairedContact(contact.name, name, found, membrane.areas()[found.nodes], Fraction(0))

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import Scene, Tie
 
 _LISTS = (
-    "nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts", "bodies", "supports",
-    "tractions", "pressures", "point_loads",
+    "nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts", "bodies", "membranes",
+    "supports", "tractions", "pressures", "point_loads",
 )  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def check(scene: Scene) -> None:
     """Raise SceneError at the first part that does not fit the others."""
     _names_are_distinct(scene)
     _dimensions_fit(scene)
-    if scene.bodies:
+    if scene.meshed:
         check_bodies(scene)
         claims_fit(scene, Unknowns((), frozenset()))
         return

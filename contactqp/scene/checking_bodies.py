@@ -34,14 +34,14 @@ def check_no_bodies(scene: Scene) -> None:
         if getattr(scene, key):
             raise SceneError(f"{key}: expected none in a scene without bodies")
     if not scene.nodes:
-        raise SceneError("nodes: expected 'nodes' or 'bodies', got neither")
+        raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")
     for i, obstacle in enumerate(scene.obstacles):
         if obstacle.kind != "plane":
             raise SceneError(
                 f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
             )
     for i, contact in enumerate(scene.contacts):
-        if contact.touching_sides:
+        if not contact.touched:
             raise SceneError(f"contacts[{i}] ({contact.name!r}): expected 'node' or 'nodes' in a scene without bodies")
 
 
@@ -52,6 +52,8 @@ def check_bodies(scene: Scene) -> None:
             raise SceneError(f"{key}: expected none in a scene of bodies: {instead}")
     if scene.axes not in (("x", "y"), ("x", "y", "z")):
         raise SceneError(f"axes: expected ['x', 'y'] or ['x', 'y', 'z'] in a scene of bodies, got {list(scene.axes)}")
+    if scene.membranes:
+        _membranes_fit(scene)
     _models_fit(scene)
     _bodies_exist(scene)
     _obstacles_exist(scene)
@@ -68,6 +70,28 @@ def check_bodies(scene: Scene) -> None:
         raise SceneError("path: expected loads that grow along it, got none")
 
 
+def _membranes_fit(scene: Scene) -> None:
+    """A membrane lies in the plane z = 0 of a scene in space, alone or with other membranes."""
+    if scene.bodies:
+        raise SceneError("membranes: expected none beside bodies, which are not offered together")
+    if len(scene.axes) != 3:
+        raise SceneError(
+            f"axes: expected ['x', 'y', 'z'] with membranes, which deflect along z, got {list(scene.axes)}"
+        )
+    for i, membrane in enumerate(scene.membranes):
+        if membrane.shape is not None and membrane.shape.dimension != 2:
+            raise SceneError(
+                f"membranes[{i}].shape ({membrane.name!r}): expected a plane shape, got {membrane.shape.kind!r}"
+            )
+    for i, support in enumerate(scene.supports):
+        if support.axis != "z":
+            raise SceneError(
+                f"supports[{i}].axis ({support.name!r}): expected 'z' for a membrane, got {support.axis!r}"
+            )
+    if scene.gravity is not None:
+        raise SceneError("gravity: expected none, membranes have no mass")
+
+
 def _models_fit(scene: Scene) -> None:
     round_ones = [body.model == "axisymmetric" for body in scene.bodies]
     for i, body in enumerate(scene.bodies):
@@ -81,8 +105,8 @@ def _models_fit(scene: Scene) -> None:
 
 
 def _places(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Every place that names a body, and the body."""
-    for key, name in (("supports", "on"), ("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
+    """Every place that names an elastic body, and the body."""
+    for key, name in (("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
         for i, item in enumerate(getattr(scene, key)):
             yield f"{key}[{i}].{name} ({item.name!r})", item.body
     for i, contact in enumerate(scene.contacts):
@@ -96,6 +120,17 @@ def _bodies_exist(scene: Scene) -> None:
     for key, name in _places(scene):
         if name not in known:
             raise SceneError(f"{key}: {unknown(name, known, 'body')}")
+    meshed = [body.name for body in scene.meshed]
+    for i, support in enumerate(scene.supports):
+        if support.body not in meshed:
+            raise SceneError(f"supports[{i}].on ({support.name!r}): {unknown(support.body, meshed, 'body')}")
+    for i, contact in enumerate(scene.contacts):
+        if contact.membrane is not None:
+            membranes = [membrane.name for membrane in scene.membranes]
+            if contact.membrane not in membranes:
+                raise SceneError(
+                    f"contacts[{i}].membrane ({contact.name!r}): {unknown(contact.membrane, membranes, 'membrane')}"
+                )
 
 
 def _obstacles_exist(scene: Scene) -> None:
@@ -107,7 +142,7 @@ def _obstacles_exist(scene: Scene) -> None:
             )
     for i, contact in enumerate(scene.contacts):
         where = f"contacts[{i}]"
-        if not contact.touching_sides:
+        if contact.touched:
             raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
         if contact.obstacle is not None and contact.obstacle not in known:
             raise SceneError(f"{where}.obstacle ({contact.name!r}): {unknown(contact.obstacle, known, 'obstacle')}")

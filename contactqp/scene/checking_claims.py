@@ -57,18 +57,19 @@ def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
     named: Callable[[str], tuple[str, ...]] = lambda key: tuple(item.name for item in getattr(scene, key))  # noqa: E731
     return {
         "unknown": unknowns.free,
-        "support": named("supports") if scene.bodies else tuple(n for n in unknowns.names if n in unknowns.fixed),
+        "support": named("supports") if scene.meshed else tuple(n for n in unknowns.names if n in unknowns.fixed),
         "contact": named("contacts"),
         "bar": named("bars"),
         "spring": named("springs"),
         "tie": named("ties"),
-        "body": named("bodies"),
+        "body": tuple(item.name for item in scene.meshed),
+        "elastic body": named("bodies"),
         "axis": scene.axes,
     }
 
 
 def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[str, ...]]) -> None:
-    measure, kind = claim.measure, "bodies" if scene.bodies else "nodes"
+    measure, kind = claim.measure, "bodies" if scene.meshed else "nodes"
     if measure.of not in (kind, "both"):
         own = ", ".join(repr(name) for name, other in QUANTITIES.items() if other.of in (kind, "both"))
         raise SceneError(f"{where}.quantity: {claim.quantity!r} is asked of scenes of {measure.of}; of {kind}: {own}")

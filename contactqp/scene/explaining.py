@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from contactqp.elements.exact import Number
 from contactqp.scene.building import ExactProblem, NodeModel, Row
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_block
+from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_blocks
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import is_rotation
@@ -63,7 +63,7 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
     yield _exactness(exact)
-    yield report_block(scene)
+    yield from report_blocks(scene)
 
 
 def _rotations(exact: ExactProblem) -> BuildingBlock:

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from contactqp.elements.solid import Body
 from contactqp.scene.bodies import BodyModel, PairedContact
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_block
+from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_blocks
 from contactqp.scene.schema_contacts import Contact
 
 
@@ -30,7 +31,7 @@ def explain_bodies(model: BodyModel) -> Explanation:
 
 
 def _contact(contact: Contact, paired: PairedContact, length: str) -> str:
-    sides = contact.touching_sides
+    sides = contact.touching_sides or (str(contact.membrane),)
     other = f"the obstacle {contact.obstacle!r}" if contact.obstacle else f"{sides[1]} by {contact.pairing}"
     gaps = paired.pairing.gap
     left_out = len(paired.pairing.unpaired)
@@ -45,14 +46,15 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     scene = model.scene
     for body in model.structure.bodies:
         kinds = ", ".join(block.kind.name for block in body.mesh.blocks)
-        size = f"{body.mesh.elements} elements ({kinds}), {len(body.mesh.points)} nodes, {body.model}"
+        kind = body.model if isinstance(body, Body) else "membrane"
+        size = f"{body.mesh.elements} elements ({kinds}), {len(body.mesh.points)} nodes, {kind}"
         yield BuildingBlock(f"body {body.name}", True, size)
     yield BuildingBlock("bars, springs, beams, point masses", False, "none in a scene of bodies")
     held = int(np.sum(~np.isnan(model.system.prescribed)))
     yield counted("supports", held, "held unknown", "nothing is held")
     for key, what in (("tractions", "traction"), ("pressures", "pressure"), ("point_loads", "point load")):
         yield counted(key.replace("_", " "), len(getattr(scene, key)), what, "none in the scene")
-    weighs = scene.gravity is not None and any(body.material.density > 0 for body in model.structure.bodies)
+    weighs = scene.gravity is not None and any(body.density is not None and body.density.si for body in scene.bodies)
     yield BuildingBlock("gravity", weighs, "bodies weigh by their density" if weighs else "nothing weighs")
     rows = len(model.problem.gap)
     yield counted("contact rows E_N u <= g", rows, "row", "nothing can touch anything")
@@ -65,4 +67,4 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     yield BuildingBlock("mass matrix", False, "statics: a density only weighs")
     yield BuildingBlock("Newton loop", False, "linear kinematics: gaps are taken where the bodies start")
     yield BuildingBlock("exact rational numbers", False, "bodies are integrated in floats")
-    yield report_block(scene)
+    yield from report_blocks(scene)

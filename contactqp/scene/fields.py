@@ -92,6 +92,7 @@ Area = Annotated[Quantity, PlainValidator(_reader("area")), AfterValidator(_posi
 Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), AfterValidator(_positive)]
 Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), AfterValidator(_positive)]
 Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), AfterValidator(_positive)]
+Tension = Annotated[Quantity, PlainValidator(_reader("tension")), AfterValidator(_positive)]
 KnobStiffness = Annotated[Quantity, PlainValidator(_reader("stiffness"))]  # the method says what it accepts
 Mass = Annotated[Quantity, PlainValidator(_reader("mass")), AfterValidator(_positive)]
 Density = Annotated[Quantity, PlainValidator(_reader("density")), AfterValidator(_zero_or_more)]

@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.elements import shapes
+from contactqp.elements.membrane import Membrane as MembranePart
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mesh_files import read_mesh
+from contactqp.elements.structure import Part
 from contactqp.errors import InvalidProblem
 from contactqp.scene.units import number, read_unit, vector
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
-    from contactqp.scene.schema_bodies import Body, MeshFile, Shape
+    from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
 
 
-def body_mesh(scene: Scene, body: Body) -> Mesh:
+def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
     """The mesh of a body in the scene's unit of length.
 
     Raises
@@ -65,19 +67,20 @@ def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
     return discs[shape.kind](radius, divisions, shape.element, **options)
 
 
-def nearest_node(mesh: Mesh, point: ArrayLike, what: str) -> int:
-    """The node nearest to a point.
+def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
+    """The node of a body or membrane nearest to a point.
 
     Raises
     ------
     InvalidProblem
         It is further away than the largest element is long: the point is not one of the body's.
     """
-    node = mesh.nearest(point)
-    apart = float(np.linalg.norm(mesh.points[node] - np.asarray(point)))
-    largest = max(
-        float(np.linalg.norm(np.ptp(mesh.points[block.nodes], axis=1), axis=1).max()) for block in mesh.blocks
-    )
-    if apart > largest:
-        raise InvalidProblem(f"near: expected a point of {what}, got one that is {apart:.6g} from its nearest node")
+    points = body.points if isinstance(body, MembranePart) else body.mesh.points
+    apart = np.linalg.norm(points - np.asarray(point), axis=1)
+    node = int(np.argmin(apart))
+    largest = max(np.linalg.norm(np.ptp(points[block.nodes], axis=1), axis=1).max() for block in body.mesh.blocks)
+    if apart[node] > largest:
+        raise InvalidProblem(
+            f"near: expected a point of {what}, got one that is {apart[node]:.6g} from its nearest node"
+        )
     return node

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def build(scene: Scene) -> Model:
-    """Nodes with bars and springs in exact numbers, or elastic bodies in floats; only the second loads meshes.
+    """Nodes with bars and springs in exact numbers, or elastic bodies and membranes in floats.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def build(scene: Scene) -> Model:
     BackendMissing
         A mesh file that needs meshio, which is not installed.
     """
-    if scene.bodies:
+    if scene.meshed:
         from contactqp.scene.bodies import body_model
 
         return body_model(scene)

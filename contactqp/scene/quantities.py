@@ -38,6 +38,7 @@ QUANTITIES = {
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
     "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
+    "free motions": Measure("number of rigid motions that nothing drives and nothing holds", ("number",), of="both"),
     "closing load factor": Measure("load factor at which a contact closes", ("number",), at="contact", path=True),
     "closing load": Measure("load on `along` when it closes", ("force",), at="contact", along="unknown", path=True),
     "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", solved=False),
@@ -55,7 +56,7 @@ QUANTITIES = {
     "stress": _of_bodies(
         "stress at that node, averaged over its elements, tension positive",
         "stress",
-        at="body",
+        at="elastic body",
         near=True,
         component=True,
     ),

@@ -14,7 +14,7 @@ from contactqp.scene.checking import check
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
 from contactqp.scene.models import build
-from contactqp.scene.schema_bodies import Body, PointLoad, PressureLoad, Support, Traction
+from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 from contactqp.scene.schema_contacts import Contact, Obstacle
 from contactqp.scene.units import KINDS, UnitSystem, describe, read_unit
 from contactqp.scene.wording import first_error
@@ -158,7 +158,8 @@ class Scene(Block):
     fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
     ties: tuple[Tie, ...] = ()
     bodies: tuple[Body, ...] = ()
-    supports: tuple[Support, ...] = ()  # of bodies
+    membranes: tuple[Membrane, ...] = ()
+    supports: tuple[Support, ...] = ()  # of bodies and membranes
     obstacles: tuple[Obstacle, ...] = ()
     contacts: tuple[Contact, ...] = ()
     loads: tuple[Load, ...] = ()  # on unknowns of nodes
@@ -189,6 +190,11 @@ class Scene(Block):
     def file(self) -> Path | None:
         """The case file it was read from, if any."""
         return self._file
+
+    @property
+    def meshed(self) -> tuple[Body | Membrane, ...]:
+        """All that has a mesh."""
+        return (*self.bodies, *self.membranes)
 
     def problem(self) -> ContactProblem:
         """The contact problem on the free unknowns, in the scene's units.

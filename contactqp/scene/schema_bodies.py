@@ -105,16 +105,33 @@ class MeshFile(Block):
         return self
 
 
-class Body(Block):
+class _Meshed(Block):
+    """What has a mesh."""
+
+    name: BodyName
+    shape: Shape | None = None
+    mesh: MeshFile | None = None
+
+    @model_validator(mode="after")
+    def _one_mesh(self) -> Self:
+        if (self.shape is None) == (self.mesh is None):
+            raise ValueError(f"expected 'shape' or 'mesh', got {'neither' if self.shape is None else 'both'}")
+        return self
+
+
+class Membrane(_Meshed):
+    """A membrane in the plane z = 0 that deflects along z under a constant tension [force / length]."""
+
+    tension: fields.Tension
+
+
+class Body(_Meshed):
     """A linear elastic body.
 
     `model` is ``plane-strain``, ``plane-stress``, ``axisymmetric`` (x is the radius, y the axis, and every force is
     that of the full circle) or ``3d``. Plane bodies have a `thickness`. Under gravity every body states its density.
     """
 
-    name: BodyName
-    shape: Shape | None = None
-    mesh: MeshFile | None = None
     model: Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
     thickness: fields.PositiveLength | None = None
     modulus: fields.Modulus
@@ -122,9 +139,7 @@ class Body(Block):
     density: fields.Density | None = None
 
     @model_validator(mode="after")
-    def _one_mesh(self) -> Self:
-        if (self.shape is None) == (self.mesh is None):
-            raise ValueError(f"expected 'shape' or 'mesh', got {'neither' if self.shape is None else 'both'}")
+    def _fits_the_model(self) -> Self:
         plane = self.model.startswith("plane")
         if plane and self.thickness is None:
             raise ValueError(f"thickness: expected for the model {self.model!r}, and missing")

@@ -20,6 +20,9 @@ OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
+_TOUCHING = ("node", "nodes", "side", "sides", "membrane")
+
+
 class Obstacle(Block):
     """A rigid obstacle; bodies are outside of it, or in the hole that it leaves if `inside`.
 
@@ -54,12 +57,13 @@ class Obstacle(Block):
 
 
 class Contact(Block):
-    """Who may touch whom: one of four.
+    """Who may touch whom: one of five.
 
     `node` and `obstacle`; two `nodes`, along `direction` or else along the line from the first to the second; a `side`
     of a body (``"block.bottom"``) and `obstacle`; two `sides`, the slave's first, by the `pairing` ``"mortar"`` or
     ``"node-to-segment"``. Parts of two sides further apart than `reach` have no partner, and at the start the bodies
-    may overlap by `overlap`; the defaults of both follow the size of the facets.
+    may overlap by `overlap`; the defaults of both follow the size of the facets. A `membrane` and `obstacle`: it stays
+    above.
     """
 
     name: Name
@@ -67,6 +71,7 @@ class Contact(Block):
     nodes: TwoNames | None = None
     side: Name | None = None
     sides: TwoNames | None = None
+    membrane: Name | None = None
     obstacle: Name | None = None
     direction: fields.Vector | None = None
     pairing: Literal["mortar", "node-to-segment"] | None = None
@@ -76,15 +81,13 @@ class Contact(Block):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        stated = [key for key in ("node", "nodes", "side", "sides") if getattr(self, key) is not None]
+        stated = [key for key in _TOUCHING if getattr(self, key) is not None]
         if not stated:
-            raise ValueError("expected 'node', 'nodes', 'side' or 'sides', got none")
+            raise ValueError("expected 'node', 'nodes', 'side', 'sides' or 'membrane', got none")
         if len(stated) > 1:
-            raise ValueError(
-                f"expected one of 'node', 'nodes', 'side' and 'sides', got both {stated[0]!r} and {stated[1]!r}"
-            )
+            raise ValueError(f"expected one of {', '.join(_TOUCHING)}, got both {stated[0]!r} and {stated[1]!r}")
         key = stated[0]
-        if key in ("node", "side") and self.obstacle is None:
+        if key not in ("nodes", "sides") and self.obstacle is None:
             raise ValueError(f"expected 'obstacle', what the {key} may touch, and it is missing")
         if key in ("nodes", "sides") and self.obstacle is not None:
             raise ValueError(f"expected {key!r} or 'obstacle', got both")
@@ -95,6 +98,8 @@ class Contact(Block):
         for option in ("pairing", "reach", "overlap"):
             if key != "sides" and getattr(self, option) is not None:
                 raise ValueError(f"{option}: expected none, since these are not two sides")
+        if key == "membrane" and self.friction:
+            raise ValueError("friction: expected none, a membrane does not slide")
         for side in self.touching_sides:
             body, _, name = side.partition(".")
             if not body or not name:

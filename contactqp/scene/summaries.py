@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.scene.units import KINDS
-from contactqp.solution import Solution
+from contactqp.solution import FreeMotion, Solution
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel
 
+# Directions of motions have 1 as their largest component and are known to rounding.
+SMALL = 1e-6
 Table = tuple[list[str], list[list[str | float]]]
 
 
@@ -25,16 +27,32 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
     rows: list[list[str | float]] = []
     for body in model.structure.bodies:
         moved = model.structure.displacements(body.name, u)
-        for axis, low, high in zip(model.scene.axes, moved.min(axis=0), moved.max(axis=0), strict=False):
+        for axis, low, high in zip(body.axes, moved.min(axis=0), moved.max(axis=0), strict=True):
             rows.append([body.name, axis, float(low), float(high)])
     yield ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"], rows
     header = ["contact", "nodes", "pressing", f"normal force [{force}]", f"peak pressure [{pressure}]"]
     yield [*header, f"smallest gap [{length}]"], [list(row.values()) for row in _contacts(model, solution)]
 
 
+def motion_in_words(model: BodyModel, motion: FreeMotion) -> str:
+    """A free motion body by body: ``block along x``, or ``disc turning`` where nodes move differently."""
+    u, said = np.zeros(model.structure.size), []
+    u[model.system.free] = motion.direction
+    for body in model.structure.bodies:
+        moves = model.structure.displacements(body.name, u)
+        largest = np.abs(moves).max(axis=0)
+        moving = [i for i in range(len(largest)) if largest[i] > SMALL]
+        if moving:
+            same = bool(np.all(np.ptp(moves[:, moving], axis=0) <= SMALL))
+            along = " and ".join(body.axes[i] for i in moving)
+            said.append(f"{body.name} along {along}" if same else f"{body.name} turning")
+    return ", ".join(said)
+
+
 def summary_data(model: BodyModel, solution: Solution) -> dict[str, Any]:
-    """The contacts of the scene for JSON; forces and pressures in the scene's units."""
-    return {"contacts": _contacts(model, solution)}
+    """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
+    motions = [motion_in_words(model, motion) for motion in solution.free_motions]
+    return {"contacts": _contacts(model, solution), "free_motions": motions}
 
 
 def _contacts(model: BodyModel, solution: Solution) -> list[dict[str, str | float]]:

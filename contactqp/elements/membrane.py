@@ -1,0 +1,92 @@
+"""The flat membrane: a scalar deflection under a constant tension, Poisson's equation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.elements.assembly import assemble, pattern
+from contactqp.elements.geometry import at_rule
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.surface import Surface
+from contactqp.elements.tributary import tributary_areas
+from contactqp.errors import InvalidProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Membrane:
+    """A membrane in the plane z = 0 that deflects by w along z: its energy is the integral of T/2 |grad w|^2.
+
+    Small slopes; the tension does not change. Unknown i is the deflection of node i.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In 2D.
+    tension : float
+        T > 0, the force per length across any cut [force / length].
+    name : str
+        Used in every message.
+
+    Raises
+    ------
+    InvalidProblem
+        A mesh in 3D, a tension that is not positive.
+    """
+
+    mesh: Mesh
+    tension: float
+    name: str = "membrane"
+
+    def __post_init__(self) -> None:
+        if self.mesh.dimension != 2:
+            raise InvalidProblem(f"{self.name}: expected a plane mesh for a membrane, got one in 3D")
+        if not (math.isfinite(self.tension) and self.tension > 0):
+            raise InvalidProblem(f"{self.name}: expected a positive tension, got {self.tension}")
+
+    @property
+    def axes(self) -> str:
+        """The axes that a node moves along."""
+        return "z"
+
+    @property
+    def size(self) -> int:
+        """How many unknowns the membrane has: N."""
+        return len(self.mesh.points)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """The nodes in space, (N, 3) with z = 0 [length]."""
+        return np.column_stack([self.mesh.points, np.zeros(self.size)])
+
+    @cached_property
+    def stiffness(self) -> Any:
+        """K_ij = T times the integral of grad N_i . grad N_j: (N, N) CSC [force / length]."""
+        where = pattern([block.nodes for block in self.mesh.blocks], self.size)
+        entries = []
+        for block in self.mesh.blocks:
+            geometry = at_rule(block, self.mesh.points, block.kind.fine_rule)
+            weights = self.tension * geometry.determinant * block.kind.fine_rule.weights
+            gradient = geometry.gradient
+            K = np.einsum("eq,eqia,eqja->eij", weights, gradient, gradient, optimize=True)
+            entries.append(((K + np.swapaxes(K, 1, 2)) / 2).ravel())
+        return assemble(where, np.concatenate(entries)[np.newaxis, np.newaxis])
+
+    def areas(self) -> NDArray[np.float64]:
+        """What belongs to each node, (N,) [length^2]: the contact force over it is the contact pressure.
+
+        Raises
+        ------
+        InvalidProblem
+            Elements of several kinds.
+        """
+        if len(self.mesh.blocks) > 1:
+            kinds = ", ".join(block.kind.name for block in self.mesh.blocks)
+            raise InvalidProblem(f"{self.name}: expected elements of one kind in a membrane, got {kinds}")
+        facets = self.mesh.blocks[0].nodes
+        return tributary_areas(Surface(self.points, facets, np.arange(3 * self.size).reshape(-1, 3), name=self.name))
