@@ -1,5 +1,6 @@
 """Every shipped case, by the methods it speaks of and by every classical method: what it claims holds."""
 
+from fractions import Fraction as F
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,11 @@ from contactqp.scene.judging import Judgement, judge_all
 
 FOLDER = Path(__file__).parents[1] / "cases"
 CASES = sorted(file.name for file in FOLDER.glob("*.toml"))
+SCENES = {name: cq.load_scene(FOLDER / name) for name in CASES}
 # Without a contact there is nothing to enforce: those cases are judged above.
-TOUCHING = [name for name in CASES if cq.load_scene(FOLDER / name).contacts]
+TOUCHING = [name for name, scene in SCENES.items() if scene.contacts and not scene.report]
+OF_NODES = [name for name, scene in SCENES.items() if scene.nodes]
+MESHED = [name for name, scene in SCENES.items() if scene.meshed]
 EXACT_METHODS = ("lagrange-multiplier", "master-slave", "augmented-lagrangian", "lemke", "osqp", "clarabel")
 
 
@@ -53,7 +57,7 @@ def test_every_exact_method_gives_the_exact_answer(name, method):
         assert outcome.met, [row for row in outcome.expectations if not row.ok]
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", OF_NODES)
 def test_expectations_are_sharp(name):
     """Exact answers are asked for to 1e-12, penalised ones to 1e-10, and zeros to a stated size."""
     scene = cq.load_scene(FOLDER / name)
@@ -61,6 +65,32 @@ def test_expectations_are_sharp(name):
     for claim in scene.expect:
         if not any(claim.tolerance.dimension):
             assert float(claim.tolerance.si) <= (1e-12 if claim.method is None else 1e-10)
+
+
+@pytest.mark.parametrize("name", MESHED)
+def test_expectations_of_bodies_say_how_exact_they_are(name):
+    """Balance to 1e-8; what the mesh blurs to 5 % and with the word for it, and widths by the size of an element."""
+    for claim in SCENES[name].expect:
+        if any(claim.tolerance.dimension):
+            assert claim.quantity == "contact half-width"
+            assert "element" in claim.derivation
+        elif claim.quantity != "free motions":
+            assert claim.tolerance.si <= F(1, 25)
+            blurred = claim.tolerance.si > F(1, 10**8)
+            words = ("discretisation", "is at the middle", "pulls down")
+            assert not blurred or any(word in claim.derivation for word in words), claim.derivation
+
+
+def test_the_motions_of_what_is_free_are_named():
+    from contactqp.scene.summaries import motion_in_words
+
+    for name, expected in (
+        ("floating_disc.toml", ["disc along x"]),
+        ("stacked_blocks.toml", ["lower along x", "middle along x", "upper along x"]),
+    ):
+        (judgement,) = judge_all(SCENES[name])
+        motions = [motion_in_words(judgement.model, motion) for motion in judgement.solution.free_motions]
+        assert motions == expected
 
 
 def test_the_contact_load_is_found_exactly():

@@ -221,6 +221,10 @@ def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
         reach = None if contact.reach is None else number(scene.system, contact.reach)
         overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
         found = method(*surfaces, reach=reach, overlap=overlap, dimension=whole.size)
+    if not len(found.gap):
+        raise InvalidProblem(
+            f"expected sides that may touch, got no node of {surfaces[0].name} with a partner in reach"
+        )
     body = whole.solid(ends[0][0])
     area = np.asarray(found.area) * body.thickness
     if body.model == "axisymmetric":
@@ -235,6 +239,8 @@ def _membrane_contact(scene: Scene, whole: Structure, contact: Contact, name: st
     if not isinstance(membrane, Membrane) or contact.obstacle is None:
         raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")
     heights = height_of(obstacle(scene, contact.obstacle), contact.obstacle, membrane.mesh.points)
+    if not np.isfinite(heights).any():
+        raise InvalidProblem(f"expected an obstacle below the membrane, got {contact.obstacle!r} beside it")
     unknowns = whole.first(name) + np.arange(membrane.size)
     found = pair_scalar(membrane.mesh.points, heights, unknowns=unknowns, dimension=whole.size)
     up = np.tile([0.0, 0.0, 1.0], (len(found.nodes), 1))

@@ -35,6 +35,7 @@ def check(scene: Scene) -> None:
     """Raise SceneError at the first part that does not fit the others."""
     _names_are_distinct(scene)
     _dimensions_fit(scene)
+    _obstacles_have_directions(scene)
     if scene.meshed:
         check_bodies(scene)
         claims_fit(scene, Unknowns((), frozenset()))
@@ -113,6 +114,9 @@ def _lengths_are_positive(scene: Scene) -> None:
     for i, mass in enumerate(scene.masses):
         if scene.gravity is None:
             raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
+
+
+def _obstacles_have_directions(scene: Scene) -> None:
     for i, obstacle in enumerate(scene.obstacles):
         for key in ("normal", "axis"):
             vector = getattr(obstacle, key)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
 from contactqp.elements.exact import Number
+from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.building import ExactProblem, NodeModel, Row
 from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_blocks
 from contactqp.scene.models import build
@@ -23,7 +24,21 @@ _ELEMENTS = (
 
 
 def explain(scene: Scene) -> Explanation:
-    """Read off the scene itself; nothing is solved."""
+    """Read off the scene itself; nothing is solved.
+
+    Raises
+    ------
+    SceneError, InvalidProblem
+        The scene cannot be built; the message names the file.
+    """
+    try:
+        return _explained(scene)
+    except (SceneError, InvalidProblem) as error:
+        where = f"{scene.file}: " if scene.file else ""
+        raise type(error)(f"{where}{error}") from None
+
+
+def _explained(scene: Scene) -> Explanation:
     model = build(scene)
     if not isinstance(model, NodeModel):
         from contactqp.scene.explaining_bodies import explain_bodies

@@ -183,3 +183,17 @@ def test_the_closest_point_is_the_least_of_a_fine_sample(kind):
 
 def test_kinds_are_told_by_dimension_and_nodes():
     assert kind_of(surface(SQUARE, [[0, 1, 2, 3]])).name == "quad4"
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_revolved_areas_are_those_of_rings(nodes):
+    """A disc of radius 2: all areas positive, and 4 pi in all; to the axis belongs a third of the first line2."""
+    r = np.linspace(0, 2, 3 if nodes == 2 else 5)
+    points = np.column_stack([r, np.zeros(len(r))])
+    facets = np.array([[0, 1], [1, 2]]) if nodes == 2 else np.array([[0, 2, 1], [2, 4, 3]])
+    surface = cq.Surface(points, facets, np.arange(2 * len(r)).reshape(-1, 2))
+    areas = tributary_areas(surface, revolved=True)
+    assert areas.min() > 0
+    np.testing.assert_allclose(areas.sum(), 4 * np.pi, rtol=1e-13)
+    if nodes == 2:
+        np.testing.assert_allclose(areas[0], np.pi / 3, rtol=1e-13)

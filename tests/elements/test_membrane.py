@@ -1,0 +1,66 @@
+"""Membranes: scikit-fem's Laplacian, a closed form, and membranes in structures."""
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg as spla
+
+from contactqp.elements.loads import Traction
+from contactqp.elements.membrane import Membrane
+from contactqp.elements.shapes import box, disc, rectangle
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
+from contactqp.errors import InvalidProblem
+from tests.elements.bodies import PLANE, STEEL, distorted
+
+
+@pytest.mark.parametrize("kind", ["tri3", "quad4"])
+def test_the_stiffness_is_scikit_fems(kind):
+    skfem = pytest.importorskip("skfem")
+    from skfem.models.poisson import laplace
+
+    mesh = distorted(kind)
+    made = {"tri3": (skfem.MeshTri, skfem.ElementTriP1()), "quad4": (skfem.MeshQuad, skfem.ElementQuad1())}[kind]
+    theirs = made[0](np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.blocks[0].nodes.T))
+    expected = 3.0 * laplace.assemble(skfem.Basis(theirs, made[1], intorder=6))
+    found = Membrane(mesh, 3.0).stiffness
+    np.testing.assert_allclose(found.toarray(), expected.toarray(), atol=1e-4 if kind == "quad4" else 1e-13)
+    assert abs(found - found.T).max() == 0
+
+
+@pytest.mark.parametrize("kind", PLANE)
+def test_a_linear_deflection_is_in_balance_and_has_its_energy(kind):
+    """w = x: no force inside, and the energy T/2 times the area."""
+    mesh = rectangle(2.0, 1.0, (3, 2), kind).mapped(lambda x: x + 0.02 * np.sin(5 * x[:, ::-1]))
+    membrane = Membrane(mesh, 3.0)
+    w = mesh.points[:, 0]
+    force = membrane.stiffness @ w
+    inside = np.setdiff1d(np.arange(membrane.size), np.unique(np.concatenate([mesh.nodes(s) for s in mesh.sides])))
+    np.testing.assert_allclose(force[inside], 0, atol=1e-9)
+    np.testing.assert_allclose(w @ force / 2, 1.5 * mesh.volume(), rtol=1e-9)
+    np.testing.assert_allclose(membrane.areas().sum(), mesh.volume(), rtol=1e-4)
+    assert membrane.areas().min() > 0
+
+
+def test_a_membrane_between_two_rings_is_a_logarithm():
+    flat = rectangle(1.0, np.pi / 2, (16, 16), "quad4", corner=(1.0, 0.0))
+    mesh = flat.mapped(lambda x: x[:, :1] * np.column_stack([np.cos(x[:, 1]), np.sin(x[:, 1])]))
+    structure = Structure([Membrane(mesh, 7.0, name="sheet")])
+    system = structure.assemble([Support("sheet", "left", 0, 1.0), Support("sheet", "right", 0)])
+    w = structure.displacements("sheet", system.expand(spla.spsolve(system.K, system.f)))[:, 0]
+    exact = np.log(2 / np.linalg.norm(mesh.points, axis=1)) / np.log(2)
+    assert np.abs(w - exact).max() < 5e-4
+    assert structure.unknown_names()[:2] == ("sheet node 0 z", "sheet node 1 z")
+
+
+def test_what_is_no_membrane_is_refused():
+    with pytest.raises(InvalidProblem, match="drum: expected a positive tension, got 0"):
+        Membrane(disc(1.0, (1, 1)), 0.0, name="drum")
+    with pytest.raises(InvalidProblem, match="drum: expected a plane mesh for a membrane, got one in 3D"):
+        Membrane(box((1.0, 1.0, 1.0), (1, 1, 1)), 1.0, name="drum")
+    drum = Membrane(disc(1.0, (1, 1)), 1.0, name="drum")
+    with pytest.raises(InvalidProblem, match="membrane and 2D ones"):
+        Structure([drum, Body(disc(1.0, (1, 1)), STEEL, "plane-strain", name="disc")])
+    with pytest.raises(InvalidProblem, match="expected an elastic body, got the membrane 'drum'"):
+        Structure([drum]).assemble([], [Traction("drum", "arc", [0.0, 0.0])])
+    with pytest.raises(InvalidProblem, match="expected an axis below 1, got 2"):
+        Structure([drum]).assemble([Support("drum", "arc", 2)])
