@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.scene.judging import judge_all
 
 README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
 
 
 def _block(language: str, place: int = 0) -> str:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)[place]
+    found = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    return str(found[place])
 
 
 def test_the_python_example_prints_what_its_comments_say(capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,6 +49,14 @@ def test_the_case_example_is_a_scene(tmp_path: pathlib.Path) -> None:
     case = tmp_path / "bar.toml"
     case.write_text(_block("toml"))
     assert cq.run(cq.load_scene(case))[-1].normal_force == pytest.approx([142.5], rel=1e-12)
+
+
+def test_the_example_of_a_body_meets_what_it_expects(tmp_path: pathlib.Path) -> None:
+    case = tmp_path / "cylinder.toml"
+    case.write_text(_block("toml", 1))
+    (judgement,) = judge_all(cq.load_scene(case))
+    assert len(judgement.expectations) == 1
+    assert judgement.met
 
 
 def test_the_method_table_names_methods_that_exist() -> None:

@@ -1,4 +1,4 @@
-"""The case file: schema, units, loading, the ContactProblem it stands for, and what it expects of the answer.
+r"""The case file: schema, units, loading, the ContactProblem it stands for, and what it expects of the answer.
 
 A case is TOML, and its keys are the fields of `schema.Scene`; every number with a dimension carries its unit::
 
@@ -17,6 +17,15 @@ A case is TOML, and its keys are the fields of `schema.Scene`; every number with
     at = "tip"
     value = "285/2 kN"
     derivation = "P - K g"
+
+In place of nodes a scene may have elastic ``bodies`` or ``membranes``, whose keys are in schema_bodies::
+
+    axes = ["x", "y"]
+    bodies = [{ name = "block", shape = { kind = "rectangle", element = "quad4", size = ["2 mm", "1 mm"], \
+        divisions = [8, 4] }, model = "plane-strain", thickness = "1 mm", modulus = "210 GPa", poisson = 0.3 }]
+    contacts = [{ name = "foot", side = "block.bottom", obstacle = "floor" }]
+    supports = [{ name = "symmetry", on = "block.left", axis = "x" }]
+    pressures = [{ name = "press", side = "block.top", value = "100 MPa" }]
 
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
 ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published`` and ``remarks``.

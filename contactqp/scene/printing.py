@@ -19,7 +19,7 @@ from contactqp.scene.expectations import Comparison, Shown
 from contactqp.scene.explaining import shortened
 from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
-from contactqp.scene.summaries import motion_in_words, summaries, summary_data
+from contactqp.scene.summaries import motions_in_words, summaries, summary_data
 
 # Rows of a table on a screen; --json has all.
 MOST_ROWS = 60
@@ -61,9 +61,9 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     if not judgement.expectations and not judgement.published:
         console.print("the case expects nothing of this method")
     model = judgement.model
-    for motion in solution.free_motions:
-        words = str(motion) if isinstance(model, NodeModel) else motion_in_words(model, motion)
-        console.print(escape(f"free to move: {words}"))
+    nodes = isinstance(model, NodeModel)
+    for motion in map(str, solution.free_motions) if nodes else motions_in_words(model, solution):
+        console.print(escape(f"free to move: {motion}"))
 
 
 def _verdict(judgement: Judgement) -> str:

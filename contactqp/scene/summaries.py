@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.scene.units import KINDS
-from contactqp.solution import FreeMotion, Solution
+from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel
@@ -34,12 +35,37 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
     yield [*header, f"smallest gap [{length}]"], [list(row.values()) for row in _contacts(model, solution)]
 
 
-def motion_in_words(model: BodyModel, motion: FreeMotion) -> str:
-    """A free motion body by body: ``block along x``, or ``disc turning`` where nodes move differently."""
-    u, said = np.zeros(model.structure.size), []
-    u[model.system.free] = motion.direction
+def motions_in_words(model: BodyModel, solution: Solution) -> list[str]:
+    """Each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
+
+    The motions of a solution are any basis; here each is told with a body that the others leave where it is.
+    """
+    if not solution.free_motions:
+        return []
+    basis = _reduced(np.array([motion.direction for motion in solution.free_motions]))
+    motions = np.zeros((len(basis), model.structure.size))
+    motions[:, model.system.free] = basis
+    return [_motion_in_words(model, motion) for motion in motions]
+
+
+def _reduced(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
+    rows = rows.copy()
+    places = []
+    for i in range(len(rows)):
+        at = int(np.argmax(np.abs(rows[i])))
+        rows[i] /= rows[i, at]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, at], rows[i])
+        places.append(at)
+    reduced: NDArray[np.float64] = rows[np.argsort(places)]
+    return reduced
+
+
+def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
+    said = []
     for body in model.structure.bodies:
-        moves = model.structure.displacements(body.name, u)
+        moves = model.structure.displacements(body.name, motion)
         largest = np.abs(moves).max(axis=0)
         moving = [i for i in range(len(largest)) if largest[i] > SMALL]
         if moving:
@@ -51,8 +77,7 @@ def motion_in_words(model: BodyModel, motion: FreeMotion) -> str:
 
 def summary_data(model: BodyModel, solution: Solution) -> dict[str, Any]:
     """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
-    motions = [motion_in_words(model, motion) for motion in solution.free_motions]
-    return {"contacts": _contacts(model, solution), "free_motions": motions}
+    return {"contacts": _contacts(model, solution), "free_motions": motions_in_words(model, solution)}
 
 
 def _contacts(model: BodyModel, solution: Solution) -> list[dict[str, str | float]]:
