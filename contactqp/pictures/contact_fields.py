@@ -16,7 +16,7 @@ from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Body
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.elements.structure import System
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.pictures.contact_nodes import contact_areas, contact_nodes
 from contactqp.problem import Units
 from contactqp.solution import Solution
@@ -154,6 +154,8 @@ def contact_fields(
     on_nodes = _contact_forces(pairings, kept, solution, structure.size)
     bodies = []
     for body in structure.bodies:
+        if not isinstance(body, Body):
+            raise Unsupported(f"{body.name}: a membrane has no stresses to draw or to write")
         mine = slice(structure.first(body.name), structure.first(body.name) + body.size)
         own, pushed = (v[mine].reshape(body.mesh.points.shape) for v in (u, on_nodes))
         bodies.append(BodyFields(body, own, stress_at_nodes(body, u[mine]), pushed))

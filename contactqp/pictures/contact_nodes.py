@@ -32,7 +32,7 @@ def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[In
     InvalidProblem
         A contact whose row touches no node of the structure at its point.
     """
-    d = structure.bodies[0].dimension
+    d = int(structure.bodies[0].mesh.points.shape[1])
     points = np.concatenate([body.mesh.points for body in structure.bodies])
     rows = sp.coo_array(pairing.normal)
     weight = -rows.data * pairing.direction[rows.row, rows.col % d]

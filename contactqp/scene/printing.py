@@ -61,8 +61,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     if not judgement.expectations and not judgement.published:
         console.print("the case expects nothing of this method")
     model = judgement.model
-    nodes = isinstance(model, NodeModel)
-    for motion in map(str, solution.free_motions) if nodes else motions_in_words(model, solution):
+    free = map(str, solution.free_motions) if isinstance(model, NodeModel) else motions_in_words(model, solution)
+    for motion in free:
         console.print(escape(f"free to move: {motion}"))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements import beam
-from contactqp.pictures.contact_fields import ContactFields
+from contactqp.pictures.contact_fields import ContactFields, contact_fields
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.problem import Units
 from contactqp.scene.building import exact_problem
@@ -25,15 +25,22 @@ def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
     """The fields of a scene's solution, in the scene's units.
 
     The one place that decides what kind of picture a scene gets. Bars, springs, beams and matrices give FrameFields.
-    Elastic bodies give ``contact_fields(system, pairings, solution)`` with the System and the Pairings that the scene's
-    problem was made of; draw, write_vtu and the command line take either.
+    Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made of; draw,
+    write_vtu and the command line take either.
 
     Parameters
     ----------
     scene : Scene
     solution : Solution
         Of ``scene.problem()``, by any method.
+
+    Raises
+    ------
+    Unsupported
+        The scene has a membrane.
     """
+    if scene.meshed:
+        return _fields_of_bodies(scene, solution)
     unknowns = exact_problem(scene).unknowns
     value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
     return FrameFields(
@@ -46,6 +53,14 @@ def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),
     )
+
+
+def _fields_of_bodies(scene: Scene, solution: Solution) -> ContactFields:
+    from contactqp.scene.bodies import body_model
+
+    model = body_model(scene)
+    pairings, names = [c.pairing for c in model.contacts], [c.name for c in model.contacts]
+    return contact_fields(model.system, pairings, solution, names=names)
 
 
 def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:

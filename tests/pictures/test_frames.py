@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.elements import beam
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.pictures.frame_drawing import draw_structure, structure_figure
 from contactqp.study.answer_fields import fields_of
 
@@ -86,11 +86,31 @@ def test_a_beam_is_drawn_as_its_cubic():
     assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
 
 
-@pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
-def test_every_case_has_a_picture_whose_labels_stand_free(case):
+ALL = {file.stem: cq.load_scene(file) for file in sorted(CASES.glob("*.toml"))}
+
+
+@pytest.mark.parametrize("case", [name for name, scene in ALL.items() if scene.bodies])
+def test_every_case_of_bodies_has_fields_to_draw(case):
+    scene = ALL[case]
+    solution = cq.run(scene)[-1]
+    found = fields_of(scene, solution)
+    assert [body.body.name for body in found.bodies] == [body.name for body in scene.bodies]
+    assert [pairing.name for pairing in found.pairings] == [contact.name for contact in scene.contacts]
+    total = sum(np.nansum(pairing.force) for pairing in found.pairings)
+    assert total == pytest.approx(solution.normal_force.sum(), rel=1e-12)
+
+
+def test_a_membrane_is_refused_by_name():
+    scene = next(scene for scene in ALL.values() if scene.membranes)
+    with pytest.raises(Unsupported, match="a membrane has no stresses"):
+        fields_of(scene, cq.run(scene)[-1])
+
+
+@pytest.mark.parametrize("case", [name for name, scene in ALL.items() if not scene.meshed])
+def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    found = fields(case.stem)
+    found = fields(case)
     figure = structure_figure(found)
     canvas = FigureCanvasAgg(figure)
     figure.draw_without_rendering()
