@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements import loads, solid
+from contactqp.elements.facet import diameters
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
-from contactqp.elements.mortar import pair_mortar
+from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.pairing import Pairing, pair
 from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
+from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.problem import ContactProblem, Units
@@ -214,12 +216,13 @@ def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
         return _membrane_contact(scene, whole, contact, contact.membrane)
     ends = [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
     surfaces = [whole.surface(*end) for end in ends]
+    overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
     if contact.obstacle is not None:
         found = pair(surfaces[0], obstacle(scene, contact.obstacle), dimension=whole.size)
+        _refuse_overlap(found, surfaces[0], contact.obstacle, overlap)
     else:
         method = pair_mortar if contact.pairing == "mortar" else pair_node_to_segment
         reach = None if contact.reach is None else number(scene.system, contact.reach)
-        overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
         found = method(*surfaces, reach=reach, overlap=overlap, dimension=whole.size)
     if not len(found.gap):
         raise InvalidProblem(
@@ -231,6 +234,18 @@ def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
         areas = tributary_areas(surfaces[0], revolved=True)
         area = areas[np.searchsorted(surfaces[0].nodes, found.nodes)]
     return PairedContact(contact.name, body.name, found, area, contact.friction or Fraction(0))
+
+
+def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
+    """A side may start inside an obstacle as little as inside another body, unless the case says how much."""
+    allowed = OVERLAP * diameters(surface.points[surface.facets]).max() if overlap is None else overlap
+    i = int(np.argmin(found.gap))
+    if found.gap[i] < -allowed:
+        at = ", ".join(f"{x:.6g}" for x in found.points[i])
+        raise InvalidProblem(
+            f"{surface.name}: node {found.nodes[i]} at ({at}) is {-found.gap[i]:.6g} inside {name!r} at the start: "
+            f"expected an overlap of at most {allowed:.6g}, which the key 'overlap' can change"
+        )
 
 
 def _membrane_contact(scene: Scene, whole: Structure, contact: Contact, name: str) -> PairedContact:

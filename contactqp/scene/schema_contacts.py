@@ -61,9 +61,9 @@ class Contact(Block):
 
     `node` and `obstacle`; two `nodes`, along `direction` or else along the line from the first to the second; a `side`
     of a body (``"block.bottom"``) and `obstacle`; two `sides`, the slave's first, by the `pairing` ``"mortar"`` or
-    ``"node-to-segment"``. Parts of two sides further apart than `reach` have no partner, and at the start the bodies
-    may overlap by `overlap`; the defaults of both follow the size of the facets. A `membrane` and `obstacle`: it stays
-    above.
+    ``"node-to-segment"``. Parts of two sides further apart than `reach` have no partner, and at the start a side may
+    be inside of what it touches by `overlap`; the defaults of both follow the size of the facets. A `membrane` and
+    `obstacle`: it stays above.
     """
 
     name: Name
@@ -96,8 +96,9 @@ class Contact(Block):
         if key == "sides" and self.pairing is None:
             raise ValueError("pairing: expected 'mortar' or 'node-to-segment' for two sides, and missing")
         for option in ("pairing", "reach", "overlap"):
-            if key != "sides" and getattr(self, option) is not None:
-                raise ValueError(f"{option}: expected none, since these are not two sides")
+            own = ("side", "sides") if option == "overlap" else ("sides",)
+            if key not in own and getattr(self, option) is not None:
+                raise ValueError(f"{option}: expected none with {key!r}")
         if key == "membrane" and self.friction:
             raise ValueError("friction: expected none, a membrane does not slide")
         for side in self.touching_sides:

@@ -227,7 +227,7 @@ MUTATIONS = {
     "pairing with an obstacle": (
         'obstacle = "floor"',
         'obstacle = "floor", pairing = "mortar"',
-        "pairing: expected none",
+        "pairing: expected none with 'side'",
     ),
     "sides and an obstacle": ('pairing = "mortar"', 'pairing = "mortar", obstacle = "floor"', "got both"),
     "contact of a node": (
@@ -248,6 +248,11 @@ MUTATIONS = {
         '"circle"',
         '"sphere"',
         "obstacles[1].kind ('pipe'): a sphere does not exist in 2 dimensions",
+    ),
+    "inside an obstacle": (
+        'point = ["0 mm", "0 mm"]',
+        'point = ["0 mm", "1 mm"]',
+        "lower.bottom: node 0 at (0, 0) is 1 inside 'floor' at the start: expected an overlap of at most",
     ),
     "zero normal": ("normal = [0, 1]", "normal = [0, 0]", "obstacles[0].normal ('floor'): expected a direction"),
     "nodes beside bodies": ("[report]", '[[nodes]]\nname = "a"\nat = ["0 m", "0 m"]\n[report]', "nodes: expected none"),

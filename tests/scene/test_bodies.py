@@ -185,6 +185,20 @@ def test_a_load_path_finds_when_a_contact_closes():
     assert history[-1].normal_force.sum() == pytest.approx(2000 * (1 - 0.2e-3 / POISSON_STRAIN), rel=1e-9)
 
 
+def test_a_stated_overlap_presses():
+    """A floor 1 um inside the block, whose top is held: sigma = E / (1 - nu^2) 1e-3."""
+    contact = {**PRESSED["contacts"][0], "overlap": "1 um"}
+    (found,) = values(
+        None,
+        ("peak pressure", " MPa", {"at": "foot"}),
+        contacts=[contact],
+        obstacles=[{"name": "floor", "point": ["0 mm", "1 um"], "normal": [0, 1]}],
+        supports=[*PRESSED["supports"], {"name": "lid", "on": "block.top", "axis": "y"}],
+        pressures=[],
+    )
+    assert found == pytest.approx(210 / (1 - 0.3**2), rel=1e-10)
+
+
 def test_friction_rows_come_in_with_friction():
     contact = {**PRESSED["contacts"][0], "friction": 0.3}
     problem = Scene(**PRESSED | {"contacts": [contact]}).problem()

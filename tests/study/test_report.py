@@ -200,3 +200,13 @@ def test_two_cases_of_one_name_stay_apart(tmp_path: Path) -> None:
         (tmp_path / folder / "wall.toml").write_text(CASES[0].read_text())
     files = [tmp_path / folder / "wall.toml" for folder in ("a", "b")]
     assert [study.name for study in load_studies(files, ())] == ["a-wall", "b-wall"]
+
+
+def test_a_case_may_limit_its_methods(tmp_path: Path) -> None:
+    case = tmp_path / "limited.toml"
+    text = CASES[0].read_text()
+    head, found, tail = text.partition("[[study]]")
+    case.write_text(f'{head}[report]\nmethods = ["active-set", "lemke"]\nwhy = "two are enough"\n\n{found}{tail}')
+    result = report.write_report([case], tmp_path / "out", methods=["active-set", "osqp", "lemke"])
+    assert {row.method for row in result.rows} == {"active-set", "lemke"}
+    assert "limited: only active-set, lemke: two are enough" in result.notes
