@@ -64,6 +64,8 @@ class Pardiso:
     def __init__(self, matrix: Any, retained: NDArray[np.intp]) -> None:
         upper = sp.triu(matrix, format="csr")
         upper.sort_indices()
+        if upper.nnz > np.iinfo(np.int32).max:
+            raise BackendFailed(f"pardiso: {upper.nnz} entries are more than its 32-bit indices can count")
         self.size = int(upper.shape[0])
         self._values = np.ascontiguousarray(upper.data, dtype=np.float64)
         self._starts, self._columns = upper.indptr.astype(np.int32), upper.indices.astype(np.int32)

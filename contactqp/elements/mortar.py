@@ -72,14 +72,16 @@ def pair_mortar(
     Returns
     -------
     Pairing
-        One contact for each slave node with a multiplier, by ascending node. `area` is a_i, the covered area only.
-        `direction` is the mean of -n weighted by psi_i. `unpaired` lists the slave nodes without a row.
+        One contact for each slave node with a multiplier, by ascending node. `area` is a_i times the thickness, the
+        covered area only. `direction` is the mean of -n weighted by psi_i. `unpaired` lists the slave nodes without a
+        row.
 
     Raises
     ------
     InvalidProblem
-        Quadratic facets (their trace is not linear on any split, which the patch test would show); a surface that is
-        none; surfaces that share a node or face each other nowhere; overlap; master facets behind each other.
+        Axisymmetric bodies; quadratic facets (their trace is not linear on any split, which the patch test would
+        show); a surface that is none; surfaces that share a node or face each other nowhere; overlap; master facets
+        behind each other.
     """
     for surface in (slave, master):
         check_surface(surface)
@@ -87,6 +89,11 @@ def pair_mortar(
             raise InvalidProblem(
                 f"{surface.name}: expected linear facets (line2, tri3, quad4) for a mortar, got "
                 f"{kind_of(surface).name}; pair_node_to_segment takes quadratic ones"
+            )
+        if surface.revolved:
+            raise InvalidProblem(
+                f"{surface.name}: a mortar weighs gaps over plane or spatial surfaces, not over circles; "
+                "pair_node_to_segment takes axisymmetric bodies"
             )
     check_apart(slave, master)
     check_distances(reach, overlap)
@@ -140,7 +147,7 @@ def _multiplier_functions(slave: Surface, covers: _Covers) -> Array:
     touched = slave.facets[covers.slave]
     covered = np.bincount(touched.ravel(), covers.over.shape.ravel(), minlength=len(slave.points))
     whole = np.ones(len(slave.points))
-    whole[slave.nodes] = tributary_areas(slave)
+    whole[slave.nodes] = tributary_areas(slave) / slave.thickness
     kept = covered >= COVERED * whole
     alone = ~kept[touched].any(axis=1)
     kept[touched[alone]] = True
@@ -172,7 +179,9 @@ def _assemble(slave: Surface, master: Surface, covers: _Covers, n: int) -> Pairi
     tangents = _turned(tangent_frames(direction)[contact], direction[contact], normals)
     E_N, E_T = contact_rows(contact, weight / area[contact], unknowns, normals, tangents, (len(nodes), n))
     unpaired = np.setdiff1d(slave.nodes, nodes)
-    return Pairing(E_N, total[nodes, 1] / area, E_T, nodes, slave.points[nodes], direction, unpaired, area)
+    return Pairing(
+        E_N, total[nodes, 1] / area, E_T, nodes, slave.points[nodes], direction, unpaired, area * slave.thickness
+    )
 
 
 def _summed(nodes: Places, values: Array, body: Surface) -> Array:

@@ -40,7 +40,7 @@ class Pairing:
     unpaired : (q,) array of int
         Nodes that have no contact of their own, ascending.
     area : (p,) array, optional
-        What belongs to each contact of the surface [length in 2D, area in 3D]; None for bare points.
+        What belongs to each contact of the surface, its thickness or full circle included [area]; None for bare points.
     """
 
     normal: Any
@@ -56,7 +56,7 @@ class Pairing:
         return iter((self.normal, self.gap, self.tangent))
 
     def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
-        """p_i = lambda_i / area_i, positive in compression, (p,) [force / area; 2D: force / length per unit thickness].
+        """p_i = lambda_i / area_i, positive in compression, (p,) [force / area].
 
         Raises
         ------

@@ -132,7 +132,8 @@ class Body:
             kinds = ", ".join(block.kind.name for block in facets)
             raise InvalidProblem(f"{self.name}: side {name!r} has facets of several kinds ({kinds}); expected one kind")
         unknowns = first + np.arange(self.size).reshape(self.mesh.points.shape)
-        return Surface(self.mesh.points, facets[0].nodes, unknowns, name=f"{self.name}.{name}")
+        where = f"{self.name}.{name}"
+        return Surface(self.mesh.points, facets[0].nodes, unknowns, where, self.thickness, self.model == "axisymmetric")
 
     def rigid_motions(self) -> NDArray[np.float64]:
         """The motions without strain as columns: translations, then rotations about the centre of the nodes [length].

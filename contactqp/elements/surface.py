@@ -25,12 +25,18 @@ class Surface:
         unknowns[i, a] is the place of node i's displacement along axis a in u.
     name : str
         Used in every message.
+    thickness : float
+        Of a plane body [length]: forces are for all of it. With 1 they are per unit thickness.
+    revolved : bool
+        The surface of an axisymmetric body, about x = 0: forces are those of the full circle.
     """
 
     points: NDArray[np.float64]
     facets: NDArray[np.int64]
     unknowns: NDArray[np.int64]
     name: str = "surface"
+    thickness: float = 1.0
+    revolved: bool = False
 
     @property
     def dimension(self) -> int:

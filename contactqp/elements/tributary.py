@@ -15,10 +15,11 @@ GAUSS_POINTS = 5
 NOT_POSITIVE = ("tri6", "quad8")
 
 
-def tributary_areas(surface: Surface, *, revolved: bool = False) -> NDArray[np.float64]:
-    """a_i = integral of N_i over the facets, one for each of `surface.nodes`, positive [length in 2D, area in 3D].
+def tributary_areas(surface: Surface) -> NDArray[np.float64]:
+    """a_i = integral of N_i over the facets, one for each of `surface.nodes`, positive [area].
 
-    With `revolved` (2D) the integral is over the circles about the axis x = 0, a_i = integral of 2 pi r N_i ds [area].
+    In 2D the integral is over the thickness, a_i = t integral of N_i ds, so that with t = 1 areas and forces are both
+    per unit thickness; on a revolved surface over full circles, a_i = integral of 2 pi r N_i ds.
 
     Under a constant pressure p the force on node i is p a_i, so that force / area returns p. That cannot be had from
     six-node triangles and eight-node quadrilaterals: their consistent forces are zero (tri6) or tensile (quad8, -1/12
@@ -36,9 +37,10 @@ def tributary_areas(surface: Surface, *, revolved: bool = False) -> NDArray[np.f
     xi, weights = kind.quadrature(GAUSS_POINTS)
     shape = kind.shape(xi)
     elements = np.linalg.norm(_normals_at(surface, xi), axis=2) * weights  # (p, q)
-    if revolved:
+    elements = elements * surface.thickness
+    if surface.revolved:
         elements = elements * 2 * np.pi * (surface.points[surface.facets][:, :, 0] @ shape.T)
-    if kind.name in NOT_POSITIVE or (revolved and kind.quadratic):
+    if kind.name in NOT_POSITIVE or (surface.revolved and kind.quadratic):
         squares = elements @ shape**2
         parts = squares * (elements.sum(axis=1) / squares.sum(axis=1))[:, np.newaxis]
     else:

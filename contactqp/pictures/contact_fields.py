@@ -17,7 +17,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.elements.structure import System
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.pictures.contact_nodes import contact_areas, contact_nodes
+from contactqp.pictures.contact_nodes import contact_nodes
 from contactqp.problem import Units
 from contactqp.solution import Solution
 
@@ -196,7 +196,6 @@ def _pairing_fields(
     status: NDArray[np.str_],
 ) -> PairingFields:
     owner, node, on_obstacle = contact_nodes(system.structure, pairing, name)
-    area = contact_areas(system.structure, pairing, owner, node)
     displacement = np.empty(pairing.points.shape)
     for number in np.unique(owner):
         mine = owner == number
@@ -209,7 +208,7 @@ def _pairing_fields(
         displacement=displacement,
         direction=pairing.direction,
         force=force,
-        pressure=None if area is None else np.divide(force, area, out=np.full(len(force), np.nan), where=area > 0),
+        pressure=None if pairing.area is None else force / pairing.area,
         gap=np.asarray(pairing.gap - pairing.normal @ u),
         initial_gap=pairing.gap,
         status=status,

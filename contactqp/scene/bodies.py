@@ -23,7 +23,6 @@ from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
-from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.problem import ContactProblem, Units
 from contactqp.scene.meshing import body_mesh, nearest_node
@@ -228,12 +227,7 @@ def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
         raise InvalidProblem(
             f"expected sides that may touch, got no node of {surfaces[0].name} with a partner in reach"
         )
-    body = whole.solid(ends[0][0])
-    area = np.asarray(found.area) * body.thickness
-    if body.model == "axisymmetric":
-        areas = tributary_areas(surfaces[0], revolved=True)
-        area = areas[np.searchsorted(surfaces[0].nodes, found.nodes)]
-    return PairedContact(contact.name, body.name, found, area, contact.friction or Fraction(0))
+    return PairedContact(contact.name, ends[0][0], found, np.asarray(found.area), contact.friction or Fraction(0))
 
 
 def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
