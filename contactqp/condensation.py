@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.elimination import eliminate
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import SUSPICIOUS_PIVOT, Array, RigidMotions, inverse_root, null_space
+from contactqp.factorization import SUSPICIOUS_PIVOT, Array, DenseCholesky, RigidMotions, inverse_root, null_space
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
@@ -72,10 +72,12 @@ class Condensation:
 
     def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
         self.retained = retained
+        self._reduced: tuple[Vector, Vector, Vector] | None = None
         self._elimination = eliminate(self._sparse, retained)
         self.factorisations += int(len(retained) < self._sparse.shape[0])
         self.schur = self._elimination.schur
         self.scale = self._scale(of_stiffness)
+        self._schur_factor: DenseCholesky | None = None
 
     @property
     def solver(self) -> str:
@@ -108,19 +110,19 @@ class Condensation:
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
     def _schur_smallest_pivot(self) -> float:
-        if not len(self.schur):
-            return 1.0
-        scaled = self.schur * np.outer(self.scale, self.scale)
-        try:
-            return float(np.min(np.diag(np.linalg.cholesky(scaled))) ** 2)
-        except np.linalg.LinAlgError:
-            lowest = float(np.linalg.eigvalsh(scaled)[0])
+        lowest = self.schur_factor().smallest_pivot if len(self.schur) else 1.0
         if lowest < -CONDENSED_ROUNDING:
             raise InvalidProblem(
                 f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {lowest:.3g} on the "
                 "contact unknowns, after scaling its diagonal to one)"
             )
-        return min(lowest, 0.0)
+        return lowest
+
+    def schur_factor(self) -> DenseCholesky:
+        """Of S in its scale, made when it is first asked for."""
+        if self._schur_factor is None:
+            self._schur_factor = DenseCholesky(self.schur * np.outer(self.scale, self.scale))
+        return self._schur_factor
 
     def _clear_rigid_motions(self) -> None:
         """Take the rounding of S along rigid motions away: there S is zero."""
@@ -131,11 +133,14 @@ class Condensation:
         cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
+        self._schur_factor = None
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """f_S, and what `expand` needs of the load."""
-        reduced, inner = self._elimination.reduce(load)
-        return self._balanced(load, reduced), inner
+        """f_S, and what `expand` needs of the load; remembered, since method and polishing start from the same load."""
+        if self._reduced is None or not np.array_equal(self._reduced[0], load):
+            reduced, inner = self._elimination.reduce(load)
+            self._reduced = (load.copy(), self._balanced(load, reduced), inner)
+        return self._reduced[1:]
 
     def _balanced(self, load: Vector, reduced: Vector) -> Vector:
         """The condensed load, doing the load's own work on rigid motions, which rounding changes."""
@@ -193,12 +198,9 @@ class Condensation:
         twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
         twin._sparse, twin._diagonal = reduced.stiffness_rows, reduced.diagonal
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
-        twin.retained = np.arange(len(self.retained))
+        twin.retained, twin._reduced = np.arange(len(self.retained)), None
         twin._elimination = eliminate(twin._sparse, twin.retained)
         return twin
-
-    def expand_candidate(self, candidate: Candidate, inner: Vector) -> Candidate:
-        return replace(candidate, displacement=self.expand(candidate.displacement, inner))
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
         return replace(candidate, displacement=candidate.displacement[self.retained])

@@ -28,16 +28,24 @@ class Delassus:
 
     def __init__(self, condensation: Condensation) -> None:
         self.scale = condensation.scale
-        S = condensation.schur * np.outer(self.scale, self.scale)
         motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
         self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
-        self._factor = DenseCholesky(S + ANCHOR * self.motions @ self.motions.T) if len(S) else None
+        self._factor = self._factorised(condensation)
         response = self.solve(self.rows.T)
         W = sp.csr_array(self.rows) @ response  # a contact touches few unknowns
         self.row_scale = 1.0 / np.sqrt(np.diag(W))
         self.W = (W + W.T) / 2 * np.outer(self.row_scale, self.row_scale)
         self.response = response * self.row_scale
+
+    def _factorised(self, condensation: Condensation) -> DenseCholesky | None:
+        """S_e in its scale."""
+        if not len(condensation.schur):
+            return None
+        if not self.motions.shape[1]:
+            return condensation.schur_factor()
+        S = condensation.schur * np.outer(self.scale, self.scale)
+        return DenseCholesky(S + ANCHOR * self.motions @ self.motions.T)
 
     def solve(self, right: Array) -> Array:
         """S_e^-1 right, both scaled."""

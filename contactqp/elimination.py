@@ -114,8 +114,10 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in SOLVERS:
         raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(SOLVERS)}, got {chosen!r}")
-    interior = np.setdiff1d(np.arange(stiffness.shape[0]), retained)
-    wanted = len(interior) >= LARGE and available() if not chosen else chosen == "pardiso" and len(interior) > 0
+    interior = np.ones(stiffness.shape[0], dtype=bool)
+    interior[retained] = False
+    count = np.count_nonzero(interior)
+    wanted = count >= LARGE and available() if not chosen else chosen == "pardiso" and count > 0
     if wanted and np.all(stiffness.diagonal()[interior] > 0):
         try:
             return LastBlock(stiffness, retained)

@@ -122,13 +122,13 @@ class SparseRows:
 
     def __matmul__(self, vector: Extended) -> Extended:
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
-
+        doubles = not np.any(vector.lo)
         for block in self._blocks:
             total, rest = np.zeros(len(block.members)), np.zeros(len(block.members))
             for value, column in zip(block.values, block.columns, strict=True):
                 product, error = two_product(value, vector.hi[column])
                 total, carried = two_sum(total, product)
-                rest += carried + (error + value * vector.lo[column])
+                rest += carried + (error if doubles else error + value * vector.lo[column])
             hi[block.members], lo[block.members] = two_sum(total, rest)
         return Extended(hi, lo)
 
@@ -144,12 +144,12 @@ class _Block(NamedTuple):
 def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
     start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
     width = int(lengths.max())
-    slots = np.arange(width)[:, None] + start
+    slots = np.arange(width, dtype=start.dtype)[:, None] + start
+    values, columns = rows.data.take(slots, mode="clip"), rows.indices.take(slots, mode="clip")
     if np.all(lengths == width):
-        return _Block(members, rows.data[slots], rows.indices[slots])
+        return _Block(members, values, columns)
     filled = np.arange(width)[:, None] < lengths
-    slots = np.where(filled, slots, 0)
-    return _Block(members, np.where(filled, rows.data[slots], 0.0), np.where(filled, rows.indices[slots], 0))
+    return _Block(members, np.where(filled, values, 0.0), np.where(filled, columns, 0))
 
 
 class ExtendedRows:

@@ -211,8 +211,11 @@ def _wrong(
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
     penetrated = np.flatnonzero(-answer.gap.double() > rounding)
-    doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
-    return np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING), np.setdiff1d(penetrated, closed)
+    tension = np.zeros(0, dtype=np.intp)
+    if np.any(answer.normal_force.double() < 0):
+        doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
+        tension = np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING)
+    return tension, np.setdiff1d(penetrated, closed)
 
 
 def _reached_by_drive(

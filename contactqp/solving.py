@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from contactqp.certificate import certify, contact_status, refuse_not_positive
 from contactqp.condensation import Condensation
 from contactqp.condensation import condense as condensation_of
+from contactqp.elimination import LARGE
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
 from contactqp.methods import Method, Settings, find
@@ -20,7 +23,24 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import saddle_point
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
-from contactqp.violations import Answer
+from contactqp.violations import Answer, lay_out
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What a method made of the problem that it was shown, condensed or whole."""
+
+    shown: ContactProblem
+    candidate: Candidate
+    way: Condensation
+    inner: Vector | None  # what expansion needs; None where the whole problem was shown
+
+    @cached_property
+    def expanded(self) -> Candidate:
+        """The candidate in the unknowns of the problem: back-substitution that polishing can do without."""
+        if self.inner is None:
+            return self.candidate
+        return replace(self.candidate, displacement=self.way.expand(self.candidate.displacement, self.inner))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +120,20 @@ def solve(
     settings = Settings(tolerance, max_iter, time_limit, _start(problem, warm_start), options)
     _refuse_unsupported(problem, chosen, settings, algorithm)
     meter = _Meter(problem)
-    way = condensation_of(problem)
+    way = _condensed(problem)
     refuse_driven_motion(problem, way)
     if not chosen.semidefinite and saddle_point(way, np.zeros(0, dtype=np.intp)).free.shape[1]:
         raise Unsupported(f"{method}: bodies held by contact alone (the stiffness is singular); try active-set")
     try:
-        candidate = _run(problem, chosen, settings, way, condense)
+        found = _run(problem, chosen, settings, way, condense)
     except (NotConverged, BackendFailed):
         refuse_conflict(problem, way)
         raise
-    final = _polished(problem, way, chosen, candidate) if polish and chosen.polish else None
+    final = _polished(problem, chosen, found) if polish and chosen.polish else None
     if final is None:
-        final = _as_it_came(problem, way, candidate)
-    solution = _solution(problem, chosen, candidate, final, meter, started)
+        final = _as_it_came(problem, found)
+    candidate = found.candidate
+    solution = _solution(problem, chosen, found, final, meter, started)
     if not final.polished and not candidate.claimed:
         refuse_conflict(problem, way)
         reason = candidate.status or "it stopped before it had an answer"
@@ -123,6 +144,18 @@ def solve(
         failures = "; ".join(solution.certificate.failures)
         raise NotCertified(f"{method}: the certificate refuses the answer: {failures}", solution)
     return solution
+
+
+def _condensed(problem: ContactProblem) -> Condensation:
+    """The condensation. Meanwhile, what refinement and certificate need of a large stiffness is laid out by another
+    thread: sparse solvers analyse a matrix on one core."""
+    if problem.dimension < LARGE:
+        return condensation_of(problem)
+    with ThreadPoolExecutor(1) as pool:
+        laid_out = pool.submit(lay_out, problem)
+        way = condensation_of(problem)
+        laid_out.result()
+    return way
 
 
 class _Meter:
@@ -188,10 +221,8 @@ def _refuse_unsupported(problem: ContactProblem, method: Method, settings: Setti
         )
 
 
-def _run(
-    problem: ContactProblem, method: Method, settings: Settings, way: Condensation, wanted: bool | str
-) -> Candidate:
-    """The method's candidate in the unknowns of the problem, whatever it was shown."""
+def _run(problem: ContactProblem, method: Method, settings: Settings, way: Condensation, wanted: bool | str) -> _Found:
+    """The method's candidate on the condensed problem, or on the whole one."""
     if not problem.contacts and not problem.ties:
         return _linear(problem, way)
     # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing lies
@@ -199,20 +230,22 @@ def _run(
     smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
     condensed = smaller if wanted == "auto" else bool(wanted)
     if not condensed:
-        return _run_scaled(problem, method, settings)
+        return _Found(problem, _run_scaled(problem, method, settings), way, None)
     load, inner = way.reduce_load(problem.load)
     start = settings.warm_start
     if start is not None:
         settings = replace(settings, warm_start=way.restrict_candidate(start))
-    return way.expand_candidate(_run_scaled(way.reduced_problem(problem, load, inner), method, settings), inner)
+    reduced = way.reduced_problem(problem, load, inner)
+    return _Found(reduced, _run_scaled(reduced, method, settings), way, inner)
 
 
-def _linear(problem: ContactProblem, way: Condensation) -> Candidate:
+def _linear(problem: ContactProblem, way: Condensation) -> _Found:
     """Without contacts and ties there is one linear system and nothing to choose."""
     none = np.zeros(0)
     load, inner = way.reduce_load(problem.load)
     x, _, _ = saddle_point(way, np.zeros(0, dtype=np.intp)).solve(load, none, none)
-    return Candidate(way.expand(x, inner), none, none, status="a linear system")
+    reduced = way.reduced_problem(problem, load, inner)
+    return _Found(reduced, Candidate(x, none, none, status="a linear system"), way, inner)
 
 
 def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> Candidate:
@@ -224,11 +257,12 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
     return scaling.unscale(method.solve(twin, settings))
 
 
-def _polished(problem: ContactProblem, way: Condensation, method: Method, candidate: Candidate) -> _Final | None:
+def _polished(problem: ContactProblem, method: Method, found: _Found) -> _Final | None:
     """The refined answer on the candidate's contact set, or None where its signs do not hold."""
+    candidate, way = found.candidate, found.way
     if not _finite(candidate):
         return None
-    closed = closed_contacts(problem, way, candidate.displacement, candidate.normal_force)
+    closed = closed_contacts(found.shown, way, candidate.displacement, candidate.normal_force)
     answer, corrections, holds = polish_set(problem, way, closed, method.corrections)
     if not holds:
         return None
@@ -237,12 +271,13 @@ def _polished(problem: ContactProblem, way: Condensation, method: Method, candid
     return _Final(*without_noise(problem, way, answer), motions, corrections, polished=True)
 
 
-def _as_it_came(problem: ContactProblem, way: Condensation, candidate: Candidate) -> _Final:
+def _as_it_came(problem: ContactProblem, found: _Found) -> _Final:
     """The candidate, its free motions put to rest as far as they are free."""
+    candidate = found.expanded
     u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
     if not _finite(candidate):
         return _Final(u, force, tie, ())
-    shift, free = shift_to_least_norm(problem, way, Answer(u, force, None, tie))
+    shift, free = shift_to_least_norm(problem, found.way, Answer(u, force, None, tie))
     return _Final(u + shift, force, tie, tuple(_free_motion(problem, direction) for direction in free.T))
 
 
@@ -258,14 +293,14 @@ def _free_motion(problem: ContactProblem, direction: Vector) -> FreeMotion:
 
 
 def _solution(
-    problem: ContactProblem, method: Method, candidate: Candidate, final: _Final, meter: _Meter, started: float
+    problem: ContactProblem, method: Method, found: _Found, final: _Final, meter: _Meter, started: float
 ) -> Solution:
     answered = time.perf_counter()
     no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
     certificate = certify(problem, final.displacement, final.normal_force, no_friction, final.tie_force)
     certified = time.perf_counter()
     # The active-set method's own answer is the set; what came before its refinement is no other method's answer.
-    raw = _raw(problem, candidate) if final.polished and method.kind != "active set" else None
+    raw = _raw(problem, found.expanded) if final.polished and method.kind != "active set" else None
     return Solution(
         problem=problem,
         displacement=final.displacement,
@@ -278,9 +313,9 @@ def _solution(
         method=method.name,
         seconds=certified - started,
         certify_seconds=certified - answered,
-        work=meter.read(candidate.iterations, final.corrections),
+        work=meter.read(found.candidate.iterations, final.corrections),
         raw=raw,
-        history=candidate.history,
+        history=found.candidate.history,
     )
 
 

@@ -83,6 +83,11 @@ def residuals_of(
     return Residuals(outer - rows.stiffness @ u, gap, open_tie)
 
 
+def lay_out(problem: ContactProblem) -> None:
+    """Make what residuals and figures need of the stiffness, for every answer that follows."""
+    extended_rows(problem), stiffness_sizes(problem), bodies(problem)
+
+
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     """The residuals of an answer."""
     parts = (extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force))
@@ -140,15 +145,23 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     that the row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
     measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
     """
+    length = abs(rows) @ abs(displacement) + abs(limit)
+    rounding = ROUNDING_OF_LENGTH * np.sqrt(own_compliance(problem, rows))
+    size = np.sqrt(problem.diagonal) * abs(displacement)
+    if np.any(length <= rounding * np.max(size, initial=0.0)):
+        length = np.where(length <= rounding * _largest_of_bodies(problem, rows, size), np.inf, length)
+    return np.asarray(length)
+
+
+def _largest_of_bodies(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
+    """The largest size (n,) of an unknown on the bodies that each row touches."""
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
-    np.maximum.at(largest, body, np.sqrt(problem.diagonal) * abs(displacement))
+    np.maximum.at(largest, body, size)
     entries = rows.tocoo()
-    of_bodies = np.zeros(rows.shape[0])
-    np.maximum.at(of_bodies, entries.row, largest[body[entries.col]])
-    length = abs(rows) @ abs(displacement) + abs(limit)
-    zero = length <= ROUNDING_OF_LENGTH * np.sqrt(own_compliance(problem, rows)) * of_bodies
-    return np.where(zero, np.inf, length)
+    touched = np.zeros(rows.shape[0])
+    np.maximum.at(touched, entries.row, largest[body[entries.col]])
+    return touched
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:
