@@ -52,7 +52,7 @@ from contactqp.energy_norm import (
     rigid_rounding,
     without_part_along,
 )
-from contactqp.extended import extend
+from contactqp.extended import Extended, extend
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
@@ -80,6 +80,7 @@ class Bounds:
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
+    solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 
@@ -87,17 +88,18 @@ class Bounds:
 def bounds(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
     """The bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
-        return _none("Coulomb friction is no minimisation: its energy bounds nothing")
+        return no_bounds("Coulomb friction is no minimisation: its energy bounds nothing")
     if len(condensation.retained) > LARGEST:
-        return _none(f"{len(condensation.retained)} condensed unknowns: too many for the dense systems of the bounds")
+        return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
     try:
         pair = admissible_pair(problem, answer, left, condensation)
     except Unproven as reason:
-        return replace(_none(str(reason)), suspicious=str(reason))
+        return replace(no_bounds(str(reason)), suspicious=str(reason))
     return _from_pair(problem, answer, condensation, pair)
 
 
-def _none(reason: str) -> Bounds:
+def no_bounds(reason: str) -> Bounds:
+    """None of the bounds, for one reason."""
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
@@ -131,6 +133,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         force_scale=scale,
         force_bound=force_bound,
         relative_force_bound=relative,
+        solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
 

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.bounds import Bounds, bounds
+from contactqp.candidates import believed_candidates, bounds_among
 from contactqp.condensation import Condensation, condense
 from contactqp.errors import InvalidProblem
+from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, not_finite_parts, notes
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import FIGURES, Answer, Violations, balance, own_compliance, residuals, violations
+from contactqp.violations import FIGURES, Answer, Residuals, Violations, balance, own_compliance, residuals, violations
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +102,11 @@ def certify(
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
-    condensation = condense(problem) if factorization is None else _matching(problem, factorization)
     left = residuals(problem, answer)
     found = violations(problem, answer, left)
-    known = bounds(problem, answer, left, condensation)
+    known, rigid = _bounds(problem, answer, left, factorization)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
-    figures["balance"] = balance(problem, answer, condensation.rigid)
+    figures["balance"] = balance(problem, answer, rigid)
     failures = list(failed_figures(problem, answer, found, figures, tolerance))
     failures += failed_bounds(problem, answer, known, error_tolerance)
     grazing = _grazing(problem, answer, found, known, tolerance)
@@ -124,6 +125,16 @@ def certify(
         proven=known.energy_error is not None and known.force_error is not None,
         violations=found,
     )
+
+
+def _bounds(
+    problem: ContactProblem, answer: Answer, left: Residuals, factorization: Condensation | None
+) -> tuple[Bounds, RigidMotions]:
+    """The bounds, and the rigid motions of the bodies."""
+    if factorization is None and (candidates := believed_candidates(problem, answer)) is not None:
+        return bounds_among(problem, answer, left, candidates)
+    condensation = condense(problem) if factorization is None else _matching(problem, factorization)
+    return bounds(problem, answer, left, condensation), condensation.rigid
 
 
 def _grazing(

@@ -156,7 +156,7 @@ class ExtendedRows:
     """The matrices of a problem, for products in extended precision."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self.stiffness = SparseRows(problem.stiffness_rows)
+        self.stiffness = _stiffness_rows(problem)
         self.normal = SparseRows(problem.normal)
         self.tie = SparseRows(problem.tie)
         self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
@@ -173,6 +173,14 @@ class ExtendedRows:
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.stiffness.shape[0]))
         return self._tangent_transposed @ Extended(force.ravel())
+
+
+def _stiffness_rows(problem: ContactProblem) -> SparseRows:
+    shared = problem._shared
+    if "extended_stiffness" not in shared:
+        shared["extended_stiffness"] = SparseRows(problem.stiffness_rows)
+    rows: SparseRows = shared["extended_stiffness"]
+    return rows
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:

@@ -23,6 +23,9 @@ from contactqp.problem_data import Matrix as Matrix
 from contactqp.problem_data import Vector as Vector
 from contactqp.problem_data import read_friction, read_names, read_rows, read_stiffness, read_vector, refuse_zero_rows
 
+# What is kept of a stiffness alone, whatever the contacts.
+OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
+
 
 @dataclass(frozen=True)
 class Units:
@@ -233,6 +236,19 @@ class ContactProblem:
         if "units" in changes:
             checked["units"] = _units(changes["units"])
         return ContactProblem._of_checked(checked, self._shared)
+
+    def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
+        """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""
+        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
+        kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
+        if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
+            width = self.slip_origin.shape[1]
+            rows = (width * np.asarray(contacts)[:, None] + np.arange(width)).ravel()
+            friction, origin = self.friction[contacts], self.slip_origin[contacts]
+            kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
+        kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
+        shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
+        return ContactProblem._of_checked(kept, shared)
 
     def energy(self, displacement: ArrayLike) -> float:
         """1/2 u'Ku - f'u."""

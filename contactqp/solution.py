@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,13 @@ class Work:
     iterations: int | None = 0  # of the method; None where it does not say
     retained: int = 0  # unknowns of the problem that the method saw
     polish_corrections: int = 0  # changes of the method's contact set while polishing
+
+    def after(self, earlier: Work) -> Work:
+        """This work and what was spent on it before."""
+        counts = ("factorisations", "back_substitutions", "polish_corrections")
+        sums: dict[str, Any] = {name: getattr(self, name) + getattr(earlier, name) for name in counts}
+        known = self.iterations is not None and earlier.iterations is not None
+        return replace(self, iterations=(self.iterations or 0) + (earlier.iterations or 0) if known else None, **sums)
 
 
 @dataclass(frozen=True, eq=False)

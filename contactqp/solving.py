@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status, refuse_not_positive
 from contactqp.condensation import Condensation
 from contactqp.condensation import condense as condensation_of
@@ -24,6 +25,7 @@ from contactqp.saddle import saddle_point
 from contactqp.scaling import nondimensional
 from contactqp.solution import Candidate, FreeMotion, Raw, Solution, Work
 from contactqp.violations import Answer, lay_out
+from contactqp.widening import solve_among
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +121,12 @@ def solve(
     chosen = find(method)
     settings = Settings(tolerance, max_iter, time_limit, _start(problem, warm_start), options)
     _refuse_unsupported(problem, chosen, settings, algorithm)
+    if (candidates := first_candidates(problem)) is not None:
+        same: dict[str, Any] = dict(tolerance=tolerance, condense=condense, polish=polish, algorithm=algorithm)
+        same.update(time_limit=time_limit, max_iter=max_iter, **options)
+        return solve_among(
+            problem, candidates, warm_start, lambda few, start: solve(few, method, warm_start=start, **same)
+        )
     meter = _Meter(problem)
     way = _condensed(problem)
     refuse_driven_motion(problem, way)

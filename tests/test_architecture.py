@@ -15,8 +15,8 @@ PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
 LAYERS = (
     "errors", "problem_data", "problem", "solution", "extended", "factorization", "pardiso", "elimination",
     "condensation", "delassus", "nonnegative", "range_space", "saddle", "violations", "polishing", "energy_norm",
-    "admissible_pair", "bounds", "failures", "certificate", "scaling", "existence", "methods", "solving", "elements",
-    "pictures", "analysis", "scene", "study", "cli",
+    "admissible_pair", "bounds", "candidates", "failures", "certificate", "widening", "scaling", "existence",
+    "methods", "solving", "elements", "pictures", "analysis", "scene", "study", "cli",
 )  # fmt: skip
 
 
