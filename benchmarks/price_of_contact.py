@@ -7,8 +7,8 @@
 A block (plane strain quadrilaterals, or hexahedra) is pressed on a paraboloid, contact on one whole face. One process;
 linear solve, `cq.solve` with its certificate and raw backends take turns, each on a fresh problem, medians of the
 ratios to the linear solve beside them. Assembly is left out. A raw backend is handed the whole problem at 1e-6, 1e-9
-and 1e-12 in turn, and the first answer that the certificate passes is timed; PETSc's SNES-VI runs where petsc4py is
-installed.
+and 1e-12 in turn, and the first answer that the certificate passes is timed; PETSc's solvers of bound-constrained
+problems run where petsc4py is installed (`petsc_solvers.py` says how).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+import petsc_solvers
 
 import contactqp as cq
 from contactqp.condensation import condense
@@ -118,33 +118,6 @@ def raw(problem: cq.ContactProblem, name: str) -> tuple[float, float, cq.Certifi
     return said
 
 
-def petsc(problem: cq.ContactProblem) -> tuple[float, np.ndarray]:
-    """SNES vinewtonrsls on the bounds of the contact unknowns, Cholesky inside: seconds and u."""
-    from petsc4py import PETSc
-
-    K = sp.csr_matrix(problem.stiffness)
-    lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
-    rows = problem.normal.tocoo()  # one unknown a contact: -u <= g or u <= g
-    limit = problem.gap[rows.row] / rows.data
-    lower[rows.col[rows.data < 0]] = limit[rows.data < 0]
-    upper[rows.col[rows.data > 0]] = limit[rows.data > 0]
-    A = PETSc.Mat().createAIJ(K.shape, csr=(K.indptr, K.indices, K.data))
-    load, x, residual = (PETSc.Vec().createSeq(problem.dimension) for _ in range(3))
-    load.setArray(problem.load)
-    snes = PETSc.SNES().create()
-    snes.setType("vinewtonrsls")
-    snes.setFunction(lambda _, u, r: (A.mult(u, r), r.axpy(-1.0, load)), residual)
-    snes.setJacobian(lambda *_: None, A)
-    snes.setVariableBounds(
-        PETSc.Vec().createWithArray(lower.clip(-1e20)), PETSc.Vec().createWithArray(upper.clip(max=1e20))
-    )
-    snes.setTolerances(rtol=1e-12, atol=0.0)
-    snes.getKSP().setType("preonly")
-    snes.getKSP().getPC().setType("cholesky")
-    seconds, _ = timed(lambda: snes.solve(None, x))
-    return seconds, x.getArray().copy()
-
-
 def table(sizes: dict[int, list[int]], solver: str, repeats: int, backends: list[str]) -> Iterator[str]:
     """One line for each size and each way."""
     yield (
@@ -172,11 +145,11 @@ def table(sizes: dict[int, list[int]], solver: str, repeats: int, backends: list
                 else:
                     seconds, tolerance, certificate = outcome
                     yield head + _line(f"{name} raw, {tolerance:g}", seconds, seconds / linear, certificate)
-            if importlib.util.find_spec("petsc4py") is not None:
-                seconds, u = petsc(problem)
+            for name, way in petsc_solvers.ways().items() if petsc_solvers.available() else ():
+                seconds, u = way(problem)
                 push = np.maximum(problem.normal @ (problem.load - problem.stiffness @ u), 0.0)
                 certificate = cq.certify(problem, u, push, factorization=condense(problem))
-                yield head + _line("PETSc vinewtonrsls", seconds, seconds / linear, certificate)
+                yield head + _line(name, seconds, seconds / linear, certificate)
 
 
 def _line(way: str, seconds: float, ratio: float, certificate: cq.Certificate) -> str:
@@ -196,8 +169,8 @@ def main(arguments: list[str] | None = None) -> int:
     solver = chosen.solver or ("pardiso" if importlib.util.find_spec("pypardiso") else "superlu")
     os.environ["CONTACTQP_SPARSE_SOLVER"] = solver
     print(f"sparse solver: {solver}; {os.cpu_count()} cores")
-    if importlib.util.find_spec("petsc4py") is None:
-        print("petsc4py is not installed: PETSc is left out", file=sys.stderr)
+    if not petsc_solvers.available():
+        print("petsc4py is not installed (petsc_solvers.py says how): PETSc is left out", file=sys.stderr)
     for line in table({2: chosen.two, 3: chosen.three}, solver, chosen.repeats, chosen.raw):
         print(line, flush=True)
     return 0
