@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain, pairwise
 from typing import overload
 
 import numpy as np
@@ -39,19 +41,27 @@ class Event:
 
 
 class History(Sequence[Solution]):
-    """The solutions at `times`, the start included, and what happened between them."""
+    """The solutions at `times`, the start included, and what happened between them.
+
+    Solutions may be a sequence that expands each one, with its certificate, when it is looked at.
+    """
 
     def __init__(
-        self,
-        solutions: Sequence[Solution],
-        times: Sequence[float],
-        energies: Sequence[Energies],
-        events: Sequence[Event] = (),
+        self, solutions: Sequence[Solution], times: Sequence[float], events: Callable[[], Iterable[Event]] = tuple
     ) -> None:
-        self._solutions = tuple(solutions)
+        self._solutions = solutions
         self.times: Vector = np.asarray(times, dtype=float)
-        self.energies: tuple[Energies, ...] = tuple(energies)
-        self.events: tuple[Event, ...] = tuple(events)
+        self._find_events = events
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """The changes of contact state, in the order of their times."""
+        return tuple(self._find_events())
+
+    @cached_property
+    def energies(self) -> tuple[Energies, ...]:
+        """Of every instant."""
+        return tuple(_static_energies(self._solutions))
 
     def __len__(self) -> int:
         return len(self._solutions)
@@ -86,19 +96,16 @@ class History(Sequence[Solution]):
         return np.array([solution.friction_force for solution in self])
 
     def __repr__(self) -> str:
-        return (
-            f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g}, {len(self.events)} events)"
-        )
+        return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
 
 
-def static_energies(solutions: Sequence[Solution]) -> list[Energies]:
+def _static_energies(solutions: Sequence[Solution]) -> Iterator[Energies]:
     """Energies of a quasi-static, frictionless sequence.
 
     The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between.
     """
-    energies, work = [], 0.0
-    for before, now in zip([solutions[0], *solutions], solutions, strict=False):
+    work = 0.0
+    for before, now in pairwise(chain(solutions[:1], solutions)):
         work += float((before.problem.load + now.problem.load) @ (now.displacement - before.displacement)) / 2
         elastic = float(now.displacement @ (now.problem.stiffness @ now.displacement)) / 2
-        energies.append(Energies(elastic, kinetic=0.0, work=work, dissipated=0.0))
-    return energies
+        yield Energies(elastic, kinetic=0.0, work=work, dissipated=0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.events import events_of_leg
-from contactqp.analysis.history import Event, History, static_energies
+from contactqp.analysis.history import Event, History
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
@@ -83,9 +83,7 @@ def follow_path(
             load = end if fraction == 1 else start + fraction * (end - start)
             solutions.append(solve(problem.replace(load=load), method=method, warm_start=solutions[-1], **options))
             times.append(leg + fraction)
-    if events is None:
-        found = list(_changes(solutions, times))
-    return History(solutions, times, static_energies(solutions), found)
+    return History(solutions, times, lambda: found if events else _changes(solutions, times))
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:
@@ -96,7 +94,7 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
 
 def _changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
     """Contacts that carry a force at one step and none at the one before, or the other way round."""
-    for before, now, time in zip(solutions, solutions[1:], times[1:], strict=False):
+    for (before, now), time in zip(pairwise(solutions), times[1:], strict=True):
         was, carries = before.normal_force > 0, now.normal_force > 0
         for i in np.flatnonzero(was != carries):
             kind = "closed" if carries[i] else "opened"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from contactqp.analysis.history import History, static_energies
+from contactqp.analysis.history import History
 from contactqp.analysis.load_path import follow_path
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
@@ -35,5 +35,5 @@ def run_model(model: Model, method: str, **options: Any) -> History:
     problem, path = model.problem, model.scene.path
     if path is None:
         solution = solve(problem, method, **options)
-        return History([solution], [1.0], static_energies([solution]))
+        return History([solution], [1.0])
     return follow_path(problem, loads=[problem.load], steps=path.steps, events=path.events, method=method, **options)
