@@ -2,8 +2,8 @@
 
     S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
 
-Two ways with one interface: back-substitutions with factors of K_ii, one for every retained unknown; or MKL PARDISO,
-whose factorisation leaves S behind as its last block (`pardiso`).
+Three ways with one interface, two of which factorise K with the retained unknowns last and find S at the end of the
+factors: MKL PARDISO (`pardiso`) and SciPy's SuperLU (`trailing_block`). A small interior is factorised dense.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import Array, Factorization, factorise
+from contactqp.factorization import DENSE_SIZE, Array, Factorization, factorise
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.problem import Vector
+from contactqp.trailing_block import TrailingBlock
 
-# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
-BLOCK = 64
 # From here on a sparse factorisation with PARDISO pays for loading it.
 LARGE = 2000
 # The variable of the environment that chooses the sparse solver, "superlu" or "pardiso"; the fastest by default.
@@ -44,8 +43,8 @@ class Elimination(Protocol):
         """u (n,) from u_c and the load that was reduced."""
 
 
-class BackSubstitution:
-    """S from factors of K_ii, column by column."""
+class DenseInterior:
+    """S from dense factors of a small K_ii (or of none), which need no ordering and no springs on what is retained."""
 
     solver = "superlu"
 
@@ -58,15 +57,8 @@ class BackSubstitution:
         if self._interior.size:
             self._factor = factorise(stiffness[self._interior][:, self._interior])
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
-        self.schur = self._schur_complement(stiffness)
-
-    def _schur_complement(self, stiffness: Any) -> Array:
-        S = stiffness[self._retained][:, self._retained].toarray()
-        for start in range(0, len(self._retained), BLOCK):
-            columns = slice(start, start + BLOCK)
-            right = self._coupling[:, columns].toarray()
-            S[:, columns] -= self._coupling.T @ self._solve(right)
-        return np.asarray((S + S.T) / 2)
+        S = stiffness[retained][:, retained].toarray() - self._coupling.T @ self._solve(self._coupling.toarray())
+        self.schur: Array = (S + S.T) / 2
 
     def _solve(self, right: Array) -> Array:
         if self._factor is None:
@@ -123,4 +115,5 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
             return LastBlock(stiffness, retained)
         except NotPositive:
             pass  # singular or nearly so: whether it is indefinite is for the pivots of the other way to tell
-    return BackSubstitution(sp.csr_matrix(stiffness), retained)
+    way = TrailingBlock if count > DENSE_SIZE else DenseInterior
+    return way(sp.csr_matrix(stiffness), retained)

@@ -30,6 +30,12 @@ SUSPICIOUS_PIVOT = 1e-8
 # Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
 # matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
+# SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
+# of the pattern of A + A' that keeps the factors sparse.
+DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+MINIMUM_DEGREE = "MMD_AT_PLUS_A"
+# Entries that an incomplete factorisation drops where it meets them, beside a diagonal of one.
+DROPPED = 1e-3
 # Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
 # alternate, well below half an eps of |z|'|K||z|.
 RIGID_FORCE = 32 * np.finfo(float).eps
@@ -77,16 +83,40 @@ class SuperLU:
         self._scale = unit_diagonal_scale(matrix)
         scaling = sp.diags(self._scale)
         scaled = sp.csc_matrix(scaling @ matrix @ scaling)
-        options = dict(permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         try:
-            self._factor = splu(scaled, **options)
+            self._factor = splu(scaled, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
             self.smallest_pivot = float(np.min(self._factor.U.diagonal()))
         except RuntimeError:  # SuperLU's word for an exactly zero pivot
-            self._factor = splu(scaled + LIFT * scaled.shape[0] * sp.identity(scaled.shape[0], format="csc"), **options)
+            lifted = scaled + LIFT * scaled.shape[0] * sp.identity(scaled.shape[0], format="csc")
+            self._factor = splu(lifted, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
             self.smallest_pivot = 0.0
+        forget_triangles(self._factor)
 
     def solve(self, right: Array) -> Array:
         return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
+
+
+def fill_reducing_order(matrix: Any) -> NDArray[np.intp]:
+    """The order (n,) of elimination that minimum degree finds for the pattern of a symmetric matrix.
+
+    SciPy has no function for it. But SuperLU orders before it factorises, and where every entry beside the diagonal is
+    dropped the factorisation costs nothing.
+    """
+    from scipy.sparse.linalg import spilu
+
+    pattern = sp.csc_matrix(matrix, copy=True)
+    pattern.data = np.full(pattern.nnz, DROPPED)
+    pattern = sp.csc_matrix(pattern + sp.identity(pattern.shape[0], format="csc"))
+    nothing = spilu(pattern, drop_tol=1.0, fill_factor=1.0, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
+    return np.argsort(nothing.perm_c)
+
+
+def forget_triangles(factor: Any) -> None:
+    """Empty the L and U that SciPy makes and keeps when one of them is looked at: they take as much memory again as
+    the factors, which `solve` goes on to use."""
+    for triangle in (factor.L, factor.U):
+        triangle.data, triangle.indices = triangle.data[:0].copy(), triangle.indices[:0].copy()
+        triangle.indptr = np.zeros_like(triangle.indptr)
 
 
 def unit_diagonal_scale(matrix: Any) -> Array:
@@ -113,12 +143,17 @@ def factorise(matrix: Any) -> Factorization:
         factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
     else:
         factor = SuperLU(matrix)
-    if factor.smallest_pivot < -SUSPICIOUS_PIVOT:
+    refuse_negative(factor.smallest_pivot)
+    return factor
+
+
+def refuse_negative(smallest_pivot: float) -> None:
+    """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
+    if smallest_pivot < -SUSPICIOUS_PIVOT:
         raise InvalidProblem(
-            f"stiffness: expected positive semidefinite, got a pivot of {factor.smallest_pivot:.3g} "
+            f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
             "after scaling its diagonal to one"
         )
-    return factor
 
 
 @dataclass(frozen=True, eq=False)

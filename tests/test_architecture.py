@@ -13,11 +13,40 @@ PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
 
 # From the bottom to the top: a module imports from its own layer or from layers before it.
 LAYERS = (
-    "errors", "problem_data", "problem", "solution", "extended", "factorization", "pardiso", "elimination",
-    "condensation", "delassus", "nonnegative", "range_space", "saddle", "violations", "polishing", "energy_norm",
-    "admissible_pair", "bounds", "candidates", "failures", "certificate", "widening", "scaling", "existence",
-    "methods", "solving", "elements", "pictures", "analysis", "scene", "study", "cli",
-)  # fmt: skip
+    "errors",
+    "problem_data",
+    "problem",
+    "solution",
+    "extended",
+    "factorization",
+    "pardiso",
+    "trailing_block",
+    "elimination",
+    "condensation",
+    "delassus",
+    "nonnegative",
+    "range_space",
+    "saddle",
+    "violations",
+    "polishing",
+    "energy_norm",
+    "admissible_pair",
+    "bounds",
+    "candidates",
+    "failures",
+    "certificate",
+    "widening",
+    "scaling",
+    "existence",
+    "methods",
+    "solving",
+    "elements",
+    "pictures",
+    "analysis",
+    "scene",
+    "study",
+    "cli",
+)
 
 
 def _imports(path: pathlib.Path) -> set[str]:
