@@ -1,0 +1,71 @@
+"""A load path of 100 steps on one body makes one factorisation, counted where the factors are made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg as spla
+
+import contactqp as cq
+from benchmarks.load_path import price
+from benchmarks.price_of_contact import block, fresh
+from contactqp import elimination, pardiso
+
+STEPS = 100
+
+
+@pytest.fixture(params=["superlu", "pardiso"])
+def made(request, monkeypatch):
+    """The sizes of the sparse matrices that were factorised, in order."""
+    sizes = []
+    monkeypatch.setenv(elimination.CHOICE, request.param)
+    if request.param == "pardiso":
+        pytest.importorskip("pypardiso")
+        factorise = pardiso.Pardiso.__init__
+
+        def counted(self, matrix, retained):
+            sizes.append(matrix.shape[0] - len(retained))
+            factorise(self, matrix, retained)
+
+        monkeypatch.setattr(pardiso.Pardiso, "__init__", counted)
+    else:
+        splu = spla.splu
+
+        def counted_splu(matrix, **options):
+            sizes.append(matrix.shape[0])
+            return splu(matrix, **options)
+
+        monkeypatch.setattr(spla, "splu", counted_splu)
+    return sizes
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_path_of_100_steps_makes_one_factorisation(dimension, made):
+    problem = block(500, dimension)
+    history = cq.follow_path(problem, [problem.load], steps=STEPS)
+    assert len(history) == STEPS + 1
+    assert made == [problem.dimension - history[0].work.retained]
+    assert [solution.work.factorisations for solution in history] == [1] + STEPS * [0]
+    assert all(solution.certificate.passed and solution.certificate.proven for solution in history)
+    closed = (history.normal_forces > 0).sum(axis=1)
+    assert closed[0] < closed[STEPS // 2] < closed[-1], "the contact grows along the path"
+    alone = cq.solve(fresh(problem)).normal_force
+    np.testing.assert_allclose(history[-1].normal_force, alone, rtol=0, atol=1e-12 * alone.max())
+
+
+def test_steps_on_fresh_problems_are_seen_to_factorise_each_time(made):
+    problem = block(500, 2)
+    for fraction in (0.2, 0.4, 0.6):
+        cq.solve(fresh(problem).replace(load=fraction * problem.load))
+    assert len(made) == 3
+
+
+def test_the_benchmark_judges_the_step_less_its_expansion():
+    found = price(block(500, 2), steps=3)
+    assert found.factorisations == 1
+    assert found.substitutions >= 1
+    paid = replace(found, first=1.0, step=0.06, substitution=0.011)
+    assert paid.met
+    assert not replace(paid, step=0.062).met
