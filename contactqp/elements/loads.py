@@ -50,13 +50,11 @@ class Traction:
     value: Field
 
     def forces(self, body: Body) -> Vector:
-        total = np.zeros(body.size)
-        for block in body.mesh.side(self.side):
-            geometry = at_rule(block, body.mesh.points, block.kind.fine_rule)
-            area = np.linalg.norm(geometry.normal, axis=-1) * block.kind.fine_rule.weights
-            t = _field(f"traction on {self.side!r}", self.value, geometry.positions, (body.dimension,))
-            total += _sum_up(body, block, geometry, t * area[..., None])
-        return total
+        def per_reference_area(facets: Geometry) -> Vector:
+            t = field_values(f"traction on {self.side!r}", self.value, facets.positions, (body.dimension,))
+            return np.asarray(t * np.linalg.norm(facets.normal, axis=-1, keepdims=True))
+
+        return _integrated(body, body.mesh.side(self.side), per_reference_area)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +73,11 @@ class Pressure:
     value: Field
 
     def forces(self, body: Body) -> Vector:
-        total = np.zeros(body.size)
-        for block in body.mesh.side(self.side):
-            geometry = at_rule(block, body.mesh.points, block.kind.fine_rule)
-            p = _field(f"pressure on {self.side!r}", self.value, geometry.positions, ()) * block.kind.fine_rule.weights
-            total += _sum_up(body, block, geometry, -p[..., None] * geometry.normal)
-        return total
+        def per_reference_area(facets: Geometry) -> Vector:
+            p = field_values(f"pressure on {self.side!r}", self.value, facets.positions, ())
+            return -p[..., None] * facets.normal
+
+        return _integrated(body, body.mesh.side(self.side), per_reference_area)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +95,11 @@ class BodyForce:
     value: Field
 
     def forces(self, body: Body) -> Vector:
-        total = np.zeros(body.size)
-        for block in body.mesh.blocks:
-            geometry = at_rule(block, body.mesh.points, block.kind.fine_rule)
-            volume = geometry.determinant * block.kind.fine_rule.weights
-            b = _field("body force", self.value, geometry.positions, (body.dimension,))
-            total += _sum_up(body, block, geometry, b * volume[..., None])
-        return total
+        def per_reference_volume(elements: Geometry) -> Vector:
+            b = field_values("body force", self.value, elements.positions, (body.dimension,))
+            return b * elements.determinant[..., None]
+
+        return _integrated(body, body.mesh.blocks, per_reference_volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +140,7 @@ class PointLoad:
     force: ArrayLike
 
     def forces(self, body: Body) -> Vector:
-        force = _field("point load", self.force, np.zeros((1, body.dimension)), (body.dimension,))
+        force = field_values("point load", self.force, np.zeros((1, body.dimension)), (body.dimension,))
         total = np.zeros(body.mesh.points.shape)
         total[node_numbers(body, self.nodes)] = force
         return total.ravel()
@@ -170,8 +165,14 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
     return numbers.astype(np.int64)
 
 
-def _field(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
-    """The value at (..., d) positions: (..., *shape)."""
+def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
+    """The value of a field at (..., d) positions: (..., *shape).
+
+    Raises
+    ------
+    InvalidProblem
+        A value of another shape, or one that is not finite; `what` is what it belongs to.
+    """
     points = positions.reshape(-1, positions.shape[-1])
     expected = (len(points), *shape) if callable(value) else shape
     found = np.asarray(value(points) if callable(value) else value, dtype=float)
@@ -182,7 +183,16 @@ def _field(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -
     return np.broadcast_to(found, (len(points), *shape)).reshape(*positions.shape[:-1], *shape)
 
 
-def _sum_up(body: Body, block: Block, geometry: Geometry, density: Vector) -> Vector:
-    """f_i = sum over elements and points of N_i times density (E, q, d), with the body's measure: (N d,)."""
-    density = density * measure(geometry.positions, body.model, body.thickness)[..., None]
-    return sum_at_nodes(block, np.matmul(geometry.shape.T, density), len(body.mesh.points)).ravel()
+def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry], Vector]) -> Vector:
+    """f_i = sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
+
+    `density` is (E, q, d), per area or volume of the reference element.
+    """
+    total = np.zeros(body.mesh.points.shape)
+    for block in blocks:
+        rule = block.kind.fine_rule
+        geometry = at_rule(block, body.mesh.points, rule)
+        weights = rule.weights * measure(geometry.positions, body.model, body.thickness)
+        at_points = density(geometry) * weights[..., None]
+        total += sum_at_nodes(block, np.matmul(geometry.shape.T, at_points), len(body.mesh.points))
+    return total.ravel()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.loads import Load, node_numbers
+from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Body
@@ -37,14 +36,14 @@ class Support:
         A named set (of nodes, or a side), or node numbers.
     axis : int
         0, 1 or 2 for x, y or z; 0 for the one axis of a membrane.
-    value : float
-        The displacement [length]; 0 holds the nodes.
+    value : float, or a function of (p, d) points that returns (p,)
+        The displacement [length], of each node where it starts; 0 holds the nodes.
     """
 
     body: str
     nodes: str | int | Sequence[int]
     axis: int
-    value: float = 0.0
+    value: Field = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,18 +146,18 @@ class Structure:
             d = len(body.axes)
             if support.axis not in range(d):
                 raise InvalidProblem(f"support of {body.name!r}: expected an axis below {d}, got {support.axis}")
-            if not math.isfinite(support.value):
-                raise InvalidProblem(f"support of {body.name!r}: expected a finite displacement, got {support.value}")
             nodes = node_numbers(body, support.nodes)
+            values = field_values(f"support of {body.name!r}", support.value, body.mesh.points[nodes], ())
             places = self.first(body.name) + d * nodes + support.axis
             before = prescribed[places]
-            other = np.flatnonzero(~np.isnan(before) & (before != support.value))
+            other = np.flatnonzero(~np.isnan(before) & (before != values))
             if other.size:
+                i = other[0]
                 raise InvalidProblem(
-                    f"support of {body.name!r}: node {nodes[other[0]]} along {body.axes[support.axis]} is to move by "
-                    f"{support.value:.6g} and, by another support, by {before[other[0]]:.6g}"
+                    f"support of {body.name!r}: node {nodes[i]} along {body.axes[support.axis]} is to move by "
+                    f"{values[i]:.6g} and, by another support, by {before[i]:.6g}"
                 )
-            prescribed[places] = support.value
+            prescribed[places] = values
         if not np.isnan(prescribed).any():
             raise InvalidProblem("structure: the supports hold every unknown; expected some that are free")
         return prescribed

@@ -65,6 +65,19 @@ def test_prescribed_displacements_strain_the_block_uniformly():
     assert abs(system.K - system.K.T).max() == 0
 
 
+def test_a_prescribed_field_is_taken_at_the_nodes():
+    """u = (x y, y^2) on the whole outline, each support in its own order of nodes."""
+    structure = Structure([block(cells=(3, 2))])
+    fields = (lambda x: x[:, 0] * x[:, 1], lambda x: x[:, 1] ** 2)
+    sides = ("top", "left", "right", "bottom")
+    system = structure.assemble([Support("block", side, axis, fields[axis]) for side in sides for axis in (0, 1)])
+    mesh = structure.body("block").mesh
+    outline = np.unique(np.concatenate([mesh.nodes(side) for side in sides]))
+    u = structure.displacements("block", system.given)[outline]
+    np.testing.assert_array_equal(u, np.column_stack([field(mesh.points[outline]) for field in fields]))
+    assert len(system.free) == 2 * (len(mesh.points) - len(outline))
+
+
 def test_loads_add_up_and_supports_carry_them():
     structure = Structure([block("a"), block("b", low=2.0)])
     supports = [Support(name, "bottom", axis) for name in "ab" for axis in (0, 1)]
@@ -142,7 +155,15 @@ def test_friction_brings_the_tangents_of_the_kept_contacts_and_where_slip_starts
         ([Support("plate", "left", 0)], "there is no body 'plate'; it has 'block'"),
         ([Support("block", "front", 0)], "there is no set 'front'"),
         ([Support("block", "left", 2)], "support of 'block': expected an axis below 2, got 2"),
-        ([Support("block", "left", 0, float("nan"))], "support of 'block': expected a finite displacement, got nan"),
+        ([Support("block", "left", 0, float("nan"))], "support of 'block': expected finite numbers, got nan"),
+        (
+            [Support("block", "left", 0, lambda x: x)],
+            r"support of 'block': expected a value of shape \(3,\), got \(3, 2",
+        ),
+        (
+            [Support("block", "left", 1), Support("block", "bottom", 1, lambda x: x[:, 0] - 0.5)],
+            r"node 0 along y is to move by -0.5 and, by another support, by 0",
+        ),
         ([Support("block", 99, 0)], "block: expected nodes from 0 to 8, got 99"),
         (
             [Support("block", "left", 1), Support("block", "bottom", 1, -0.5)],
