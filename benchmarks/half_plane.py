@@ -15,6 +15,7 @@ with E* = E / (1 - nu^2), the total force P = pi a p0 / 2, and the deepest point
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,14 +45,14 @@ class Elastic:
         return self.modulus / (1 - self.poisson**2)
 
 
-class _Fields:
-    """What Z, Ẑ and Z' give; subclasses have `elastic` and the three functions of z."""
+class HalfPlane(ABC):
+    """What Z, Ẑ and Z' give."""
 
     elastic: Elastic
 
+    @abstractmethod
     def potentials(self, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], ...]:
         """Ẑ, Z and Z' at z, Im z < 0."""
-        raise NotImplementedError
 
     def displacement(self, x: Vector) -> Vector:
         """u at (p, 2) points, (p, 2) [length]."""
@@ -78,7 +79,7 @@ class _Fields:
 
 
 @dataclass(frozen=True)
-class Parabola(_Fields):
+class Parabola(HalfPlane):
     """A rigid parabola of radius R that touches over |x| < a."""
 
     half_width: float = 1.0
@@ -104,7 +105,7 @@ class Parabola(_Fields):
 
 
 @dataclass(frozen=True)
-class Punch(_Fields):
+class Punch(HalfPlane):
     """A rigid flat punch over |x| < a that presses with the force P per thickness."""
 
     half_width: float = 1.0

@@ -1,6 +1,6 @@
 """Force and peak pressure of Hertz's ball converge, the pressure to Hertz's own."""
 
-from benchmarks.hertz_convergence import level, orders
+from benchmarks.hertz_convergence import level, main, orders
 
 
 def test_force_and_peak_pressure_converge_at_first_order_or_better():
@@ -10,3 +10,9 @@ def test_force_and_peak_pressure_converge_at_first_order_or_better():
     assert pressure > 0.9
     assert levels[0].pressure_error > 0.05
     assert levels[-1].pressure_error < 0.02
+
+
+def test_the_exit_code_says_whether_the_peak_is_within_one_percent():
+    """It is on the mesh of 48 divisions, off by 0.6 %, and not yet on that of 24."""
+    assert main(["--finest", "24"]) == 1
+    assert main(["--finest", "48"]) == 0
