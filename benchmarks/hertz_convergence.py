@@ -81,7 +81,9 @@ def orders(levels: list[Level]) -> tuple[float, float]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Hertz's ball under refinement")
-    parser.add_argument("--finest", type=int, default=48, help="divisions of the finest mesh, 6 times a power of 2, at least 24")
+    parser.add_argument(
+        "--finest", type=int, default=48, help="divisions of the finest mesh, 6 times a power of 2, at least 24"
+    )
     finest = parser.parse_args(arguments).finest
     levels = []
     while 6 * 2 ** len(levels) <= finest:

@@ -22,6 +22,8 @@ from contactqp.problem import ContactProblem
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]
 Part = Body | Membrane
+# Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
+ROUNDING = 1e-12
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
 
@@ -150,12 +152,12 @@ class Structure:
             values = field_values(f"support of {body.name!r}", support.value, body.mesh.points[nodes], ())
             places = self.first(body.name) + d * nodes + support.axis
             before = prescribed[places]
-            other = np.flatnonzero(~np.isnan(before) & (before != values))
+            other = np.flatnonzero(abs(before - values) > ROUNDING * abs(values))
             if other.size:
                 i = other[0]
                 raise InvalidProblem(
                     f"support of {body.name!r}: node {nodes[i]} along {body.axes[support.axis]} is to move by "
-                    f"{values[i]:.6g} and, by another support, by {before[i]:.6g}"
+                    f"{values[i]:.12g} and, by another support, by {before[i]:.12g}"
                 )
             prescribed[places] = values
         if not np.isnan(prescribed).any():

@@ -78,6 +78,13 @@ def test_a_prescribed_field_is_taken_at_the_nodes():
     assert len(system.free) == 2 * (len(mesh.points) - len(outline))
 
 
+def test_two_supports_may_differ_by_rounding_and_by_no_more():
+    third = [Support("block", "left", 1, 0.1 + 0.2), Support("block", "bottom", 1, 0.3)]
+    assert np.nanmax(Structure([block()]).assemble(third).prescribed) == pytest.approx(0.3, rel=1e-15)
+    with pytest.raises(InvalidProblem, match=r"is to move by 0\.3000000003 and, by another support, by 0\.3$"):
+        Structure([block()]).assemble([third[0], Support("block", "bottom", 1, 0.3 * (1 + 1e-9))])
+
+
 def test_loads_add_up_and_supports_carry_them():
     structure = Structure([block("a"), block("b", low=2.0)])
     supports = [Support(name, "bottom", axis) for name in "ab" for axis in (0, 1)]
