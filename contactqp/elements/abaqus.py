@@ -46,8 +46,8 @@ def read_abaqus(text: str) -> Cells:
     Raises
     ------
     InvalidProblem
-        Several parts or instances, included files, an element type that is not offered, lines that do not fit, a set
-        of unknown elements or nodes.
+        Several parts or instances, included files, an element type that is not offered, lines that do not fit, a label
+        given twice, a set of unknown elements or nodes, an empty surface.
     """
     reading = _Reading()
     parts = 0
@@ -107,6 +107,8 @@ def _nodes(reading: _Reading, options: dict[str, str], lines: list[str]) -> None
     if width not in (3, 4) or len(values) != width * len(lines):
         raise InvalidProblem("*NODE: expected a label and two or three coordinates on each line, of one length")
     table = values.reshape(-1, width)
+    if not np.all(np.isfinite(table[:, 0]) & (table[:, 0] == np.round(table[:, 0]))):
+        raise InvalidProblem("*NODE: expected whole numbers as labels")
     labels = table[:, 0].astype(np.int64)
     reading.labels.append(labels)
     reading.points.append(np.column_stack([table[:, 1:], np.zeros((len(table), 4 - width))]))
@@ -132,10 +134,18 @@ def _elements(reading: _Reading, options: dict[str, str], lines: list[str]) -> N
 
 def _members(sets: dict[str, Index], options: dict[str, str], lines: list[str]) -> Index:
     if "GENERATE" in options:
-        table = [[int(word) for word in line.rstrip(",").split(",")] for line in lines]
-        return np.concatenate([np.arange(row[0], row[1] + 1, row[2] if len(row) > 2 else 1) for row in table])
+        return np.concatenate([np.zeros(0, dtype=np.int64), *[_generated(line) for line in lines]])
     words = [word.strip() for line in lines for word in line.split(",") if word.strip()]
     return np.concatenate([np.zeros(0, dtype=np.int64), *[_labels(sets, word) for word in words]])
+
+
+def _generated(line: str) -> Index:
+    """The labels of ``first, last, step``; the step is 1 unless stated."""
+    words = [word.strip() for word in line.rstrip(",").split(",")]
+    if len(words) not in (2, 3) or not all(word.isdigit() for word in words) or words[2:] == ["0"]:
+        raise InvalidProblem(f"GENERATE: expected a first and a last label and a positive step, got {line!r}")
+    first, last, *step = map(int, words)
+    return np.arange(first, last + 1, *step, dtype=np.int64)
 
 
 def _labels(sets: dict[str, Index], word: str) -> Index:
@@ -169,9 +179,11 @@ def _cells(reading: _Reading) -> Cells:
     if not reading.points or not reading.elements:
         raise InvalidProblem("expected *NODE and *ELEMENT, got none")
     labels = np.concatenate(reading.labels)
+    _refuse_twice("node", labels)
     cells = [(kind, _places("node", labels, nodes)) for kind, _, nodes in reading.elements]
     own = [element_labels for _, element_labels, _ in reading.elements]
     every = np.concatenate(own)
+    _refuse_twice("element", every)
     for name, members in reading.element_sets.items():
         _places(f"element, in the set {name},", every, members)
     groups = {name: [np.flatnonzero(np.isin(e, m)) for e in own] for name, m in reading.element_sets.items()}
@@ -188,6 +200,9 @@ def _cells(reading: _Reading) -> Cells:
                     raise InvalidProblem(f"*SURFACE {name}: {kind} elements have no face S{face}")
                 if len(chosen):
                     facets.setdefault(name, []).append((REFERENCES[kind].facet, chosen[:, local[place]]))
+    empty = next((name for name in reading.surfaces if name not in facets), None)
+    if empty is not None:
+        raise InvalidProblem(f"side {empty!r} is empty; expected at least one facet")
     none = np.zeros(0, dtype=np.int64)
     added = [(name, cell) for name, found in facets.items() for cell in found]
     groups = {name: [*members, *[none] * len(added)] for name, members in groups.items()}
@@ -195,6 +210,13 @@ def _cells(reading: _Reading) -> Cells:
         mine = [np.arange(len(nodes)) if owner == name else none for owner, (_, nodes) in added]
         groups[name] = [*[none] * len(own), *mine]
     return Cells(np.concatenate(reading.points), [*cells, *[cell for _, cell in added]], groups, node_sets)
+
+
+def _refuse_twice(what: str, labels: Index) -> None:
+    ordered = np.sort(labels)
+    again = ordered[1:][ordered[1:] == ordered[:-1]]
+    if again.size:
+        raise InvalidProblem(f"expected one {what} with the label {again[0]}, got several")
 
 
 def _places(what: str, labels: Index, wanted: Index) -> Index:

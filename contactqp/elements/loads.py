@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.geometry import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.kinematics import measure
 from contactqp.elements.membrane import Membrane
+from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
 
@@ -175,7 +176,7 @@ def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, .
     """
     points = positions.reshape(-1, positions.shape[-1])
     expected = (len(points), *shape) if callable(value) else shape
-    found = np.asarray(value(points) if callable(value) else value, dtype=float)
+    found = real_array(what, value(points) if callable(value) else value)
     if found.shape != expected:
         raise InvalidProblem(f"{what}: expected a value of shape {expected}, got {found.shape}")
     if not np.all(np.isfinite(found)):

@@ -11,13 +11,13 @@ Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz,
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem
 
 Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
@@ -58,11 +58,11 @@ class Material:
     name: str = "material"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.modulus) and self.modulus > 0):
-            raise InvalidProblem(f"{self.name}: expected a positive modulus, got {self.modulus}")
+        positive_number(self.name, self.modulus, "modulus")
+        real_number(f"{self.name}: Poisson's ratio", self.poisson)
         if not -1 < self.poisson < 0.5:
             raise InvalidProblem(f"{self.name}: expected Poisson's ratio between -1 and 0.5, got {self.poisson}")
-        if not (math.isfinite(self.density) and self.density >= 0):
+        if real_number(f"{self.name}: density", self.density) < 0:
             raise InvalidProblem(f"{self.name}: expected a density >= 0, got {self.density}")
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from contactqp.elements.assembly import assemble, pattern
 from contactqp.elements.geometry import at_rule
 from contactqp.elements.mesh import Mesh
+from contactqp.elements.reading import positive_number
 from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
@@ -36,7 +36,7 @@ class Membrane:
     Raises
     ------
     InvalidProblem
-        A mesh in 3D, a tension that is not positive.
+        No mesh, a mesh in 3D, a tension that is not positive.
     """
 
     mesh: Mesh
@@ -44,10 +44,11 @@ class Membrane:
     name: str = "membrane"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.mesh, Mesh):
+            raise InvalidProblem(f"{self.name}: expected a Mesh as its mesh, got {self.mesh!r}")
         if self.mesh.dimension != 2:
             raise InvalidProblem(f"{self.name}: expected a plane mesh for a membrane, got one in 3D")
-        if not (math.isfinite(self.tension) and self.tension > 0):
-            raise InvalidProblem(f"{self.name}: expected a positive tension, got {self.tension}")
+        positive_number(self.name, self.tension, "tension")
 
     @property
     def axes(self) -> str:

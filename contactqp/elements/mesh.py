@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.boundary import boundary, facet_keys, find
 from contactqp.elements.geometry import Block, at_rule
-from contactqp.elements.mesh_checks import check_mesh, check_set
+from contactqp.elements.mesh_checks import check_mesh, check_set, checked_side
+from contactqp.elements.reading import real_array
 from contactqp.elements.reference import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
 
@@ -46,11 +47,11 @@ class Mesh:
     sides: Mapping[str, Index] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        points = np.array(self.points, dtype=float)
+        points = real_array("mesh: points", self.points)
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
         check_mesh(self.points, self.blocks, self.node_sets)
-        _refuse_empty(self.sides)
+        object.__setattr__(self, "sides", self._checked(self.sides))
 
     @property
     def dimension(self) -> int:
@@ -103,8 +104,17 @@ class Mesh:
         return tuple(block for block in facets if len(block))
 
     def nearest(self, point: ArrayLike) -> int:
-        """The number of the node nearest to a point."""
-        return int(np.argmin(np.linalg.norm(self.points - np.asarray(point, dtype=float), axis=1)))
+        """The number of the node nearest to a point.
+
+        Raises
+        ------
+        InvalidProblem
+            Not d finite coordinates.
+        """
+        x = real_array("point", point)
+        if x.shape != (self.dimension,) or not np.all(np.isfinite(x)):
+            raise InvalidProblem(f"point: expected {self.dimension} finite coordinates, got {x.tolist()}")
+        return int(np.argmin(np.linalg.norm(self.points - x, axis=1)))
 
     def volume(self) -> float:
         """The area in 2D [length^2], the volume in 3D [length^3]."""
@@ -122,13 +132,12 @@ class Mesh:
         >>> turned.points.min(axis=0).tolist()
         [-2.0, -1.0]
         """
-        return Mesh(np.asarray(map_points(self.points), dtype=float), self.blocks, self.node_sets, self.sides)
+        return Mesh(real_array("mesh: mapped points", map_points(self.points)), self.blocks, self.node_sets, self.sides)
 
     def with_sides(self, sides: Mapping[str, Index]) -> Mesh:
-        """The same mesh with these sides, (element, local facet) each, besides those it has; not checked again."""
-        _refuse_empty(sides)
+        """The same mesh with these sides, (element, local facet) each, besides those it has; each facet counts once."""
         mesh = copy.copy(self)
-        object.__setattr__(mesh, "sides", {**self.sides, **sides})
+        object.__setattr__(mesh, "sides", {**self.sides, **self._checked(sides)})
         return mesh
 
     def with_node_sets(self, node_sets: Mapping[str, ArrayLike]) -> Mesh:
@@ -172,6 +181,9 @@ class Mesh:
             place[found >= 0] = np.concatenate(rows)[found[found >= 0]]
         return place
 
+    def _checked(self, sides: Mapping[str, Index]) -> dict[str, Index]:
+        return {name: checked_side(name, pairs, self.blocks) for name, pairs in sides.items()}
+
     def _unknown(self, name: str) -> InvalidProblem:
         known = sorted({*self.node_sets, *self.sides})
         return InvalidProblem(f"mesh: there is no set {name!r}; it has {', '.join(map(repr, known)) or 'none'}")
@@ -210,16 +222,10 @@ def mesh_from_arrays(
     """
     blocks = tuple(_block(kind, nodes) for kind, nodes in elements.items())
     sets = {name: _whole(f"node set {name!r}", nodes).ravel() for name, nodes in (node_sets or {}).items()}
-    mesh = Mesh(np.asarray(points, dtype=float), blocks, sets)
+    mesh = Mesh(real_array("mesh: points", points), blocks, sets)
     return mesh.with_sides(
         {name: _side(mesh, name, _whole(f"side {name!r}", facets)) for name, facets in (sides or {}).items()}
     )
-
-
-def _refuse_empty(sides: Mapping[str, Index]) -> None:
-    for name, pairs in sides.items():
-        if not len(pairs):
-            raise InvalidProblem(f"side {name!r} is empty; expected at least one facet")
 
 
 def _block(kind: str, nodes: ArrayLike) -> Block:
@@ -246,7 +252,10 @@ def _side(mesh: Mesh, name: str, facets: Index) -> Index:
 
 
 def _whole(what: str, numbers: Any) -> Index:
-    array = np.array(numbers)
+    try:
+        array = np.array(numbers)
+    except ValueError:
+        raise InvalidProblem(f"{what}: expected whole numbers in rows of one length, got others") from None
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise InvalidProblem(f"{what}: expected whole numbers, got {array.dtype}")
     return array.astype(np.int64)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +57,12 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
         raise InvalidProblem(f"mesh: there is no file {str(path)!r}")
     try:
         if file.suffix.lower() == ".inp":
-            source = read_abaqus(file.read_text())
+            # Comments in any encoding must not keep a file of ASCII keywords and numbers from being read.
+            source = read_abaqus(file.read_text(encoding="utf-8", errors="replace"))
         else:
             source = _cells_of_meshio(_read_by_meshio(file))
         return mesh_from_cells(source, part=part, drop_unconnected=drop_unconnected)
-    except InvalidProblem as error:
+    except (InvalidProblem, OSError) as error:
         raise InvalidProblem(f"{file.name}: {error}") from None
 
 
@@ -102,11 +105,14 @@ def _read_by_meshio(file: Path) -> Any:
         meshio = importlib.import_module("meshio")
     except ImportError:
         raise BackendMissing(f"reading {file.name} needs meshio: pip install 'contactqp[solids]'") from None
+    said = io.StringIO()
     try:
-        return meshio.read(file)
-    except (meshio.ReadError, SystemExit, ValueError, KeyError, IndexError) as error:
-        # meshio leaves the interpreter on formats that it does not know.
-        raise InvalidProblem(f"meshio cannot read it ({error})") from error
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            return meshio.read(file)
+    except (SystemExit, Exception) as error:
+        # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
+        reason = said.getvalue().strip() or f"{type(error).__name__}: {error}"
+        raise InvalidProblem(f"meshio cannot read it ({' '.join(reason.split())})") from error
 
 
 def _cells_of_meshio(mesh: Any) -> Cells:
@@ -123,7 +129,7 @@ def _cells_of_meshio(mesh: Any) -> Cells:
     for key, values in mesh.cell_data.items():
         if key == "gmsh:physical":
             groups = _physical(mesh, values) | groups
-        elif _is_flag(np.concatenate([np.ravel(v) for v in values])):
+        elif mesh.cells and _is_flag(np.concatenate([np.ravel(v) for v in values])):
             groups.setdefault(key, [np.flatnonzero(v) for v in values])
     node_sets = {name: np.asarray(nodes, dtype=np.int64) for name, nodes in mesh.point_sets.items()}
     for key, values in mesh.point_data.items():

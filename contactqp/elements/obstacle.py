@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.exact import Numbers, unit_vector
+from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
 
 
@@ -44,6 +45,9 @@ class Plane:
                 f"plane: expected a point and a normal of one, two or three components, got shapes "
                 f"{np.shape(self.point)} and {np.shape(self.normal)}"
             )
+        for what, vector in (("point", self.point), ("normal", self.normal)):
+            if not np.all(np.isfinite(real_array(f"plane {what}", vector))):
+                raise InvalidProblem(f"plane {what}: expected finite components, got {vector}")
         self.outward()
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.exact import unit_vector
+from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
 
 Measure = Literal["axis", "normal"]
@@ -49,10 +50,9 @@ class Paraboloid:
         sizes = np.shape(self.apex), np.shape(self.axis)
         if sizes not in (((2,), (2,)), ((3,), (3,))):
             raise InvalidProblem(f"paraboloid: expected an apex and an axis of two or three components, got {sizes}")
-        if not np.all(np.isfinite(np.asarray([self.apex, self.axis], dtype=float))):
+        if not np.all(np.isfinite(real_array("paraboloid apex and axis", [self.apex, self.axis]))):
             raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
-        if not (np.isfinite(self.radius) and self.radius > 0):
-            raise InvalidProblem(f"paraboloid radius: expected a positive length, got {self.radius}")
+        positive_number("paraboloid radius", self.radius, "length")
         if self.measure not in get_args(Measure):
             raise InvalidProblem(f"paraboloid measure: expected one of {get_args(Measure)}, got {self.measure!r}")
         unit_vector(self.axis, "paraboloid axis")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.exact import unit_vector
+from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
@@ -16,7 +18,7 @@ CENTRE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class _Ball:
+class _Ball(ABC):
     """What a circle and a sphere share: only the dimension differs."""
 
     centre: Any
@@ -25,11 +27,12 @@ class _Ball:
 
     def __post_init__(self) -> None:
         _check(self._name, "centre", self.centre, self.dimension)
-        _check_radius(self._name, self.radius)
+        positive_number(f"{self._name} radius", self.radius, "length")
 
     @property
+    @abstractmethod
     def dimension(self) -> int:
-        raise NotImplementedError
+        """2 or 3."""
 
     @property
     def _name(self) -> str:
@@ -112,7 +115,7 @@ class Cylinder:
     def __post_init__(self) -> None:
         _check("cylinder", "point", self.point, 3)
         _check("cylinder", "axis", self.axis, 3)
-        _check_radius("cylinder", self.radius)
+        positive_number("cylinder radius", self.radius, "length")
         unit_vector(self.axis, "cylinder axis")
 
     @property
@@ -136,13 +139,8 @@ class Cylinder:
 
 
 def _check(name: str, what: str, vector: Any, dimension: int) -> None:
-    if np.shape(vector) != (dimension,) or not np.all(np.isfinite(np.asarray(vector, dtype=float))):
+    if np.shape(vector) != (dimension,) or not np.all(np.isfinite(real_array(f"{name} {what}", vector))):
         raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {vector}")
-
-
-def _check_radius(name: str, radius: float) -> None:
-    if not (np.isfinite(float(radius)) and radius > 0):
-        raise InvalidProblem(f"{name} radius: expected a positive length, got {radius}")
 
 
 def _distance(radial: NDArray[np.float64], radius: float, inside: bool) -> NDArray[np.float64]:

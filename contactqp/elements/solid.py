@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +15,7 @@ from contactqp.elements.kinematics import measure, strain_matrix
 from contactqp.elements.material import MODELS, STRAINS, Material, Model
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.quadrature import Quadrature
+from contactqp.elements.reading import positive_number
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 
@@ -39,7 +39,8 @@ class Body:
     Raises
     ------
     InvalidProblem
-        The model does not fit the mesh, a thickness that is not positive or has no meaning, a negative radius.
+        No mesh, no material, a model that does not fit the mesh, a thickness that is not positive or has no meaning,
+        a negative radius.
 
     Notes
     -----
@@ -53,12 +54,14 @@ class Body:
     name: str = "body"
 
     def __post_init__(self) -> None:
+        for what, value, kind in (("mesh", self.mesh, Mesh), ("material", self.material, Material)):
+            if not isinstance(value, kind):
+                raise InvalidProblem(f"{self.name}: expected a {kind.__name__} as its {what}, got {value!r}")
         if self.model not in MODELS:
             raise InvalidProblem(f"{self.name}: expected a model of {', '.join(MODELS)}, got {self.model!r}")
         if (self.model == "3d") != (self.mesh.dimension == 3):
             raise InvalidProblem(f"{self.name}: a {self.mesh.dimension}D mesh and the model {self.model!r}")
-        if not (math.isfinite(self.thickness) and self.thickness > 0):
-            raise InvalidProblem(f"{self.name}: expected a positive thickness, got {self.thickness}")
+        positive_number(self.name, self.thickness, "thickness")
         if self.model in ("3d", "axisymmetric") and self.thickness != 1:
             raise InvalidProblem(f"{self.name}: the model {self.model!r} has no thickness, got {self.thickness}")
         if self.model == "axisymmetric" and self.mesh.points[:, 0].min() < 0:

@@ -127,6 +127,17 @@ def test_shells_and_trusses_in_a_solid_are_sides(tmp_path):
         (" 9, S2", " 9, SPOS", r"\*SURFACE END: expected a face S1 to S6, got 'SPOS'"),
         (" 9, S2", " 9, S6", r"\*SURFACE END: quad4 elements have no face S6"),
         ("*Surface, name=END", "*Surface", r"\*SURFACE: expected NAME="),
+        ("10, 0., 0.", "10.5, 0., 0.", r"\*NODE: expected whole numbers as labels"),
+        ("20, 1., 0.", "10, 1., 0.", "expected one node with the label 10, got several"),
+        (" 9, S2", "", "side 'END' is empty; expected at least one facet"),
+        (
+            "*Step",
+            "*Nset, nset=G, generate\n10, 60, 0",
+            "GENERATE: expected a first .* a positive step, got '10, 60, 0'",
+        ),
+        ("*Step", "*Nset, nset=G, generate\n10, last", "GENERATE: expected a first and a last label"),
+        ("*Step", "*Nset, nset=G, generate\n60, 10", "node set 'G' is empty; expected at least one node"),
+        ("*Step", "*Nset, nset=G", "node set 'G' is empty; expected at least one node"),
         ("*Step", "*Include, input=more.inp", "INCLUDE is not followed"),
         ("*Step", "*Instance, name=a, part=p\n1., 0., 0.", "expected one part in its own place"),
         ("*Step", "*Instance, name=a, part=p\n*Instance, name=b, part=p", "expected one part in its own place"),
@@ -136,6 +147,20 @@ def test_what_cannot_be_read_rightly_is_refused(old, new, message, tmp_path):
     assert old in FILE
     with pytest.raises(InvalidProblem, match=message):
         read_mesh(write(tmp_path, FILE.replace(old, new)))
+
+
+def test_comments_in_any_encoding_are_passed_over_and_other_encodings_refused(tmp_path):
+    file = tmp_path / "body.inp"
+    file.write_bytes(("** Tr\xe4ger\n" + FILE).encode("latin-1"))
+    assert read_mesh(file).elements == 2
+    file.write_bytes(FILE.encode("utf-16"))
+    with pytest.raises(InvalidProblem, match=r"body.inp: expected \*NODE and \*ELEMENT, got none"):
+        read_mesh(file)
+
+
+def test_a_face_given_twice_counts_once(tmp_path):
+    mesh = read_mesh(write(tmp_path, FILE.replace(" 9, S2", " 9, S2\n 9, S2")))
+    assert len(mesh.side("END")[0]) == 1
 
 
 def test_an_empty_file_has_no_mesh():

@@ -55,6 +55,10 @@ def test_a_membrane_between_two_rings_is_a_logarithm():
 def test_what_is_no_membrane_is_refused():
     with pytest.raises(InvalidProblem, match="drum: expected a positive tension, got 0"):
         Membrane(disc(1.0, (1, 1)), 0.0, name="drum")
+    with pytest.raises(InvalidProblem, match="drum: expected real numbers"):
+        Membrane(disc(1.0, (1, 1)), "5", name="drum")
+    with pytest.raises(InvalidProblem, match="drum: expected a Mesh as its mesh, got None"):
+        Membrane(None, 1.0, name="drum")
     with pytest.raises(InvalidProblem, match="drum: expected a plane mesh for a membrane, got one in 3D"):
         Membrane(box((1.0, 1.0, 1.0), (1, 1, 1)), 1.0, name="drum")
     drum = Membrane(disc(1.0, (1, 1)), 1.0, name="drum")

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from contactqp.elements.mesh import mesh_from_arrays
+from contactqp.elements import mesh_checks
+from contactqp.elements.geometry import Block, Geometry
+from contactqp.elements.mesh import Mesh, mesh_from_arrays
 from contactqp.elements.reference import REFERENCES
 from contactqp.elements.shapes import box, rectangle
 from contactqp.errors import InvalidProblem
@@ -95,6 +97,14 @@ def swapped(nodes, a, b):
         ({"node_sets": {"contact": []}}, "node set 'contact' is empty; expected at least one node"),
         ({"node_sets": {"contact": [6]}}, "node set 'contact': expected nodes from 0 to 5, got 6"),
         ({"node_sets": {"contact": [0.5]}}, "node set 'contact': expected whole numbers, got float64"),
+        ({"points": [*POINTS[:5], [2.0, "one"]]}, "mesh: points: expected real numbers, got <U"),
+        ({"points": [*POINTS[:5], [2.0]]}, "mesh: points: expected real numbers in rows of one length, got others"),
+        ({"points": np.array(POINTS) + 0j}, "mesh: points: expected real numbers, got complex128"),
+        ({"points": 1e200 * np.array(POINTS)}, r"element 0 .*: its coordinates, up to 1e\+200, are too large"),
+        (
+            {"elements": {"quad4": [QUADS[0], [1, 2, 5]]}},
+            "quad4 elements: expected whole numbers in rows of one length",
+        ),
         ({"sides": {"contact": []}}, r"side 'contact': expected facets of shape \(p, k\), p > 0, got \(0,\)"),
         ({"sides": {"contact": [[0, 1], [1, 4]]}}, "side 'contact': the facet of nodes 1, 4 is not on the boundary"),
         ({"sides": {"contact": [[0, 1, 2, 3]]}}, "side 'contact': facets of 4 nodes fit none of the mesh's elements"),
@@ -143,6 +153,67 @@ def test_middle_nodes_out_of_place_are_refused():
     nodes = mesh.blocks[0].nodes[:, [0, 1, 2, 3, 6, 5, 4, 7]]
     with pytest.raises(InvalidProblem, match="inverted"):
         mesh_from_arrays(mesh.points, {"quad8": nodes})
+
+
+@pytest.mark.parametrize("kind", ["quad8", "quad9"])
+def test_an_element_that_folds_between_its_nodes_and_quadrature_points_is_refused(kind, monkeypatch):
+    """Middle nodes out of place at random: det J may be positive where the stiffness looks and negative beside it."""
+    reference = REFERENCES[kind]
+    block = Block(reference, np.arange(len(reference.nodes))[None])
+    fine = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 2), axis=-1).reshape(-1, 2)
+    random = np.random.default_rng(0)
+    folded = []
+    for _ in range(400):
+        points = reference.nodes.astype(float)
+        points[reference.corners :] += random.uniform(-0.6, 0.6, points[reference.corners :].shape)
+        if Geometry(reference, points[None], fine).determinant.min() < -0.05:
+            folded.append(points)
+    for points in folded:
+        with pytest.raises(InvalidProblem, match="inverted"):
+            Mesh(points, (block,))
+    monkeypatch.setattr(mesh_checks, "UNEVEN", -np.inf)
+    missed = 0
+    for points in folded:
+        try:
+            Mesh(points, (block,))
+        except InvalidProblem:
+            continue
+        missed += 1
+    assert missed > 0, "some of them fold only where nothing but the lattice looks"
+
+
+def test_linear_elements_beside_quadratic_ones_are_refused():
+    """Else the middle node between them would hang, and a gap or an overlap open that no force resists."""
+    quadratic = rectangle(1.0, 1.0, (1, 1), "quad8")
+    e = quadratic.blocks[0].nodes[0]
+    points = [*quadratic.points, [2.0, 0.0], [2.0, 1.0]]
+    with pytest.raises(InvalidProblem, match="elements 0 and 1 share a facet, and only one of them has a middle node"):
+        mesh_from_arrays(points, {"quad8": [e], "quad4": [[e[1], 8, 9, e[2]]]})
+    apart = [*quadratic.points, [3.0, 0.0], [4.0, 0.0], [4.0, 1.0], [3.0, 1.0]]
+    assert mesh_from_arrays(apart, {"quad8": [e], "quad4": [[8, 9, 10, 11]]}).elements == 2
+    solid = box((1.0, 1.0, 1.0), (1, 1, 1), "hex20")
+    top = solid.side("top")[0].nodes[0][:4]
+    points = [*solid.points, *(solid.points[top] + [0.0, 0.0, 1.0])]
+    with pytest.raises(InvalidProblem, match="elements 0 and 1 share a facet"):
+        mesh_from_arrays(points, {"hex20": solid.blocks[0].nodes, "hex8": [[*top, 20, 21, 22, 23]]})
+
+
+def test_a_side_is_a_set_of_facets():
+    """A facet stated twice must not be loaded twice."""
+    mesh = mesh_from_arrays(POINTS, {"quad4": QUADS}, sides={"low": [[1, 2], [0, 1], [1, 0]]})
+    assert mesh.side("low")[0].nodes.tolist() == [[1, 2], [0, 1]]
+    twice = mesh.with_sides({"more": np.array([[0, 0], [0, 0]])})
+    assert len(twice.side("more")[0]) == 1
+    for pair in ([2, 0], [-1, 0], [0, 4], [1, -1]):
+        with pytest.raises(InvalidProblem, match=rf"side 'x': there is no facet {pair[1]} of an element {pair[0]}"):
+            mesh.with_sides({"x": np.array([[0, 0], pair])})
+
+
+@pytest.mark.parametrize("point", [[np.nan, 0.0], [0.0], [0.0, 0.0, 0.0], ["a", "b"], 1.0])
+def test_the_nearest_node_of_no_point(point):
+    mesh = mesh_from_arrays(POINTS, {"quad4": QUADS})
+    with pytest.raises(InvalidProblem, match="point: expected"):
+        mesh.nearest(point)
 
 
 def test_the_nearest_node_and_other_coordinates():

@@ -102,6 +102,25 @@ def test_bad_files_are_refused_by_name(gmsh, tmp_path):
         read_mesh(nonsense)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("mesh.vtu", b"hello", "meshio cannot read it .*[Cc]ouldn't read"),
+        ("mesh.msh", bytes(range(256)), "meshio cannot read it"),
+        ("mesh.bdf", b"GRID,1\n", "meshio cannot read it .*BEGIN BULK"),
+        ("mesh.obj", b"v 0 0 0\n", "expected plane elements or solid ones, got none"),
+        ("mesh.abc", b"hello", "meshio cannot read it"),
+    ],
+)
+def test_a_file_that_meshio_stumbles_over_is_refused_and_nothing_printed(name, content, message, tmp_path, capfd):
+    pytest.importorskip("meshio")
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidProblem, match=rf"^{name}: .*{message}") as refused:
+        read_mesh(tmp_path / name)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_missing_meshio_is_named_with_its_pip_command(gmsh, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(BackendMissing, match=r"squares.msh needs meshio: pip install 'contactqp\[solids\]'"):

@@ -219,6 +219,9 @@ def test_batches_of_elements_change_nothing(monkeypatch):
     [
         ({"model": "3d"}, "block: a 2D mesh and the model '3d'"),
         ({"model": "plane"}, "block: expected a model of plane-strain"),
+        ({"material": None}, "block: expected a Material as its material, got None"),
+        ({"mesh": None}, "block: expected a Mesh as its mesh, got None"),
+        ({"thickness": "1 mm"}, "block: expected real numbers"),
         ({"thickness": 0.0}, "block: expected a positive thickness, got 0.0"),
         ({"thickness": float("nan")}, "positive thickness"),
         ({"model": "axisymmetric", "thickness": 2.0}, "the model 'axisymmetric' has no thickness, got 2.0"),

@@ -2,9 +2,7 @@
 
 import pytest
 
-from contactqp.cli import main
-
-from .test_bad_files import complaint
+from .refusals import accept, mutated, refuse
 
 GOOD = """
 title = "Everything that a scene of bodies can have"
@@ -295,16 +293,10 @@ def written(folder, text=GOOD, mesh=MESH):
 
 @pytest.mark.parametrize("command", ["run", "explain"])
 def test_the_good_file_is_good(command, tmp_path, capsys):
-    with pytest.raises(SystemExit) as exit_:
-        main([command, written(tmp_path)])
-    assert exit_.value.code == 0, capsys.readouterr()
+    accept(capsys, written(tmp_path), command)
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
 def test_a_wrong_file_is_refused_in_one_line(name, tmp_path, capsys):
     old, new, words = MUTATIONS[name]
-    assert GOOD.count(old) == 1, f"the mutation must change one place, and {old!r} is there {GOOD.count(old)} times"
-    file = written(tmp_path, GOOD.replace(old, new))
-    message = complaint(capsys, "run", file)
-    assert file in message
-    assert words in message
+    refuse(capsys, written(tmp_path, mutated(GOOD, old, new)), words)
