@@ -41,17 +41,23 @@ class BodyAnswer:
         return np.array(vector(self.scene.system, claim.near or ()))
 
     def node(self, claim: Claim) -> int:
-        """The node of the claim's body nearest to its point."""
+        """The node of the claim's body at its point."""
+        return self._node_at(claim, str(claim.at))
+
+    def _node_at(self, claim: Claim, body: str) -> int:
         try:
-            return nearest_node(self.model.structure.body(str(claim.at)), self.near(claim), f"the body {claim.at!r}")
+            return nearest_node(self.model.structure.body(body), self.near(claim), f"the body {body!r}")
         except InvalidProblem as error:
             raise SceneError(f"{claim}: {error}") from None
 
     def contact_node(self, claim: Claim) -> int:
-        """The place among a contact's nodes of the one nearest to the claim's point."""
-        points = self.contact(claim).pairing.points
-        apart = np.linalg.norm(points - self.near(claim), axis=1)
-        return int(np.argmin(apart))
+        """The place among a contact's nodes of the one at the claim's point."""
+        contact = self.contact(claim)
+        node = self._node_at(claim, contact.body)
+        place = np.flatnonzero(contact.pairing.nodes == node)
+        if not place.size:
+            raise SceneError(f"{claim}: near: expected a node of the contact, got node {node} of {contact.body!r}")
+        return int(place[0])
 
 
 def _node_displacement(claim: Claim, answer: BodyAnswer) -> float:

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
 
+# How far a point may be from the node that it stands for, in diagonals of the node's smallest element: coordinates in
+# a case file are rounded, and a node of a mesh is no neighbour's.
+NEAR = 0.01
+
 
 def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
     """The mesh of a body in the scene's unit of length.
@@ -68,19 +72,22 @@ def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
 
 
 def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
-    """The node of a body or membrane nearest to a point.
+    """The node of a body or membrane at a point, given to within NEAR of the smallest element that has the node.
 
     Raises
     ------
     InvalidProblem
-        It is further away than the largest element is long: the point is not one of the body's.
+        There is none so near: a neighbour would be held, loaded or asked instead. The nearest is named.
     """
     points = body.points if isinstance(body, MembranePart) else body.mesh.points
     apart = np.linalg.norm(points - np.asarray(point), axis=1)
     node = int(np.argmin(apart))
-    largest = max(np.linalg.norm(np.ptp(points[block.nodes], axis=1), axis=1).max() for block in body.mesh.blocks)
-    if apart[node] > largest:
+    around = [points[block.nodes[(block.nodes == node).any(axis=1)]] for block in body.mesh.blocks]
+    smallest = min(float(np.linalg.norm(np.ptp(x, axis=1), axis=1).min()) for x in around if len(x))
+    if apart[node] > NEAR * smallest:
+        at = ", ".join(f"{x:.9g}" for x in points[node])
         raise InvalidProblem(
-            f"near: expected a point of {what}, got one that is {apart[node]:.6g} from its nearest node"
+            f"near: expected a node of {what} within {NEAR * smallest:.3g} of the point (1 % of an element), got the "
+            f"nearest, node {node} at ({at}), {apart[node]:.3g} away"
         )
     return node

@@ -14,7 +14,7 @@ class Measure:
     kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for a word
     at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie", "body"
     along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
-    near: bool = False  # ``near`` is a point: the nearest node is meant
+    near: bool = False  # ``near`` is a point: the node there is meant
     component: bool = False  # ``component`` is one of COMPONENTS
     matrix: bool = False  # its value is ``rows``
     solved: bool = True  # needs a solution; otherwise read off the problem
@@ -47,7 +47,7 @@ QUANTITIES = {
     "reduced stiffness": Measure("T'KT on the masters", ("stiffness",), matrix=True, solved=False),
     "reduced load": Measure("T'(f - K b) on the masters", ("force",), matrix=True, solved=False),
     "node displacement": _of_bodies(
-        "displacement of the node of a body nearest to `near`, along an axis",
+        "displacement of the node of a body at `near`, along an axis",
         "length",
         at="body",
         along="axis",
@@ -75,14 +75,14 @@ QUANTITIES = {
         "largest normal force over area among the nodes of a contact", "pressure", at="contact"
     ),
     "contact pressure": _of_bodies(
-        "normal force over area of the contact's node nearest to `near`", "pressure", at="contact", near=True
+        "normal force over area of the contact's node at `near`", "pressure", at="contact", near=True
     ),
     "contact half-width": _of_bodies(
         "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True
     ),
     "closed contacts": _of_bodies("number of nodes of a contact that press", "number", at="contact"),
     "node gap": _of_bodies(
-        "gap of the contact's node nearest to `near`, positive when open", "length", at="contact", near=True
+        "gap of the contact's node at `near`, positive when open", "length", at="contact", near=True
     ),
     "support force": _of_bodies(
         "sum of the forces of a support on the body, along the support's axis", "force", at="support"

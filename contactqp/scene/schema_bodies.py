@@ -151,7 +151,7 @@ class Body(_Meshed):
 
 
 class _Place(Block):
-    """Nodes of a body: ``on = "body.set"``, a side or node set, or ``on = "body"`` and the node nearest `near`."""
+    """Nodes of a body: ``on = "body.set"``, a side or node set, or ``on = "body"`` and the node at `near`."""
 
     on: Name
     near: fields.Point | None = None

@@ -192,7 +192,22 @@ MUTATIONS = {
     "far from the body": (
         'near = ["0 mm", "0 mm"]',
         'near = ["0 m", "9 m"]',
-        "supports[0] ('pin'): near: expected a point",
+        "supports[0] ('pin'): near: expected a node of the body 'lower' within",
+    ),
+    "near between nodes": (
+        'near = ["0 mm", "0 mm"]',
+        'near = ["0.2 mm", "0 mm"]',
+        "supports[0] ('pin'): near: expected a node of the body 'lower' within 0.00601 of the point",
+    ),
+    "stress between nodes": (
+        'near = ["1 mm", "1 mm"]',
+        'near = ["1.1 mm", "1 mm"]',
+        "got the nearest, node 8 at (1, 1), 0.1 away",
+    ),
+    "pressure of a node off the contact": (
+        'quantity = "contact force"\nat = "foot"\nvalue = "2000 N"',
+        'quantity = "contact pressure"\nat = "foot"\nnear = ["0 mm", "1 mm"]\nvalue = "200 MPa"',
+        "near: expected a node of the contact, got node 2 of 'lower'",
     ),
     "near in space": (
         'near = ["0 mm", "0 mm"]',
@@ -272,7 +287,7 @@ MUTATIONS = {
     "stress far away": (
         'near = ["1 mm", "1 mm"]',
         'near = ["1 m", "1 m"]',
-        "near: expected a point of the body 'lower'",
+        "near: expected a node of the body 'lower' within",
     ),
     "unknown component": ('component = "yy"', 'component = "yx"', "expect[1].component: expected 'xx', 'yy'"),
     "path with prescribed displacements": ("[report]", "[path]\nsteps = 2\n[report]", "supports[1].value ('guide')"),

@@ -104,7 +104,7 @@ def test_load_factors_scale_loads_and_leave_prescribed_displacements():
     """Pressed down by a support: the force of the contact is that of the support plus the load."""
     supports = [*PRESSED["supports"], {"name": "lid", "on": "block.top", "axis": "y", "value": "-1 um"}]
     loads = {"supports": supports, "pressures": [], "point_loads": [
-        {"name": "nail", "on": "block", "near": ["1 mm", "0.5 mm"], "force": ["0 N", "-600 N"]}
+        {"name": "nail", "on": "block", "near": ["1 mm", "0.25 mm"], "force": ["0 N", "-600 N"]}
     ]}  # fmt: skip
     claims = [
         (quantity, " N", {"at": at, "load_factor": factor})
@@ -204,6 +204,19 @@ def test_friction_rows_come_in_with_friction():
     problem = Scene(**PRESSED | {"contacts": [contact]}).problem()
     assert problem.tangent.shape[0] == problem.contacts
     assert set(problem.friction) == {0.3}
+
+
+def test_near_is_a_node_to_within_one_percent_of_an_element():
+    """Of 1 mm times 0.5 mm here: the value of a neighbour must not be taken for that of the point."""
+
+    def corner(x):
+        return values(None, ("node displacement", " mm", {"at": "block", "along": "y", "near": [x, "1 mm"]}))
+
+    assert corner("2.005 mm") == corner("2 mm")
+    with pytest.raises(cq.SceneError, match=r"near: expected a node of the body 'block' .* node \d+ at \(2, 1\), 0.02"):
+        corner("2.02 mm")
+    with pytest.raises(cq.SceneError, match=r"near: expected a node of the contact, got node \d+ of 'block'"):
+        values(None, ("contact pressure", " MPa", {"at": "foot", "near": ["2 mm", "1 mm"]}))
 
 
 def test_contacts_of_held_nodes_are_left_out_and_counted():
