@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
-from judging import REPRESENTABLE, Report
 
+from benchmarks.judging import REPRESENTABLE, Report
 from contactqp.methods import find
 
 # Ratios of bound and true error are taken of errors that are well above rounding.

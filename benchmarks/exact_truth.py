@@ -22,7 +22,8 @@ from typing import Any
 import flint
 import numpy as np
 from flint import arb_mat, fmpq, fmpq_mat
-from rational import (
+
+from benchmarks.rational import (
     NoSolution,
     beside,
     column,

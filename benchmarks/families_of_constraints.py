@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from bricks import (
+
+from benchmarks.bricks import (
     Generator,
     blocks,
     chain,
@@ -16,10 +17,9 @@ from bricks import (
     units,
     with_rows,
 )
-from families_of_floating_bodies import block_on_floor, floating_stack, free_stack
-from families_of_stiffness import beam_stops, chain_between, chain_walls, lattice_on_floor
-from family_register import member
-
+from benchmarks.families_of_floating_bodies import block_on_floor, floating_stack, free_stack
+from benchmarks.families_of_stiffness import beam_stops, chain_between, chain_walls, lattice_on_floor
+from benchmarks.family_register import member
 from contactqp import ContactProblem
 
 # (length, force) of one metre and one newton in the unit systems of practice.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from bricks import (
+
+from benchmarks.bricks import (
     Array,
     Generator,
     blocks,
@@ -16,10 +17,9 @@ from bricks import (
     units,
     with_rows,
 )
-from families_of_floating_bodies import free_stack
-from families_of_stiffness import chain_walls
-from family_register import member
-
+from benchmarks.families_of_floating_bodies import free_stack
+from benchmarks.families_of_stiffness import chain_walls
+from benchmarks.family_register import member
 from contactqp import ContactProblem
 
 

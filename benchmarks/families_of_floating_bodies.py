@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from bricks import Array, Generator, blocks, chain, few_bits, free_response, lattice, light, magnitudes, squeeze, units
-from family_register import member
 
+from benchmarks.bricks import (
+    Array,
+    Generator,
+    blocks,
+    chain,
+    few_bits,
+    free_response,
+    lattice,
+    light,
+    magnitudes,
+    squeeze,
+    units,
+)
+from benchmarks.family_register import member
 from contactqp import ContactProblem
 
 

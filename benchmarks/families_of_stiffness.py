@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from bricks import Generator, beam, blocks, chain, fair_gaps, lattice, light, magnitudes, squeeze, units
-from family_register import member
 
+from benchmarks.bricks import Generator, beam, blocks, chain, fair_gaps, lattice, light, magnitudes, squeeze, units
+from benchmarks.family_register import member
 from contactqp import ContactProblem
 
 

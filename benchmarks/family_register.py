@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from bricks import Generator
 
+from benchmarks.bricks import Generator
 from contactqp import ContactProblem
 
 

@@ -1,7 +1,7 @@
 """Stiff and degenerate elastic bodies of about 8000 unknowns: the error of every method's contact forces.
 
-    python benchmarks/hard_bodies.py
-    python benchmarks/hard_bodies.py --methods active-set osqp --unknowns 2000
+    python -m benchmarks.hard_bodies
+    python -m benchmarks.hard_bodies --methods active-set osqp --unknowns 2000
 
 A block on an obstacle: with a stiffness contrast of 1e8; in SI units, E = 2.1e11 Pa, pressed by 1e-6 m; floating, under
 a traction; with every contact row twice; on a flat floor that it grazes exactly, alone and beside contacts that push.

@@ -4,7 +4,7 @@ Every number is a mean over several approaches, because the edge of contact fall
 errors swing with where. Hertz (Johnson 1985, section 4.2(a)): p0 = (6 P E*^2 / (pi^3 R^2))^(1/3). The force at an
 approach has no closed form on a half ball, which is no half-space; its order is that of the differences between meshes.
 
-    python benchmarks/hertz_convergence.py --finest 48
+    python -m benchmarks.hertz_convergence --finest 48
 
 Exit code 1 where an order is below 0.9, or the peak pressure on the finest mesh off by more than 1 %.
 """

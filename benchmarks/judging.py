@@ -11,11 +11,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from exact_truth import Truth, condition, displaced, find_truth, on_set
-from problem_families import FAMILIES, family
-from rational import NoSolution, Undecided, floats, rational
 
 import contactqp as cq
+from benchmarks.exact_truth import Truth, condition, displaced, find_truth, on_set
+from benchmarks.problem_families import FAMILIES, family
+from benchmarks.rational import NoSolution, Undecided, floats, rational
 from contactqp.methods import Settings, find
 from contactqp.scaling import nondimensional
 

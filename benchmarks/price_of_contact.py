@@ -1,8 +1,8 @@
 """What a certified contact solution costs, in units of one linear solve of the same body without contact.
 
-    python benchmarks/price_of_contact.py                        # PARDISO if installed
-    python benchmarks/price_of_contact.py --solver superlu --two 30000 --three
-    python benchmarks/price_of_contact.py --raw osqp clarabel piqp proxqp highs --two 8000 --three 8000
+    python -m benchmarks.price_of_contact                        # PARDISO if installed
+    python -m benchmarks.price_of_contact --solver superlu --two 30000 --three
+    python -m benchmarks.price_of_contact --raw osqp clarabel piqp proxqp highs --two 8000 --three 8000
 
 A block (plane strain quadrilaterals, or hexahedra) is pressed on a paraboloid, contact on one whole face. One process;
 linear solve, `cq.solve` with its certificate and raw backends take turns, each on a fresh problem, medians of the
@@ -24,9 +24,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import petsc_solvers
 
 import contactqp as cq
+from benchmarks import petsc_solvers
 from contactqp.condensation import condense
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import box, rectangle

@@ -6,11 +6,8 @@ every problem has (or has not) a solution is by construction; each maker says ho
 """
 
 # Importing the files registers what they hold.
-import families_of_constraints
-import families_of_contacts
-import families_of_floating_bodies
-import families_of_stiffness
-from family_register import FAMILIES, Family, family
+from benchmarks import families_of_constraints, families_of_contacts, families_of_floating_bodies, families_of_stiffness
+from benchmarks.family_register import FAMILIES, Family, family
 
 __all__ = [
     "FAMILIES",

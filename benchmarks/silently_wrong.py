@@ -1,6 +1,6 @@
 """Count how often a wrong answer is returned whose certificate passes: never, over thousands of hard problems.
 
-    python benchmarks/silently_wrong.py --problems 2000
+    python -m benchmarks.silently_wrong --problems 2000
 
 Every problem has its exact rational solution (`exact_truth`) and meets all methods. An answer is wrong if its error, in
 the energy norm of the displacement or of the contact forces, exceeds 1e-6 + 100 eps kappa(K). Counted besides: what
@@ -20,9 +20,9 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from counting import failures, text
-from judging import Report, available, judge
-from problem_families import FAMILIES
+from benchmarks.counting import failures, text
+from benchmarks.judging import Report, available, judge
+from benchmarks.problem_families import FAMILIES
 
 
 def _task(task: tuple[str, int, tuple[str, ...]]) -> Report:

@@ -1,6 +1,6 @@
 """How long the stiffness of a block of hexahedra takes, against the number of elements.
 
-`python benchmarks/stiffness_assembly.py`; where scikit-fem is installed also its generic form, up to 16^3 elements.
+`python -m benchmarks.stiffness_assembly`; where scikit-fem is installed also its generic form, up to 16^3 elements.
 """
 
 from __future__ import annotations

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 
+import flint
 import numpy as np
 import pytest
 
 import contactqp as cq
-
-flint = pytest.importorskip("flint")
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import counting  # noqa: E402
-import judging  # noqa: E402
-import silently_wrong  # noqa: E402
-from bricks import few_bits  # noqa: E402
-from exact_truth import condition, find_truth  # noqa: E402
-from problem_families import FAMILIES, family  # noqa: E402
-from rational import NoSolution, floats, lemke, matrix, null_space, number  # noqa: E402
+from benchmarks import counting, judging, silently_wrong
+from benchmarks.bricks import few_bits
+from benchmarks.exact_truth import condition, find_truth
+from benchmarks.problem_families import FAMILIES, family
+from benchmarks.rational import NoSolution, floats, lemke, matrix, null_space, number
 
 SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]
 FREE = ("floating", "lattice_free", "lattice_in", "lifted", "summed")
