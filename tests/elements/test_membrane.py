@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import scipy.sparse.linalg as spla
 
+import contactqp as cq
 from contactqp.elements.loads import Traction
 from contactqp.elements.membrane import Membrane
+from contactqp.elements.mesh import mesh_from_arrays
+from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.shapes import box, disc, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
@@ -50,6 +53,21 @@ def test_a_membrane_between_two_rings_is_a_logarithm():
     exact = np.log(2 / np.linalg.norm(mesh.points, axis=1)) / np.log(2)
     assert np.abs(w - exact).max() < 5e-4
     assert structure.unknown_names()[:2] == ("sheet node 0 z", "sheet node 1 z")
+
+
+def test_a_part_that_nothing_holds_rests_on_its_obstacle_or_is_named():
+    """Two squares in one mesh, the left one held at a node, both pushed down by 1 at every node."""
+    points = [[0, 0], [1, 0], [1, 1], [0, 1], [3, 0], [4, 0], [4, 1], [3, 1]]
+    sheet = Membrane(mesh_from_arrays(points, {"quad4": [[0, 1, 2, 3], [4, 5, 6, 7]]}), 1.0, name="sheet")
+    system = Structure([sheet]).assemble([Support("sheet", 0, 0)])
+    down = -np.ones(len(system.free))
+    resting = cq.solve(system.problem([pair_scalar(points, np.full(8, -0.5))]).replace(load=down))
+    assert resting.certificate.passed
+    np.testing.assert_allclose(resting.normal_force[-4:], 1.0, rtol=1e-12)
+    with pytest.raises(cq.NoEquilibrium, match="sheet node 4 z"):
+        cq.solve(system.problem([]).replace(load=down))
+    with pytest.raises(cq.NoEquilibrium, match="sheet node 4 z"):
+        cq.solve(system.problem([pair_scalar(points, np.where(np.arange(8) < 4, -0.5, -np.inf))]).replace(load=down))
 
 
 def test_what_is_no_membrane_is_refused():

@@ -207,7 +207,7 @@ def test_friction_rows_come_in_with_friction():
 
 
 def test_near_is_a_node_to_within_one_percent_of_an_element():
-    """Of 1 mm times 0.5 mm here: the value of a neighbour must not be taken for that of the point."""
+    """Of 0.5 mm times 0.75 mm at this corner: the value of a neighbour must not be taken for that of the point."""
 
     def corner(x):
         return values(None, ("node displacement", " mm", {"at": "block", "along": "y", "near": [x, "1 mm"]}))
