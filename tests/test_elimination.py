@@ -11,13 +11,13 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.elimination import DenseInterior, LastBlock, eliminate
+from contactqp.elimination import BackSubstitution, LastBlock, eliminate
 from contactqp.errors import InvalidProblem
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.trailing_block import TrailingBlock
 
 needs_pardiso = pytest.mark.skipif(not available(), reason="needs pypardiso: pip install 'contactqp[fast]'")
-WAYS = [DenseInterior, TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
+WAYS = [BackSubstitution, TrailingBlock, pytest.param(LastBlock, marks=needs_pardiso)]
 
 
 def pressed_block(cells=12, **held):
@@ -79,6 +79,17 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
     one, other = solutions.values()
     assert np.max(abs(one.normal_force - other.normal_force)) <= 1e-14 * np.max(one.normal_force)
     assert np.max(abs(one.displacement - other.displacement)) <= 1e-14 * np.max(abs(one.displacement))
+
+
+@pytest.mark.parametrize(("step", "way"), [(2, BackSubstitution), (4, BackSubstitution), (9, TrailingBlock)])
+def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, way):
+    """Among many that are retained, and in small bodies, back-substitutions are cheaper."""
+    monkeypatch.setenv(elimination.CHOICE, "superlu")
+    K = pressed_block(12).stiffness_rows
+    assert K.shape[0] > 300
+    assert isinstance(eliminate(K, np.arange(0, K.shape[0], step)), way)
+    small = pressed_block(5).stiffness_rows
+    assert isinstance(eliminate(small, np.arange(0, small.shape[0], step)), BackSubstitution)
 
 
 def test_superlu_needs_few_back_substitutions(monkeypatch):

