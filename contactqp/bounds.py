@@ -53,6 +53,8 @@ from contactqp.energy_norm import (
     without_part_along,
 )
 from contactqp.extended import Extended, extend
+from contactqp.iteration import Iteration
+from contactqp.multigrid_bounds import Unrepaired, distances
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
@@ -85,10 +87,14 @@ class Bounds:
     reasons: tuple[str, ...] = ()
 
 
-def bounds(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
+def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:
     """The bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
         return no_bounds("Coulomb friction is no minimisation: its energy bounds nothing")
+    return _iterated(problem, answer, way) if isinstance(way, Iteration) else _condensed(problem, answer, left, way)
+
+
+def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
     if len(condensation.retained) > LARGEST:
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
     try:
@@ -101,6 +107,20 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, condensatio
 def no_bounds(reason: str) -> Bounds:
     """None of the bounds, for one reason."""
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
+
+
+def _iterated(problem: ContactProblem, answer: Answer, way: Iteration) -> Bounds:
+    try:
+        found = distances(problem, answer, way)
+    except Unrepaired as reason:
+        return replace(no_bounds(str(reason)), suspicious=str(reason))
+    return Bounds(
+        energy_error=_relative(found.displacement, found.energy_scale, found.displacement, np.inf),
+        force_error=_relative(found.force, found.force_scale, found.radius, np.inf),
+        energy_scale=found.energy_scale,
+        force_scale=found.force_scale,
+        reasons=("force_bound: contact by contact it takes responses to unit forces, and nothing was factorised",),
+    )
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:

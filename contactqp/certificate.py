@@ -14,8 +14,19 @@ from contactqp.condensation import Condensation, condense
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, not_finite_parts, notes
+from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import FIGURES, Answer, Residuals, Violations, balance, own_compliance, residuals, violations
+from contactqp.violations import (
+    FIGURES,
+    Answer,
+    Residuals,
+    Violations,
+    balance,
+    own_compliance,
+    plain_residuals,
+    residuals,
+    violations,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +98,8 @@ def certify(
     ------
     InvalidProblem
         Wrong shapes, missing forces, or an indefinite stiffness. NaN is no error here: it fails.
+    Unsupported
+        A body floats that is too large to factorise.
 
     Examples
     --------
@@ -102,9 +115,8 @@ def certify(
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
-    left = residuals(problem, answer)
+    left, known, rigid = _residuals_and_bounds(problem, answer, factorization)
     found = violations(problem, answer, left)
-    known, rigid = _bounds(problem, answer, left, factorization)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
     failures = list(failed_figures(problem, answer, found, figures, tolerance))
@@ -127,14 +139,19 @@ def certify(
     )
 
 
-def _bounds(
-    problem: ContactProblem, answer: Answer, left: Residuals, factorization: Condensation | None
-) -> tuple[Bounds, RigidMotions]:
-    """The bounds, and the rigid motions of the bodies."""
+def _residuals_and_bounds(
+    problem: ContactProblem, answer: Answer, factorization: Condensation | None
+) -> tuple[Residuals, Bounds, RigidMotions]:
+    """What an answer leaves, how far from the truth that is, and the rigid motions of the bodies."""
+    if factorization is None and iterated(problem):
+        left = plain_residuals(problem, answer)
+        known = bounds(problem, answer, left, iteration(problem))
+        return left, known, RigidMotions(np.zeros((problem.dimension, 0)))  # one that floats is refused
+    left = residuals(problem, answer)
     if factorization is None and (candidates := believed_candidates(problem, answer)) is not None:
-        return bounds_among(problem, answer, left, candidates)
+        return left, *bounds_among(problem, answer, left, candidates)
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
-    return bounds(problem, answer, left, condensation), condensation.rigid
+    return left, bounds(problem, answer, left, condensation), condensation.rigid
 
 
 def _grazing(

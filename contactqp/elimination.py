@@ -29,9 +29,11 @@ BLOCK = 64
 FEW = 4
 # From here on a sparse factorisation with PARDISO pays for loading it.
 LARGE = 2000
-# The variable of the environment that chooses the sparse solver, "superlu" or "pardiso"; the fastest by default.
+# The variable of the environment that chooses the sparse solver; the fastest by default. With
+# "pyamg" nothing is eliminated (`iteration`), unless a caller asks for it.
 CHOICE = "CONTACTQP_SPARSE_SOLVER"
 SOLVERS = ("superlu", "pardiso")
+CHOICES = (*SOLVERS, "pyamg")
 
 
 class Elimination(Protocol):
@@ -117,12 +119,12 @@ class LastBlock:
 def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
     """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain."""
     chosen = os.environ.get(CHOICE, "")
-    if chosen and chosen not in SOLVERS:
-        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(SOLVERS)}, got {chosen!r}")
+    if chosen and chosen not in CHOICES:
+        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {chosen!r}")
     interior = np.ones(stiffness.shape[0], dtype=bool)
     interior[retained] = False
     count = np.count_nonzero(interior)
-    wanted = count >= LARGE and available() if not chosen else chosen == "pardiso" and count > 0
+    wanted = count >= LARGE and available() if chosen in ("", "pyamg") else chosen == "pardiso" and count > 0
     if wanted and np.all(stiffness.diagonal()[interior] > 0):
         try:
             return LastBlock(stiffness, retained)

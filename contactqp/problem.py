@@ -21,7 +21,15 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem
 from contactqp.problem_data import Matrix as Matrix
 from contactqp.problem_data import Vector as Vector
-from contactqp.problem_data import read_friction, read_names, read_rows, read_stiffness, read_vector, refuse_zero_rows
+from contactqp.problem_data import (
+    read_friction,
+    read_motions,
+    read_names,
+    read_rows,
+    read_stiffness,
+    read_vector,
+    refuse_zero_rows,
+)
 
 # What is kept of a stiffness alone, whatever the contacts.
 OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
@@ -63,6 +71,9 @@ class ContactProblem:
     dof_names, contact_names : sequences of distinct strings, optional
         Used in every message and table.
     units : Units or mapping with the keys ``length`` and ``force``, optional
+    near_null_space : (n, q) array, optional
+        Motions that cost little energy, one a column: the rigid-body motions of elastic bodies. A hint for multigrid
+        on large problems, never part of the answer.
 
     Raises
     ------
@@ -88,6 +99,7 @@ class ContactProblem:
     dof_names: tuple[str, ...] | None
     contact_names: tuple[str, ...] | None
     units: Units
+    near_null_space: NDArray[np.float64] | None
     asymmetry: float
     _shared: dict[str, Any]
 
@@ -105,6 +117,7 @@ class ContactProblem:
         dof_names: Sequence[str] | None = None,
         contact_names: Sequence[str] | None = None,
         units: Units | Mapping[str, str] | None = None,
+        near_null_space: ArrayLike | None = None,
     ) -> None:
         K, asymmetry = read_stiffness(stiffness)
         n = K.shape[0]
@@ -128,6 +141,7 @@ class ContactProblem:
             dof_names=read_names("dof_names", dof_names, n),
             contact_names=read_names("contact_names", contact_names, m),
             units=_units(units),
+            near_null_space=read_motions("near_null_space", near_null_space, n),
         )
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -161,7 +175,7 @@ class ContactProblem:
         indefinite by a few digits of what it was before; it still is this problem.
         """
         kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0)
-        frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None)
+        frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
         return ContactProblem._of_checked(kept | frictionless | data | rows, {"load_size": load_size})
@@ -219,7 +233,7 @@ class ContactProblem:
         unknown = set(changes) - known
         if unknown:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
-        if set(changes) & {"stiffness", "normal", "tangent", "tie"}:
+        if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
             return ContactProblem(**{name: getattr(self, name) for name in known} | changes)
         n, m, k = self.dimension, self.contacts, self.ties
         checked: dict[str, Any] = {name: getattr(self, name) for name in known} | {"asymmetry": self.asymmetry}

@@ -175,6 +175,16 @@ def read_friction(
     return E_T, coefficient, _frozen(origin.reshape(m, per_contact))
 
 
+def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    motions = _array(name, value)
+    if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
+        raise InvalidProblem(f"{name}: expected shape ({n}, q), one motion a column, got {motions.shape}")
+    _finite(name, motions)
+    return _frozen(motions)
+
+
 def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
     if value is None:
         return None

@@ -26,6 +26,11 @@ class Candidate:
     status: str = ""  # the backend's own words
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
 
+    @property
+    def finite(self) -> bool:
+        """Whether every number of it is one."""
+        return all(np.all(np.isfinite(part)) for part in (self.displacement, self.normal_force, self.tie_force))
+
 
 @dataclass(frozen=True)
 class Work:
@@ -36,6 +41,8 @@ class Work:
     iterations: int | None = 0  # of the method; None where it does not say
     retained: int = 0  # unknowns of the problem that the method saw
     polish_corrections: int = 0  # changes of the method's contact set while polishing
+    solver: str = ""  # "dense", "superlu", "pardiso", or "pyamg" where nothing is factorised
+    krylov_iterations: int = 0  # of conjugate gradients, the certificate's included
 
     def after(self, earlier: Work) -> Work:
         """This work and what was spent on it before."""
@@ -66,6 +73,18 @@ class FreeMotion:
 
     def __str__(self) -> str:
         return self.description
+
+
+@dataclass(frozen=True, eq=False)
+class Final:
+    """The answer that is certified: a candidate, polished or as it came, its free motions at rest."""
+
+    displacement: Vector
+    normal_force: Vector
+    tie_force: Vector
+    free_motions: tuple[FreeMotion, ...] = ()
+    corrections: int = 0  # of the contact set
+    polished: bool = False
 
 
 @dataclass(frozen=True, eq=False)

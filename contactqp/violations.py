@@ -94,6 +94,18 @@ def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     return residuals_of(extended_rows(problem), problem, *parts, answer.friction_force)
 
 
+def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """The residuals of an answer in double precision, each entry to a few dozen roundings of the sizes that meet."""
+    u = answer.displacement
+    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
+    force = problem.load - problem.stiffness_rows @ u - outer
+    return Residuals(
+        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
+    )
+
+
 def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Violations:
     """Every figure of an answer with these residuals."""
     residual, gap, tie_error = left.force.double(), left.gap.double(), abs(left.tie.double())

@@ -17,11 +17,18 @@ LAYERS = (
     "problem_data",
     "problem",
     "solution",
+    "blas_threads",
     "extended",
     "factorization",
     "pardiso",
     "trailing_block",
     "elimination",
+    "coarsest_level",
+    "multigrid",
+    "v_cycle",
+    "held_rows",
+    "conjugate_gradients",
+    "iteration",
     "condensation",
     "delassus",
     "nonnegative",
@@ -31,6 +38,7 @@ LAYERS = (
     "polishing",
     "energy_norm",
     "admissible_pair",
+    "multigrid_bounds",
     "bounds",
     "candidates",
     "failures",
@@ -39,6 +47,10 @@ LAYERS = (
     "scaling",
     "existence",
     "methods",
+    "solving_arguments",
+    "inexact_active_set",
+    "condensed_attempt",
+    "iterated_attempt",
     "solving",
     "elements",
     "pictures",
@@ -75,7 +87,7 @@ def test_the_certificate_imports_no_method() -> None:
     assert _run(code) == "[]"
 
 
-OPTIONAL = ("cvxpy", "osqp", "clarabel", "qpsolvers", "matplotlib", "skfem", "piqp", "daqp", "highspy", "scs")
+OPTIONAL = ("cvxpy", "osqp", "clarabel", "qpsolvers", "matplotlib", "skfem", "piqp", "daqp", "highspy", "scs", "pyamg")
 
 
 def test_importing_the_package_imports_nothing_optional() -> None:

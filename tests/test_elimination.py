@@ -60,7 +60,7 @@ def test_pardiso_refuses_what_is_not_positive_definite_and_elimination_then_goes
 
 def test_a_solver_that_does_not_exist_is_refused(monkeypatch):
     monkeypatch.setenv(elimination.CHOICE, "parsido")
-    with pytest.raises(InvalidProblem, match=r"expected one of superlu, pardiso, got .parsido."):
+    with pytest.raises(InvalidProblem, match=r"expected one of superlu, pardiso, pyamg, got .parsido."):
         cq.solve(pressed_block(3))
 
 

@@ -78,6 +78,10 @@ class Membrane:
             entries.append(((K + np.swapaxes(K, 1, 2)) / 2).ravel())
         return assemble(where, np.concatenate(entries)[np.newaxis, np.newaxis])
 
+    def rigid_motions(self) -> NDArray[np.float64]:
+        """(N, 1): the one motion that costs no energy, all nodes alike."""
+        return np.ones((self.size, 1))
+
     def areas(self) -> NDArray[np.float64]:
         """What belongs to each node, (N,) [length^2]: the contact force over it is the contact pressure.
 

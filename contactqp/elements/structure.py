@@ -119,6 +119,15 @@ class Structure:
             for axis in body.axes
         )
 
+    def rigid_motions(self) -> NDArray[np.float64]:
+        """(n, q): the motions of every body that cost it no energy, side by side in the same columns [length]."""
+        of_bodies = [body.rigid_motions() for body in self.bodies]
+        motions = np.zeros((self.size, max(part.shape[1] for part in of_bodies)))
+        for body, part in zip(self.bodies, of_bodies, strict=True):
+            first = self.first(body.name)
+            motions[first : first + body.size, : part.shape[1]] = part
+        return motions
+
     @cached_property
     def stiffness(self) -> Any:
         """K of all unknowns, free or not: (n, n) CSC [force / length]."""
@@ -281,6 +290,7 @@ class System:
             dof_names=[unknowns[j] for j in self.free],
             contact_names=[called[i] for i in kept],
             units=units,
+            near_null_space=self.structure.rigid_motions()[self.free],
             **tangential,
         )
 

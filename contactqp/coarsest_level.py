@@ -1,0 +1,88 @@
+"""The coarsest level of a hierarchy, factorised densely once for every set of rows that may hold.
+
+With t the unknowns that rows touch and o the others, scaled to a diagonal of ones,
+
+    K_oo = L L',    X = L^-1 K_ot,    S = K_tt - X'X,
+
+and S + E'CE, of few unknowns, is all that a change of the rows factorises anew.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import Unsupported
+
+Array = NDArray[np.float64]
+
+
+class CoarsestLevel:
+    """Factors of K_oo.
+
+    Parameters
+    ----------
+    matrix : (n, n) sparse matrix
+        K of the level; an unknown with a zero row gets a diagonal of one.
+    touched : (t,) array of int
+        The unknowns that rows may touch.
+    """
+
+    def __init__(self, matrix: Any, touched: NDArray[np.intp]) -> None:
+        from scipy.linalg import solve_triangular
+
+        dense = matrix.toarray()
+        empty = np.flatnonzero(np.diag(dense) <= 0)
+        dense[empty, empty] = 1.0
+        self.scale = 1 / np.sqrt(np.diag(dense))
+        dense *= np.outer(self.scale, self.scale)
+        self.touched = touched
+        self.others = np.setdiff1d(np.arange(len(dense)), touched)
+        self.lower = cholesky(dense[np.ix_(self.others, self.others)])
+        coupling = dense[np.ix_(self.others, touched)]
+        self.coupling = solve_triangular(self.lower, coupling, lower=True, check_finite=False)
+        self.schur = dense[np.ix_(touched, touched)] - self.coupling.T @ self.coupling
+
+
+class HeldCoarsestLevel:
+    """(K + E'CE)^-1 on the coarsest level; `rows` (a, t) are C^1/2 E over the touched unknowns."""
+
+    def __init__(self, level: CoarsestLevel, rows: Any) -> None:
+        self._level = level
+        scaled = rows.toarray() * level.scale[level.touched]
+        self._lower = cholesky(level.schur + scaled.T @ scaled)
+
+    def solve(self, right: Array) -> Array:
+        from scipy.linalg import cho_solve, solve_triangular
+
+        level, scaled = self._level, self._level.scale * right
+        inner = solve_triangular(level.lower, scaled[level.others], lower=True, check_finite=False)
+        x = np.empty_like(scaled)
+        at = cho_solve((self._lower, True), scaled[level.touched] - level.coupling.T @ inner, check_finite=False)
+        x[level.touched] = at
+        inner -= level.coupling @ at
+        x[level.others] = solve_triangular(level.lower, inner, lower=True, trans="T", check_finite=False)
+        return level.scale * x
+
+
+def cholesky(matrix: Array) -> Array:
+    """L of a matrix with a diagonal of about one.
+
+    Raises
+    ------
+    Unsupported
+        It is singular.
+    """
+    from scipy.linalg import cholesky as factor
+
+    if not len(matrix):
+        return matrix
+    try:
+        return np.asarray(factor(matrix, lower=True, check_finite=False))
+    except np.linalg.LinAlgError:
+        raise Unsupported(
+            "pyamg: the stiffness is singular, or too near to it to be solved by iteration; factorise it instead: "
+            "CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
+        ) from None

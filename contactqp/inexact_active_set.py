@@ -1,0 +1,186 @@
+"""The primal-dual active set by conjugate gradients, inexact: for bodies too large to factorise.
+
+On the contacts A that are closed, with all ties, conjugate gradients approach K u = f - E_A'l_A, E_A u = g_A; forces
+come from the residual r = f - K u, l_A = (E_A D^-1 E_A')^-1 E_A D^-1 r. After each step the forces l and the gaps of
+the moment say which contacts they would close and open (Hintermueller, Ito and Kunisch 2003): those with
+l_i + (E u - g)_i / (E_i D^-1 E_i') > 0. What contradicts the set has the energy
+
+    delta^2 = sum of (E_i D^-1 E_i') l_i^2 over tensions + sum of (E u - g)_i^2 / (E_i D^-1 E_i') over penetrations,
+
+and the set is changed as soon as the error r'M r of the displacement on it is not larger than that: what a system of
+an early set is solved to is not better than the set. Only the last set is solved to the end.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.conjugate_gradients import ConjugateGradients
+from contactqp.held_rows import HeldRows
+from contactqp.iteration import Iteration
+from contactqp.methods.method import Settings
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Candidate
+from contactqp.violations import force_measure, ratio, stiffness_sizes
+
+# The bodies without contact are solved to this part of their energy norm: the first set comes from them.
+FIRST = 0.3
+# A set is changed when the error on it is this part of what contradicts it; less where sets come back.
+TRUST, TIGHTER, LEAST_TRUST = 3.0, 0.1, 1e-6
+# Changes of the set, and steps on one of them, before the method gives up.
+SETS, STEPS = 200, 400
+# Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
+EQUILIBRIUM, SIGN = 0.7, 0.1
+TIGHTEST = 1e-13
+# An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
+SETTLED = 1e-4
+# Error in energy, of the energy of the contact forces (of the displacement, without them): bounds shall prove 1e-6.
+ENERGY = 1e-7
+
+
+def solve_by_iteration(problem: ContactProblem, way: Iteration, settings: Settings) -> Candidate:
+    """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found."""
+    return _Search(problem, way, settings).run()
+
+
+class _Search:
+    """The displacement of the moment, its set, and what it has cost."""
+
+    def __init__(self, problem: ContactProblem, way: Iteration, settings: Settings) -> None:
+        self.problem, self.way = problem, way
+        self.m = problem.contacts
+        self.limit = np.concatenate([problem.gap, problem.tie_value])
+        self.near_stiffness = abs(problem.stiffness_rows[way.touched])
+        self.rows, self.row_sizes = way.rows, abs(way.rows)
+        self.sets_left = settings.max_iter or SETS
+        self.tolerance = max(settings.tolerance, TIGHTEST)
+        self.end = np.inf if settings.time_limit is None else time.perf_counter() + settings.time_limit
+        self.seen: set[bytes] = set()
+        self.trust = TRUST
+        self.history: list[float] = []
+        self.start(settings.warm_start)
+
+    def start(self, known: Candidate | None) -> None:
+        """A displacement and a set, from a known solution or from the bodies without contact."""
+        if known is not None:
+            self.x = known.displacement.copy()
+            self.without_contact = np.zeros_like(self.x)
+            self.closed = known.normal_force > 0
+            return
+        run = self.way.run_without_rows(self.problem.load.copy())
+        enough = FIRST**2 * run.square()
+        while run.estimate() > enough and run.steps < STEPS and self._step(run):
+            pass
+        self.way.learn(run)
+        self.x, self.without_contact = run.x.copy(), run.x
+        self.closed = self._penetration() > 0
+
+    def run(self) -> Candidate:
+        sets = 0
+        while True:
+            sets += 1
+            if self.closed.tobytes() in self.seen:
+                self.trust *= TIGHTER
+            self.seen.add(self.closed.tobytes())
+            stopped = self._solve_on_set()
+            self.way.learn(self.last_run)
+            if not stopped and (sets >= self.sets_left or self.trust < LEAST_TRUST):
+                stopped = f"no contact set was found; {int(np.sum(self.tension | self.penetrated))} contacts disagree"
+            if stopped:
+                return Candidate(
+                    self.x,
+                    np.maximum(self.force[: self.m], 0.0) if stopped == FOUND else self.force[: self.m],
+                    self.force[self.m :],
+                    iterations=sets,
+                    claimed=stopped == FOUND,
+                    status=stopped,
+                    history=tuple(self.history),
+                )
+            self.closed = self.closed & ~self.tension | self.penetrated
+
+    def _solve_on_set(self) -> str:
+        """Steps until the set is contradicted ("") or the answer is good enough (FOUND) or something else ends them."""
+        on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
+        held = self.way.held(on_set, self.limit[on_set])
+        held.close(self.x)
+        run = self.way.run(self.x, self.problem.load - self.way.matrix @ self.x, on_set, held)
+        self.last_run = run
+        goal: _Goal | None = None
+        while True:
+            self._look(run, held, on_set)
+            contradicted = bool(np.any(self.tension | self.penetrated))
+            error = run.estimate()
+            if contradicted:
+                if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
+                    return ""
+            elif error <= SETTLED**2 * self._energy(run):
+                goal = goal or _Goal(self)
+                if goal.reached(run):
+                    return FOUND
+            if time.perf_counter() > self.end:
+                return "the time limit is reached"
+            if run.steps >= STEPS:
+                return f"conjugate gradients did not converge in {STEPS} steps"
+            if not self._step(run):
+                return "" if contradicted else FOUND
+
+    def _step(self, run: ConjugateGradients) -> bool:
+        self.way.krylov_iterations += 1
+        return run.step()
+
+    def _energy(self, run: ConjugateGradients) -> float:
+        """x'K x."""
+        return float(self.x @ (self.problem.load - run.residual))
+
+    def _penetration(self) -> Vector:
+        return np.asarray((self.rows @ self.x[self.way.touched] - self.limit)[: self.m])
+
+    def _look(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> None:
+        """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
+        self.force = np.zeros(len(self.limit))
+        self.force[on_set] = held.forces(run.residual)
+        near, m, allowed = abs(self.x[self.way.touched]), self.m, SIGN * self.tolerance
+        sizes = self.near_stiffness @ abs(self.x) + abs(self.problem.load[self.way.touched])
+        sizes += self.row_sizes.T @ abs(self.force)
+        pull = force_measure(self.rows[:m], self.force[:m], sizes)
+        self.tension = (self.force[:m] < 0) & (pull > allowed)
+        depth, lengths = self._penetration(), (self.row_sizes @ near + abs(self.limit))[:m]
+        self.penetrated = ~self.closed & (depth > allowed * lengths)
+        compliance = self.way.own_compliance[:m]
+        against = np.sum(compliance[self.tension] * self.force[:m][self.tension] ** 2)
+        against += np.sum(depth[self.penetrated] ** 2 / compliance[self.penetrated])
+        self.history.append(float(np.sqrt(against)))
+
+
+class _Goal:
+    """How good the answer on a set has to be; sizes are taken once, when the set is first agreed with."""
+
+    def __init__(self, search: _Search) -> None:
+        problem, way = search.problem, search.way
+        forces = np.zeros(problem.dimension)
+        forces[way.touched] = search.row_sizes.T @ abs(search.force)
+        self.sizes = stiffness_sizes(problem) @ abs(search.x) + abs(problem.load) + forces
+        self.equilibrium = EQUILIBRIUM * search.tolerance
+        # |l|_W >= l'E v / |v|_K for any v: for the way from the bodies without contact it is nearly equal.
+        moved = search.without_contact - search.x
+        if np.any(search.force) and np.any(search.without_contact):
+            work = float(search.force @ (way.rows @ moved[way.touched]))
+        else:
+            moved, work = search.x, float(search.x @ (way.matrix @ search.x))
+        energy = float(moved @ (way.matrix @ moved))
+        self.energy = ENERGY * abs(work) / np.sqrt(energy) if energy > 0 else 0.0
+        self.least = way.least_eigenvalue
+
+    def reached(self, run: ConjugateGradients) -> bool:
+        error = run.estimate()
+        if error == 0:
+            return True
+        if error > self.least * self.energy**2:
+            return False
+        return bool(np.all(ratio(abs(run.unbalanced), self.sizes) <= self.equilibrium))
+
+
+FOUND = "signs and equilibrium hold"

@@ -1,0 +1,124 @@
+"""What replaces condensation where a body is too large to factorise: a hierarchy of its stiffness, and products."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.conjugate_gradients import ConjugateGradients
+from contactqp.elimination import CHOICE
+from contactqp.errors import Unsupported
+from contactqp.held_rows import HeldRows
+from contactqp.multigrid import Hierarchy, available
+from contactqp.problem import ContactProblem, Vector
+from contactqp.v_cycle import HeldHierarchy, VCycle
+
+# A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
+LARGE, COUPLED = 200_000, 40
+# A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
+# rounding decides: one support among a million unknowns leaves 1e-6.
+FLOATING = 1e-12
+
+
+def iterated(problem: ContactProblem) -> bool:
+    """Whether a problem is solved and judged without a factorisation.
+
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed; always if the variable
+    CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    """
+    chosen = os.environ.get(CHOICE, "")
+    if chosen:
+        return chosen == "pyamg"
+    n = problem.dimension
+    return n >= LARGE and sp.issparse(problem.stiffness) and problem.stiffness.nnz > COUPLED * n and available()
+
+
+class Iteration:
+    """A stiffness and its rows, ready for conjugate gradients; shared by all problems with the same K, E_N and A.
+
+    Attributes
+    ----------
+    matrix : (n, n) sparse matrix
+        K, in blocks where it has them.
+    rows, touched : (m + k, t) CSR matrix and (t,) array of int
+        Contacts, then ties, over the unknowns that they touch.
+    krylov_iterations : int
+        Steps of conjugate gradients so far.
+    least_eigenvalue : float
+        The least Ritz value of M K that any run has found, on held rows or without.
+    longest_run : int
+        The steps of the longest of them.
+
+    Raises
+    ------
+    Unsupported
+        A body floats: without a factorisation its motions cannot be told from soft ones.
+    BackendMissing
+        pyamg is not installed.
+    """
+
+    solver = "pyamg"
+
+    def __init__(self, problem: ContactProblem) -> None:
+        bare = np.flatnonzero(problem.diagonal == 0)
+        if bare.size:
+            raise Unsupported(f"pyamg: {problem.dof_name(int(bare[0]))} has no stiffness; {_INSTEAD}")
+        hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space)
+        floating = np.flatnonzero(hierarchy.held <= FLOATING)
+        if floating.size:
+            member = int(np.flatnonzero(hierarchy.bodies == floating[0])[0])
+            raise Unsupported(
+                f"pyamg: the body of {problem.dof_name(member)} floats: no support holds all of its motions (least "
+                f"energy {hierarchy.held[floating[0]]:.1e} of its diagonal's); {_INSTEAD}"
+            )
+        problem._shared.setdefault("bodies", hierarchy.bodies)
+        self.matrix = hierarchy.levels[0].matrix
+        self.krylov_iterations = 0
+        self._compliance = 1 / problem.diagonal
+        self._hierarchy = HeldHierarchy(hierarchy, sp.vstack([problem.normal, problem.tie], format="csr"))
+        self.rows, self.touched = self._hierarchy.rows[0]
+        self._no_rows = np.zeros(0, dtype=np.intp)
+        self._plain = VCycle(self._hierarchy, self._no_rows)
+        self.least_eigenvalue, self.longest_run = 1.0, 0
+
+    @property
+    def own_compliance(self) -> Vector:
+        """(m + k,) E_i D^-1 E_i', D = diag K [length / force]."""
+        return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
+
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
+        """The projections of some rows, held at limits."""
+        return HeldRows(self.rows[rows], self.touched, limit, self._compliance[self.touched])
+
+    def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: HeldRows) -> ConjugateGradients:
+        """Conjugate gradients on the displacements that keep some rows."""
+        return ConjugateGradients(self.matrix, VCycle(self._hierarchy, rows), x, residual, held)
+
+    def run_without_rows(self, residual: Vector) -> ConjugateGradients:
+        """Conjugate gradients on K e = r from e = 0; r is changed in place."""
+        held = self.held(self._no_rows, np.zeros(0))
+        return ConjugateGradients(self.matrix, self._plain, np.zeros_like(residual), residual, held)
+
+    def smooth(self, force: Vector) -> Vector:
+        """M r, M for the bodies without rows."""
+        return self._plain(force)
+
+    def learn(self, run: ConjugateGradients) -> None:
+        """Keep the least Ritz value of a run."""
+        self.longest_run = max(self.longest_run, run.steps)
+        self.least_eigenvalue = min(self.least_eigenvalue, run.least_eigenvalue())
+
+
+_INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
+
+
+def iteration(problem: ContactProblem) -> Iteration:
+    """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
+    shared = problem._shared
+    if "iteration" not in shared:
+        shared["iteration"] = Iteration(problem)
+    way: Iteration = shared["iteration"]
+    return way

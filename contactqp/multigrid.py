@@ -1,0 +1,203 @@
+"""Smoothed aggregation: a symmetric positive definite M near the inverse of a large stiffness, made of products alone.
+
+One V-cycle of algebraic multigrid (Vanek, Mandel and Brezina 1996): unknowns that K couples form aggregates, on each of
+them the near-null-space B is cut out and made orthonormal (both by pyamg), one step of damped Jacobi smooths that,
+
+    P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,    D = diag K,    rho = largest eigenvalue of D^-1 K,
+
+and a Chebyshev polynomial of D^-1 K acts before and after the coarse correction (Adams, Brezina, Hu and Tuminaro 2003).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import BackendMissing
+
+Array = NDArray[np.float64]
+
+# Unknowns of the coarsest level, which is factorised densely.
+COARSEST = 1500
+MOST_LEVELS = 12
+# Steps of Lanczos' method find the largest eigenvalue to a few per cent; what is missing is allowed for.
+LANCZOS_STEPS, ALLOWANCE = 10, 1.1
+# Blocks of unknowns are stored as such where that adds no more than this to the entries.
+BLOCK_FILL = 1.2
+# Damping of the Jacobi step on the prolongator, over the largest eigenvalue: the least energy of its columns.
+JACOBI = 4 / 3
+
+
+def available() -> bool:
+    """Whether pyamg can be had; nothing is loaded to find out."""
+    return importlib.util.find_spec("pyamg") is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level: its matrix, D, the largest eigenvalue of D^-1 K, and the way to the next coarser level."""
+
+    matrix: Any
+    diagonal: Array
+    largest: float
+    prolong: Any = None  # None on the coarsest level
+    restrict: Any = None
+
+
+class Hierarchy:
+    """The levels of one stiffness.
+
+    Parameters
+    ----------
+    stiffness : (n, n) sparse matrix, symmetric positive semidefinite, its diagonal positive
+    motions : (n, q) array, optional
+        B, motions that cost little energy: the rigid-body motions of elastic bodies. By default the constants, one for
+        each unknown of a block where K comes in blocks of three or two. Columns of zeros are left out.
+
+    Attributes
+    ----------
+    bodies : (n,) array
+        The number of the connected part of K that each unknown belongs to.
+    held : (number of bodies,) array
+        The least energy b'Kb / b'Db of a motion b out of B, body by body: rounding where the body floats.
+
+    Raises
+    ------
+    BackendMissing
+        pyamg is not installed.
+    """
+
+    def __init__(self, stiffness: Any, motions: Array | None = None) -> None:
+        if not available():
+            raise BackendMissing("pyamg is not installed: pip install 'contactqp[fast]'")
+        matrix = _in_blocks(stiffness)
+        B = _constants(matrix) if motions is None else motions[:, np.any(motions, axis=0)]
+        B = B if B.shape[1] else _constants(matrix)
+        self.bodies = _bodies(matrix)
+        self.levels: list[Level] = []
+        while True:
+            diagonal = _positive(matrix.diagonal())
+            largest = largest_eigenvalue(matrix.__matmul__, diagonal)
+            aggregates = _aggregates(matrix) if matrix.shape[0] > COARSEST else None
+            if aggregates is None or len(self.levels) == MOST_LEVELS:
+                if not self.levels:
+                    self.held = self._least_energy(B, matrix @ B, diagonal)
+                self.levels.append(Level(matrix, diagonal, largest))
+                return
+            tentative, coarse_B = _tentative(aggregates, B)
+            product = matrix @ tentative
+            if not self.levels:
+                self.held = self._least_energy(B, product @ coarse_B, diagonal)
+            prolong = tentative - _scaled_rows(product, JACOBI / largest / diagonal, tentative)
+            self.levels.append(Level(matrix, diagonal, largest, prolong, prolong.T))
+            size = B.shape[1]
+            matrix, B = (prolong.T @ (matrix @ prolong)).tobsr((size, size)), coarse_B
+
+    def _least_energy(self, B: Array, forces: Array, diagonal: Array) -> Array:
+        """min over a of a'(B'KB)a / a'(B'DB)a for each body; `forces` is K B."""
+        q, count = B.shape[1], int(self.bodies.max()) + 1
+        if count == 1:
+            return np.array([_least_ratio(B.T @ forces, B.T @ (diagonal[:, None] * B))])
+        energy, size = np.empty((2, count, q, q))
+        for i in range(q):
+            for j in range(q):
+                energy[:, i, j] = np.bincount(self.bodies, B[:, i] * forces[:, j], count)
+                size[:, i, j] = np.bincount(self.bodies, B[:, i] * diagonal * B[:, j], count)
+        return np.array([_least_ratio(e, s) for e, s in zip(energy, size, strict=True)])
+
+
+def _least_ratio(energy: Array, size: Array) -> float:
+    """The least a'Ea / a'Sa on the range of S."""
+    values, vectors = np.linalg.eigh(size)
+    kept = values > np.finfo(float).eps * len(size) * values[-1]
+    basis = vectors[:, kept] / np.sqrt(values[kept])
+    return float(np.linalg.eigvalsh(basis.T @ ((energy + energy.T) / 2) @ basis)[0])
+
+
+def _positive(diagonal: Array) -> Array:
+    """A coarse unknown that an aggregate had no motion for has a zero row: one stands for its diagonal."""
+    return np.where(diagonal > 0, diagonal, 1.0)
+
+
+def _in_blocks(stiffness: Any) -> Any:
+    """K in blocks of three or two unknowns where its entries come in such blocks, else by rows."""
+    rows = sp.csr_matrix(stiffness)
+    for size in (3, 2):
+        if rows.shape[0] % size == 0:
+            blocks = rows.tobsr((size, size))
+            if blocks.data.size <= BLOCK_FILL * rows.nnz:
+                return blocks
+    return rows
+
+
+def _block_size(matrix: Any) -> int:
+    return int(matrix.blocksize[0]) if matrix.format == "bsr" else 1
+
+
+def _graph(matrix: Any) -> Any:
+    """Which blocks of unknowns K couples."""
+    count = len(matrix.indptr) - 1
+    return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
+
+
+def _constants(matrix: Any) -> Array:
+    size = _block_size(matrix)
+    return np.tile(np.eye(size), (matrix.shape[0] // size, 1))
+
+
+def _bodies(matrix: Any) -> NDArray[np.intp]:
+    from scipy.sparse.csgraph import connected_components
+
+    # The graph is symmetric: its strong components are its components, and are found without transposing it.
+    _, label = connected_components(_graph(matrix), directed=True, connection="strong")
+    return np.repeat(label, _block_size(matrix))
+
+
+def _aggregates(matrix: Any) -> Any:
+    """Each block with its neighbours, as a matrix (blocks, aggregates); None where that makes nothing coarser."""
+    from pyamg.aggregation.aggregate import standard_aggregation
+
+    aggregates, _ = standard_aggregation(_graph(matrix))
+    return aggregates if 0 < aggregates.shape[1] < aggregates.shape[0] else None
+
+
+def _tentative(aggregates: Any, B: Array) -> tuple[Any, Array]:
+    """T with T'T = 1 and its B_coarse, B = T B_coarse."""
+    from pyamg.aggregation.tentative import fit_candidates
+
+    tentative, coarse = fit_candidates(aggregates, B)
+    return tentative, coarse
+
+
+def _scaled_rows(product: Any, scale: Array, like: Any) -> Any:
+    rows = sp.bsr_matrix(product, blocksize=like.blocksize)
+    of_block = np.repeat(np.arange(len(rows.indptr) - 1), np.diff(rows.indptr))
+    data = rows.data * scale.reshape(-1, like.blocksize[0])[of_block][:, :, None]
+    return sp.bsr_matrix((data, rows.indices, rows.indptr), shape=rows.shape)
+
+
+def largest_eigenvalue(product: Callable[[Array], Array], diagonal: Array) -> float:
+    """Of D^-1 K, by Lanczos' method from a fixed random vector, with an allowance for what it has not found."""
+    from scipy.linalg import eigvalsh_tridiagonal
+
+    scale = 1 / np.sqrt(diagonal)
+    v = np.random.default_rng(0).standard_normal(len(scale))
+    v /= np.linalg.norm(v)
+    before, beta = np.zeros_like(v), 0.0
+    alphas, betas = [], []
+    for _ in range(min(LANCZOS_STEPS, len(v))):
+        w = scale * product(scale * v) - beta * before
+        alphas.append(float(v @ w))
+        w -= alphas[-1] * v
+        beta = float(np.linalg.norm(w))
+        betas.append(beta)
+        if beta <= np.finfo(float).eps * len(v) * abs(alphas[0]):
+            break
+        before, v = v, w / beta
+    return float(ALLOWANCE * eigvalsh_tridiagonal(np.array(alphas), np.array(betas[:-1]))[-1])

@@ -1,0 +1,159 @@
+"""How far an answer is from the truth where nothing can be factorised: bounds from products and conjugate gradients.
+
+Let v satisfy E v <= g, A v = b, let l >= 0 and nu be any forces, w the response to them, K w = f - E'l - A'nu. Then
+(`bounds`, equation 1)
+
+    |v - u*|^2 + |w - u*|^2 <= G^2 = |v - w|^2 + 2 l'(g - E v),    |v - w|^2 = r'K^-1 r,    r = f - K v - E'l - A'nu,
+
+and |l - l*|_W <= |w - u*|_K <= G. v is the candidate moved onto the ties and onto the contacts with
+l_i > (g - E u)_i / (E_i D^-1 E_i'), D = diag K: those that it penetrates, and those that cost less when closed than
+2 l_i (g - E u)_i. The distance |v - u|_K is added. l are the candidate's forces without tension.
+
+r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`conjugate_gradients`):
+
+    sum of a_j rho_j <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
+
+until the last term, with the least Ritz value over SAFETY for the eigenvalue (of any run, the longest of at least
+ENOUGH_STEPS steps), is at most GENEROUS times the sum. Ritz
+values estimate that eigenvalue from above: the bound is an a-posteriori estimate, no enclosure. It fails where r
+misses, to rounding, a motion along which M is SAFETY times worse than along all that the runs have met.
+
+|l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
+
+Rounding: r is formed in double precision, each entry with an error of at most ROUNDING F_j (F of `violations`); the
+bound is raised in the ratio of the D-norms of r and of that. Gaps that were closed are zero to the rounding of their
+lengths L_i; ROUNDING L_i / sqrt(E_i D^-1 E_i') is added for each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.held_rows import HeldRows
+from contactqp.iteration import Iteration
+from contactqp.problem import ContactProblem, Vector
+from contactqp.violations import Answer, stiffness_sizes
+
+SAFETY = 10.0
+# The unknown part of r'K^-1 r over the known one: it makes the bound three times too large at most.
+GENEROUS = 8.0
+# Steps of the longest run that Ritz values are believed of.
+ENOUGH_STEPS, MOST_STEPS = 8, 60
+ROUNDING = 16 * np.finfo(float).eps
+# Corrections of the set that the candidate is moved onto.
+REPAIRS = 8
+# A penetration of this part of its lengths is the rounding of a closed contact.
+CLOSED = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """What is known of an answer; all in square roots of energy."""
+
+    displacement: float  # >= |u - u*|_K
+    force: float  # >= |l - l*|_W
+    energy_scale: float  # |u|_K
+    force_scale: float  # <= |l|_W, 0 without forces
+    radius: float  # >= |v - u*|_K and |w - u*|_K
+
+
+class Unrepaired(Exception):
+    """Why the candidate could not be moved to a displacement that penetrates nowhere."""
+
+
+def distances(problem: ContactProblem, answer: Answer, way: Iteration) -> Distances:
+    """The bounds of an answer.
+
+    Raises
+    ------
+    Unrepaired
+        No displacement without penetration was found near it.
+    """
+    push = np.maximum(answer.normal_force, 0.0)
+    moved, gap, rounding = _repaired(problem, answer, push, way)
+    v = answer.displacement + moved
+    forces = problem.normal.T @ push + problem.tie.T @ answer.tie_force
+    r = problem.load - way.matrix @ v - forces
+    stationary = dual_norm(way, r) * (1 + _noise(problem, v, forces, r))
+    radius = float(np.sqrt(stationary**2 + 2 * push @ gap)) + rounding
+    pull = problem.normal.T @ (push - answer.normal_force)
+    return Distances(
+        displacement=_energy_norm(way, moved) + radius,
+        force=(dual_norm(way, pull) if np.any(pull) else 0.0) + radius,
+        energy_scale=_energy_norm(way, answer.displacement),
+        force_scale=_force_norm(problem, way, push),
+        radius=radius,
+    )
+
+
+def _energy_norm(way: Iteration, v: Vector) -> float:
+    return float(np.sqrt(max(v @ (way.matrix @ v), 0.0))) if np.any(v) else 0.0
+
+
+def dual_norm(way: Iteration, force: Vector) -> float:
+    """An estimate from above of sqrt(r'K^-1 r), square root of energy."""
+    run = way.run_without_rows(force.copy())
+    while True:
+        square = run.square()
+        way.learn(run)
+        rest = SAFETY * square / way.least_eigenvalue
+        known = max(way.longest_run, run.steps) >= ENOUGH_STEPS and rest <= GENEROUS * run.gained
+        if known or run.steps >= MOST_STEPS or not run.step():
+            return float(np.sqrt(run.gained + rest))
+        way.krylov_iterations += 1
+
+
+def _noise(problem: ContactProblem, v: Vector, forces: Vector, r: Vector) -> float:
+    """What rounding may be of r, both in the norm of D^-1."""
+    scale = 1 / np.sqrt(problem.diagonal)
+    size = float(np.linalg.norm(scale * r))
+    meeting = stiffness_sizes(problem) @ abs(v) + abs(problem.load) + abs(forces)
+    return ROUNDING * float(np.linalg.norm(scale * meeting)) / size if size > 0 else 0.0
+
+
+def _force_norm(problem: ContactProblem, way: Iteration, push: Vector) -> float:
+    """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
+    if not np.any(push):
+        return 0.0
+    load = problem.normal.T @ push
+    v = way.smooth(load)
+    ties = np.arange(problem.contacts, problem.contacts + problem.ties)
+    way.held(ties, problem.tie_value).admit(v)
+    size = _energy_norm(way, v)
+    return max(float(load @ v), 0.0) / size if size > 0 else 0.0
+
+
+def _repaired(problem: ContactProblem, answer: Answer, push: Vector, way: Iteration) -> tuple[Vector, Vector, float]:
+    """v - u, the gaps g - E v (m,) with zero where closed, and the rounding of those [square root of energy]."""
+    m = problem.contacts
+    limit = np.concatenate([problem.gap, problem.tie_value])
+    u = answer.displacement
+    lengths = abs(way.rows) @ abs(u[way.touched]) + abs(limit)
+    gap = limit - way.rows @ u[way.touched]
+    closed = np.append(push, np.zeros(problem.ties)) * way.own_compliance > gap
+    closed[m:] = True
+    for _ in range(REPAIRS):
+        v, left = _closed_onto(way, np.flatnonzero(closed), limit, u)
+        deep = (-left > CLOSED * lengths)[:m] & ~closed[:m]
+        if not np.any(deep):
+            break
+        closed[:m] |= deep
+    else:
+        raise Unrepaired("the candidate could not be moved to a displacement that penetrates nowhere")
+    if np.any(abs(left[closed]) > CLOSED * lengths[closed]):
+        raise Unrepaired("contacts that depend on each other cannot be closed together")
+    open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))[:m]
+    rounding = ROUNDING * np.linalg.norm(lengths[closed] / np.sqrt(way.own_compliance[closed]))
+    return v - u, open_gap, float(rounding)
+
+
+def _closed_onto(way: Iteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
+    """u moved onto some rows, and the gaps of all rows there."""
+    held: HeldRows = way.held(rows, limit[rows])
+    v = u.copy()
+    for _ in range(2):  # the second time takes out the rounding of the first
+        held.close(v)
+    return v, limit - way.rows @ v[way.touched]

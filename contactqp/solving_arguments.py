@@ -1,0 +1,58 @@
+"""What `solve` is asked for, checked before anything is computed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contactqp.certificate import refuse_not_positive
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.methods import Method, Settings
+from contactqp.problem import ContactProblem
+from contactqp.solution import Candidate, Solution
+
+
+def refuse_arguments(
+    tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any, warm_start: Any
+) -> None:
+    """Raise InvalidProblem on an argument of the wrong kind."""
+    refuse_not_positive("tolerance", tolerance)
+    if time_limit is not None:
+        refuse_not_positive("time_limit", time_limit)
+    if max_iter is not None and (isinstance(max_iter, bool) or not isinstance(max_iter, int) or max_iter < 1):
+        raise InvalidProblem(f"max_iter: expected a positive integer, got {max_iter!r}")
+    if not (isinstance(condense, bool) or condense == "auto"):
+        raise InvalidProblem(f"condense: expected True, False or 'auto', got {condense!r}")
+    if not isinstance(polish, bool):
+        raise InvalidProblem(f"polish: expected True or False, got {polish!r}")
+    if warm_start is not None and not isinstance(warm_start, Solution):
+        raise InvalidProblem(f"warm_start: expected a Solution, got {type(warm_start).__name__}")
+
+
+def warm_candidate(problem: ContactProblem, warm_start: Solution | None) -> Candidate | None:
+    """A solution of a problem with the same contacts as a place to start from."""
+    if warm_start is None:
+        return None
+    shapes = ((problem.dimension,), (problem.contacts,), (problem.ties,))
+    values = (warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
+    if tuple(value.shape for value in values) != shapes:
+        raise InvalidProblem(f"warm_start: expected a solution of {problem!r}, got one of {warm_start.problem!r}")
+    return Candidate(*values)
+
+
+def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:
+    """Raise on options that the method does not have or misses, and on what it cannot do."""
+    unknown = sorted(set(settings.options) - set(method.options))
+    if unknown:
+        known = ", ".join(method.options) or "none"
+        raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}; its own options: {known}")
+    missing = [name for name in method.required if settings.options.get(name) is None]
+    if missing:
+        raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
+    if problem.frictional:
+        raise Unsupported(
+            f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)"
+        )
+    if algorithm is not None:
+        raise Unsupported(
+            f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none"
+        )
