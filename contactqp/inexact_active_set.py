@@ -53,7 +53,8 @@ class _Search:
         self.problem, self.way = problem, way
         self.m = problem.contacts
         self.limit = np.concatenate([problem.gap, problem.tie_value])
-        self.near_stiffness = abs(problem.stiffness_rows[way.touched])
+        self.near = problem.stiffness_rows[way.touched]
+        self.near_sizes = abs(self.near)
         self.rows, self.row_sizes = way.rows, abs(way.rows)
         self.sets_left = settings.max_iter or SETS
         self.tolerance = max(settings.tolerance, TIGHTEST)
@@ -67,7 +68,8 @@ class _Search:
         """A displacement and a set, from a known solution or from the bodies without contact."""
         if known is not None:
             self.x = known.displacement.copy()
-            self.without_contact = np.zeros_like(self.x)
+            self.residual = self.problem.load - self.way.matrix @ self.x
+            self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
             self.closed = known.normal_force > 0
             return
         run = self.way.run_without_rows(self.problem.load.copy())
@@ -75,7 +77,8 @@ class _Search:
         while run.estimate() > enough and run.steps < STEPS and self._step(run):
             pass
         self.way.learn(run)
-        self.x, self.without_contact = run.x.copy(), run.x
+        self.x, self.residual = run.x.copy(), run.residual.copy()
+        self.before, self.residual_before = run.x, run.residual
         self.closed = self._penetration() > 0
 
     def run(self) -> Candidate:
@@ -105,8 +108,10 @@ class _Search:
         """Steps until the set is contradicted ("") or the answer is good enough (FOUND) or something else ends them."""
         on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
         held = self.way.held(on_set, self.limit[on_set])
+        away = self.x[self.way.touched]
         held.close(self.x)
-        run = self.way.run(self.x, self.problem.load - self.way.matrix @ self.x, on_set, held)
+        self.residual -= self.near.T @ (self.x[self.way.touched] - away)
+        run = self.way.run(self.x, self.residual, on_set, held)
         self.last_run = run
         goal: _Goal | None = None
         while True:
@@ -143,7 +148,7 @@ class _Search:
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)
         near, m, allowed = abs(self.x[self.way.touched]), self.m, SIGN * self.tolerance
-        sizes = self.near_stiffness @ abs(self.x) + abs(self.problem.load[self.way.touched])
+        sizes = self.near_sizes @ abs(self.x) + abs(self.problem.load[self.way.touched])
         sizes += self.row_sizes.T @ abs(self.force)
         pull = force_measure(self.rows[:m], self.force[:m], sizes)
         self.tension = (self.force[:m] < 0) & (pull > allowed)
@@ -164,13 +169,12 @@ class _Goal:
         forces[way.touched] = search.row_sizes.T @ abs(search.force)
         self.sizes = stiffness_sizes(problem) @ abs(search.x) + abs(problem.load) + forces
         self.equilibrium = EQUILIBRIUM * search.tolerance
-        # |l|_W >= l'E v / |v|_K for any v: for the way from the bodies without contact it is nearly equal.
-        moved = search.without_contact - search.x
-        if np.any(search.force) and np.any(search.without_contact):
-            work = float(search.force @ (way.rows @ moved[way.touched]))
-        else:
-            moved, work = search.x, float(search.x @ (way.matrix @ search.x))
-        energy = float(moved @ (way.matrix @ moved))
+        # |l|_W >= l'E v / |v|_K for any v: for the way back to the bodies without contact it is nearly equal.
+        back = search.before - search.x
+        work = float(search.force @ (way.rows @ back[way.touched]))
+        energy = float(back @ (search.residual - search.residual_before))
+        if not np.any(search.force):
+            work = energy = float(search.x @ (problem.load - search.residual))
         self.energy = ENERGY * abs(work) / np.sqrt(energy) if energy > 0 else 0.0
         self.least = way.least_eigenvalue
 

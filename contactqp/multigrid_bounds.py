@@ -9,14 +9,15 @@ and |l - l*|_W <= |w - u*|_K <= G. v is the candidate moved onto the ties and on
 l_i > (g - E u)_i / (E_i D^-1 E_i'), D = diag K: those that it penetrates, and those that cost less when closed than
 2 l_i (g - E u)_i. The distance |v - u|_K is added. l are the candidate's forces without tension.
 
-r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`conjugate_gradients`):
+r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`conjugate_gradients`): no
+eigenvalue of M K exceeds one (`v_cycle`), and
 
-    sum of a_j rho_j <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
+    sum of a_j rho_j + rho_k <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
 
 until the last term, with the least Ritz value over SAFETY for the eigenvalue (of any run, the longest of at least
-ENOUGH_STEPS steps), is at most GENEROUS times the sum. Ritz
-values estimate that eigenvalue from above: the bound is an a-posteriori estimate, no enclosure. It fails where r
-misses, to rounding, a motion along which M is SAFETY times worse than along all that the runs have met.
+ENOUGH_STEPS steps), is at most GENEROUS times the left side. Ritz values estimate that eigenvalue from above: the bound
+is an a-posteriori estimate, no enclosure. It fails where r misses, to rounding, a motion along which M is SAFETY times
+worse than along all that the runs have met.
 
 |l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
 
@@ -38,8 +39,8 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer, stiffness_sizes
 
 SAFETY = 10.0
-# The unknown part of r'K^-1 r over the known one: it makes the bound three times too large at most.
-GENEROUS = 8.0
+# The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
+GENEROUS = 25.0
 # Steps of the longest run that Ritz values are believed of.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
 ROUNDING = 16 * np.finfo(float).eps
@@ -100,7 +101,7 @@ def dual_norm(way: Iteration, force: Vector) -> float:
         square = run.square()
         way.learn(run)
         rest = SAFETY * square / way.least_eigenvalue
-        known = max(way.longest_run, run.steps) >= ENOUGH_STEPS and rest <= GENEROUS * run.gained
+        known = max(way.longest_run, run.steps) >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square)
         if known or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
         way.krylov_iterations += 1
