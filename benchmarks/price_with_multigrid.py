@@ -5,7 +5,7 @@
     python benchmarks/price_with_multigrid.py --cells 20 32 --factorise --pyamg
 
 A cube of hexahedra is pressed on a paraboloid, contact on one whole face. One process; the linear solve (hierarchy and
-conjugate gradients until |r| <= 1e-8 |f|, the hierarchy that contact uses) and `cq.solve` with its certificate take turns,
+conjugate gradients until |r| <= 1e-8 |f|, on the hierarchy of contact) and `cq.solve` with its certificate take turns,
 each on a fresh problem; medians of the ratios to the linear solve beside them. Assembly is left out. `--pyamg`
 adds pyamg's own smoothed aggregation with rigid-body motions and a symmetric block Gauss-Seidel smoother, `--factorise`
 adds `cq.solve` by PARDISO or SuperLU.

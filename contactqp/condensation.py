@@ -142,6 +142,10 @@ class Condensation:
             self._reduced = (load.copy(), self._balanced(load, reduced), inner)
         return self._reduced[1:]
 
+    def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
+        """Have `reduce_load` know a load that is combined from reduced ones."""
+        self._reduced = (load.copy(), reduced, inner)
+
     def _balanced(self, load: Vector, reduced: Vector) -> Vector:
         """The condensed load, doing the load's own work on rigid motions, which rounding changes."""
         if not self.rigid.count:
@@ -203,7 +207,14 @@ class Condensation:
         return twin
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
+        """What a candidate says of the retained unknowns."""
         return replace(candidate, displacement=candidate.displacement[self.retained])
+
+    def spread_candidate(self, candidate: Candidate) -> Candidate:
+        """A candidate of the retained unknowns among zeros."""
+        displacement = np.zeros(len(self._diagonal))
+        displacement[self.retained] = candidate.displacement
+        return replace(candidate, displacement=displacement)
 
 
 def unknown_scale(problem: ContactProblem) -> Array:

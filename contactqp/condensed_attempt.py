@@ -62,6 +62,11 @@ class CondensedAttempt:
         _, inner = self._way.reduce_load(self._problem.load)
         return replace(self.candidate, displacement=self._way.expand(self.candidate.displacement, inner))
 
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
+        return self.candidate if self._shown is self._problem else self._way.spread_candidate(self.candidate)
+
     def counting(self) -> object:
         """A context whose work counts as this attempt's."""
         return self._meter.running()

@@ -48,6 +48,11 @@ class IteratedAttempt:
         """The candidate in the unknowns of the problem."""
         return self.candidate
 
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from."""
+        return self.candidate
+
     def counting(self) -> object:
         """A context whose work counts as this attempt's."""
         return nullcontext()

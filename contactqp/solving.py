@@ -81,15 +81,13 @@ def solve(
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
     """
-    refuse_arguments(tolerance, condense, polish, time_limit, max_iter, warm_start)
+    same: dict[str, Any] = dict(tolerance=tolerance, condense=condense, polish=polish, algorithm=algorithm)
+    same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
-        same: dict[str, Any] = dict(tolerance=tolerance, condense=condense, polish=polish, algorithm=algorithm)
-        same.update(time_limit=time_limit, max_iter=max_iter, **options)
         return solve_among(
             problem, candidates, warm_start, lambda few, start: solve(few, method, warm_start=start, **same)
         )
-    settings = Settings(tolerance, max_iter, time_limit, warm_candidate(problem, warm_start), options)
-    return begin(problem, find(method), settings, condense, polish, algorithm).finish()
+    return begin(problem, method, warm_candidate(problem, warm_start), **same).finish()
 
 
 class Attempt(Protocol):
@@ -100,6 +98,10 @@ class Attempt(Protocol):
     @property
     def expanded(self) -> Candidate:
         """In the unknowns of the problem."""
+
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
 
     def final(self, polished: bool) -> Final:
         """The answer that is to be certified."""
@@ -116,13 +118,20 @@ class Attempt(Protocol):
 
 def begin(
     problem: ContactProblem,
-    method: Method,
-    settings: Settings,
+    method: str = "active-set",
+    start: Candidate | None = None,
+    *,
+    tolerance: float = 1e-9,
     condense: bool | str = "auto",
     polish: bool = True,
+    time_limit: float | None = None,
+    max_iter: int | None = None,
     algorithm: str | None = None,
+    **options: Any,
 ) -> Begun:
     """Run a method; polish and certificate, which need all unknowns, wait until the answer is looked at.
+
+    Parameters are those of `solve`, but for `start`: a candidate where that takes a solution.
 
     Raises
     ------
@@ -130,11 +139,13 @@ def begin(
         As `solve`.
     """
     started = time.perf_counter()
-    refuse_unsupported(problem, method, settings, algorithm)
+    refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
+    chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
+    refuse_unsupported(problem, chosen, settings, algorithm)
     way = IteratedAttempt if iterated(problem) else CondensedAttempt
     with one_blas_thread(problem):
-        attempt: Attempt = way(problem, method, settings, condense)
-    return Begun(problem, method, attempt, polish, time.perf_counter() - started)
+        attempt: Attempt = way(problem, chosen, settings, condense)
+    return Begun(problem, chosen, attempt, polish, time.perf_counter() - started)
 
 
 @dataclass(frozen=True, eq=False)

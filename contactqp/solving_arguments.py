@@ -11,9 +11,7 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Solution
 
 
-def refuse_arguments(
-    tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any, warm_start: Any
-) -> None:
+def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any) -> None:
     """Raise InvalidProblem on an argument of the wrong kind."""
     refuse_not_positive("tolerance", tolerance)
     if time_limit is not None:
@@ -24,14 +22,14 @@ def refuse_arguments(
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {condense!r}")
     if not isinstance(polish, bool):
         raise InvalidProblem(f"polish: expected True or False, got {polish!r}")
-    if warm_start is not None and not isinstance(warm_start, Solution):
-        raise InvalidProblem(f"warm_start: expected a Solution, got {type(warm_start).__name__}")
 
 
 def warm_candidate(problem: ContactProblem, warm_start: Solution | None) -> Candidate | None:
     """A solution of a problem with the same contacts as a place to start from."""
     if warm_start is None:
         return None
+    if not isinstance(warm_start, Solution):
+        raise InvalidProblem(f"warm_start: expected a Solution, got {type(warm_start).__name__}")
     shapes = ((problem.dimension,), (problem.contacts,), (problem.ties,))
     values = (warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
     if tuple(value.shape for value in values) != shapes:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.events import events_of_leg
 from contactqp.analysis.history import Event, History
+from contactqp.candidates import first_candidates
+from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.solution import Candidate, Solution
+from contactqp.solving import Begun, begin, solve
 
 DEFAULT_STEPS = 100
 
@@ -47,7 +50,9 @@ def follow_path(
     Returns
     -------
     History
-        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event.
+        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event. A step runs the method
+        on the contact unknowns; it is polished, expanded and certified when it is looked at, and refused then if it
+        must be.
 
     Raises
     ------
@@ -71,19 +76,76 @@ def follow_path(
         raise InvalidProblem(f"steps: expected at least 1, got {count}")
     if problem.frictional:
         raise Unsupported("follow_path: Coulomb friction (not in this version)")
-    solutions = [solve(problem.replace(load=corners[0]), method=method, **options)]
+    solutions = _Steps(problem, method, options)
     times, found = [0.0], []
     for leg, (start, end) in enumerate(pairwise(corners)):
+        solutions.turn(start, end)
         fractions = [(i + 1) / count for i in range(count)]
         if events == "exact":
             exact = events_of_leg(problem, start, end, solutions[-1], method)
             found += [Event(e.kind, e.contact, leg + e.time, problem.contact_name(e.contact)) for e in exact]
             fractions = sorted({*fractions, *(e.time for e in exact if e.time > 0)})
         for fraction in fractions:
-            load = end if fraction == 1 else start + fraction * (end - start)
-            solutions.append(solve(problem.replace(load=load), method=method, warm_start=solutions[-1], **options))
+            solutions.go_to(fraction)
             times.append(leg + fraction)
     return History(solutions, times, lambda: found if events else _changes(solutions, times))
+
+
+class _Steps(Sequence[Solution]):
+    """The solutions along a path; polished, expanded and certified when they are looked at."""
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem, self._method, self._options = problem, method, options
+        self._steps: list[Begun | Solution] = []
+        self._start: Candidate | None = None
+        # Without a condensation of all contacts there is nothing small to step on.
+        self._whole = iterated(problem) or first_candidates(problem) is not None
+        self._step(np.zeros(problem.dimension))
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+        self._leg = start, end
+        if not self._whole:
+            way = condense(self._problem)
+            self._reduced = way.reduce_load(start), way.reduce_load(end)
+
+    def go_to(self, fraction: float) -> None:
+        """One more step, to the load at a fraction of the leg."""
+        start, end = self._leg
+        load = end if fraction == 1 else start + fraction * (end - start)
+        if not self._whole:
+            # A combination of loads is reduced by combining what their reductions left.
+            (f, inner), (f_end, inner_end) = self._reduced
+            at = f + fraction * (f_end - f), inner + fraction * (inner_end - inner)
+            condense(self._problem).remember_load(load, *at)
+        self._step(load)
+
+    def _step(self, load: Vector) -> None:
+        problem = self._problem.replace(load=load)
+        if self._whole:
+            before = self[-1] if self._steps else None
+            self._steps.append(solve(problem, self._method, warm_start=before, **self._options))
+            return
+        begun = begin(problem, self._method, self._start, **self._options)
+        self._start = begun.attempt.start
+        self._steps.append(begun)
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @overload
+    def __getitem__(self, index: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
+
+    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        step = self._steps[index]
+        if isinstance(step, Begun):
+            step = self._steps[index] = step.finish()
+        return step
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:
