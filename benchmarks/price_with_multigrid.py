@@ -1,12 +1,12 @@
 """What a certified contact solution costs without a factorisation, in units of one linear solve of the same body.
 
-    python benchmarks/price_with_multigrid.py                          # 104 544 and 345 744 unknowns
-    python benchmarks/price_with_multigrid.py --cells 69 --repeats 1   # a million
-    python benchmarks/price_with_multigrid.py --cells 20 32 --factorise --pyamg
+    python -m benchmarks.price_with_multigrid                          # 104 544 and 345 744 unknowns
+    python -m benchmarks.price_with_multigrid --cells 69 --repeats 1   # a million
+    python -m benchmarks.price_with_multigrid --cells 20 32 --factorise --pyamg
 
 A cube of hexahedra is pressed on a paraboloid, contact on one whole face. One process; the linear solve (hierarchy and
-conjugate gradients until |r| <= 1e-8 |f|, on the hierarchy of contact) and `cq.solve` with its certificate take turns,
-each on a fresh problem; medians of the ratios to the linear solve beside them. Assembly is left out. `--pyamg`
+conjugate gradients until |r| <= 1e-8 |f|, the hierarchy that contact uses) and `cq.solve` with its certificate take
+turns, each on a fresh problem; medians of the ratios to the linear solve beside them. Assembly is left out. `--pyamg`
 adds pyamg's own smoothed aggregation with rigid-body motions and a symmetric block Gauss-Seidel smoother, `--factorise`
 adds `cq.solve` by PARDISO or SuperLU.
 """
@@ -20,9 +20,9 @@ import warnings
 from collections.abc import Iterator
 
 import numpy as np
-from price_of_contact import fresh, timed
 
 import contactqp as cq
+from benchmarks.price_of_contact import fresh, timed
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body

@@ -103,6 +103,19 @@ def test_early_systems_are_not_solved_to_the_end(monkeypatch):
 
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
+def test_sets_that_come_back_are_solved_more_accurately(monkeypatch):
+    """With blind trust every step changes the set by forces that mean nothing yet: it still ends, with the answer."""
+    problem = on_paraboloid((12, 12, 9))
+    wise = cq.solve(problem)
+    monkeypatch.setattr(inexact_active_set, "TRUST", 1e6)
+    blind = cq.solve(fresh(problem))
+    assert blind.certificate.passed
+    assert blind.work.iterations > wise.work.iterations
+    assert blind.normal_force == pytest.approx(wise.normal_force, abs=1e-7 * np.max(wise.normal_force))
+
+
+@pytest.mark.usefixtures("by_iteration")
+@needs_pyamg
 def test_a_known_solution_is_a_place_to_start_from():
     problem = on_paraboloid((14, 14, 10))
     first = cq.solve(problem)
