@@ -64,6 +64,8 @@ from contactqp.violations import Answer, Residuals, lengths_that_meet, own_compl
 VANISHING = 1e-22
 # Forces that vanish to rounding and may be this part of the displacement's energy norm at most have an absolute error.
 NEXT_TO_NOTHING = 1e-12
+# The same where residuals are formed in double precision.
+ITERATED_NOTHING = 1e-10
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
 
@@ -114,11 +116,12 @@ def _iterated(problem: ContactProblem, answer: Answer, way: Iteration) -> Bounds
         found = distances(problem, answer, way)
     except Unrepaired as reason:
         return replace(no_bounds(str(reason)), suspicious=str(reason))
+    force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0
     return Bounds(
         energy_error=_relative(found.displacement, found.energy_scale, found.displacement, np.inf),
-        force_error=_relative(found.force, found.force_scale, found.radius, np.inf),
+        force_error=_relative(found.force, force_scale, found.radius, np.inf),
         energy_scale=found.energy_scale,
-        force_scale=found.force_scale,
+        force_scale=force_scale,
         reasons=("force_bound: contact by contact it takes responses to unit forces, and nothing was factorised",),
     )
 
