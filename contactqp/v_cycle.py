@@ -27,8 +27,8 @@ from contactqp.multigrid import Array, Hierarchy, Level, largest_eigenvalue
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the
 # spectrum of D^-1 K, from its end, that it damps.
 FINE_TERMS, COARSE_TERMS, DAMPED = 2, 6, 1 / 10
-# C over 1/(E D^-1 E'). On blocks of 100 000 to 350 000 unknowns 5, 10 and 20 were equal to a step of 18 to 20; 1 and 100
-# took a third more, 10000 and 0 twice as many.
+# C over 1/(E D^-1 E'). On blocks of 100 000 to 350 000 unknowns 5, 10 and 20 were equal to one step of 18 to 20; 1 and
+# 100 took a third more, 10000 and 0 twice as many.
 HOLDING = 10.0
 
 
