@@ -37,7 +37,7 @@ from contactqp.methods import Settings, find
 from contactqp.pardiso import Pardiso
 
 TOLERANCES = (1e-6, 1e-9, 1e-12)
-PATIENCE = 120.0  # seconds for one run of a raw backend
+PATIENCE = 30.0  # seconds for one run of a raw backend
 
 
 def block(unknowns: int, dimension: int) -> cq.ContactProblem:
