@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactqp.balance import balance
 from contactqp.bounds import Bounds, bounds
 from contactqp.candidates import believed_candidates, bounds_among
 from contactqp.condensation import Condensation, condense
@@ -21,7 +22,6 @@ from contactqp.violations import (
     Answer,
     Residuals,
     Violations,
-    balance,
     own_compliance,
     plain_residuals,
     residuals,

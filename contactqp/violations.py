@@ -15,18 +15,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
-from contactqp.factorization import Array, RigidMotions
+from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
-# Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
-NO_RESULTANT = 1e-14
-# A motion along which K's rounding makes up this part of the forces cannot be judged by them.
-NOTHING_BUT_ROUNDING = 0.1
-# Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
-SAME_MOTION = 1e-10
-LP_TOLERANCE = 1e-10
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
 
@@ -131,7 +124,7 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
-    return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + _outer_forces(problem, answer))
+    return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + outer_forces(problem, answer))
 
 
 def stiffness_sizes(problem: ContactProblem) -> Any:
@@ -141,7 +134,7 @@ def stiffness_sizes(problem: ContactProblem) -> Any:
     return problem._shared["stiffness_sizes"]
 
 
-def _outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
+def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     """F without |K||u|: what acts on the bodies from outside."""
     outer = abs(problem.load) + abs(problem.normal).T @ abs(answer.normal_force)
     outer = outer + abs(problem.tie).T @ abs(answer.tie_force)
@@ -244,71 +237,3 @@ def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:
     measure = np.zeros(len(force))
     np.maximum.at(measure, spread.row, ratio(spread.data, F[spread.col]))
     return measure
-
-
-def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
-
-    By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
-    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
-    depends on no choice of basis, unit or scale.
-    """
-    if not rigid.count:
-        return 0.0
-    rows = extended_rows(problem)
-    force, tie = extend(answer.normal_force), extend(answer.tie_force)
-    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
-    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
-    stray = np.array([abs((rows.stiffness @ extend(z)).double()) @ abs(answer.displacement) for z in rigid.motions.T])
-    size = _outer_forces(problem, answer)
-    body = bodies(problem)
-    worst = 0.0
-    for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
-        members = np.flatnonzero(body == b)
-        moving = np.any(rigid.motions[members] != 0, axis=0)
-        motions = rigid.motions[np.ix_(members, moving)]
-        work = motions.T @ outer.double()[members]
-        mixed = rigid.uncertainty * (abs(motions).T @ size[members])
-        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members]))
-    return worst
-
-
-def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) -> float:
-    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size."""
-    # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
-    left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
-    kept = values > SAME_MOTION * values[0]
-    basis = left[:, kept]
-    weight = right[kept] / values[kept, None]
-    work, stray = weight @ work, abs(weight) @ stray
-    forces = np.sum(abs(basis), axis=0)
-    # Where next to no force acts along a motion, what the rounding of K holds is all there is to see.
-    seen = stray < NOTHING_BUT_ROUNDING * forces
-    if not np.any(seen):
-        return 0.0
-    basis, work, stray, forces = basis[:, seen], work[seen], stray[seen], forces[seen]
-    worst = float(np.max(np.maximum(abs(work) - stray, 0.0) / forces))
-    if len(work) == 1 or worst <= NO_RESULTANT:
-        return worst
-    direction = _worst_direction(basis, work / np.max(abs(work)))
-    net = float(abs(work @ direction) - stray @ abs(direction))
-    return max(net / float(np.sum(abs(basis @ direction))), worst)
-
-
-def _worst_direction(basis: Array, weight: Vector) -> Vector:
-    """argmax weight'a subject to sum |basis a| <= 1."""
-    from scipy.optimize import linprog
-
-    count, width = basis.shape
-    unit, dense = sp.identity(count), sp.csr_matrix(basis)
-    answer = linprog(
-        np.concatenate([-weight, np.zeros(count)]),
-        A_ub=sp.bmat([[dense, -unit], [-dense, -unit], [None, np.ones((1, count))]], format="csr"),
-        b_ub=np.append(np.zeros(2 * count), 1.0),
-        bounds=[(None, None)] * width + [(0, None)] * count,
-        method="highs",
-        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
-    )
-    if answer.x is None:
-        raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
-    return np.asarray(answer.x[:width])

@@ -15,6 +15,16 @@ TRUSS_DISPLACEMENT = (float(Fraction(668831, 598030000)), -1e-3)
 # Compliance seen by its contact: S = K22 - K12^2/K11.
 TRUSS_CONTACT_STIFFNESS = float(Fraction(458394666339, 5980300))
 
+# A case file whose load drives its node away from the wall: no equilibrium.
+PUSHED_OFF = """\
+title = "pushed off"
+axes = ["x"]
+nodes = [{ name = "1", at = ["0 m"] }]
+obstacles = [{ name = "wall", point = ["1 m"], normal = [-1] }]
+contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
+loads = [{ unknown = "1.x", value = "-1 N" }]
+"""
+
 
 def truss(**changes: object) -> cq.ContactProblem:
     """Example 2.10, printed stiffness: a two-bar truss over a floor 1 mm below its node (kN, m)."""

@@ -35,6 +35,7 @@ LAYERS = (
     "range_space",
     "saddle",
     "violations",
+    "balance",
     "polishing",
     "energy_norm",
     "admissible_pair",

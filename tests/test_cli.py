@@ -9,6 +9,7 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.methods.method import Method
+from tests.examples import PUSHED_OFF
 
 CASES = Path(__file__).parents[1] / "cases"
 WALL = str(CASES / "bar_wall.toml")
@@ -124,16 +125,7 @@ def test_a_method_that_is_not_installed_is_exit_3(capsys, monkeypatch):
 
 def test_no_equilibrium_is_exit_1_in_one_line(capsys, tmp_path):
     file = tmp_path / "loose.toml"
-    file.write_text(
-        """
-title = "pushed off"
-axes = ["x"]
-nodes = [{ name = "1", at = ["0 m"] }]
-obstacles = [{ name = "wall", point = ["1 m"], normal = [-1] }]
-contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
-loads = [{ unknown = "1.x", value = "-1 N" }]
-"""
-    )
+    file.write_text(PUSHED_OFF)
     code, _, err = run(capsys, "run", file)
     assert code == 1
     assert err.count("\n") == 1

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.examples import PUSHED_OFF
 from tests.test_cli import CASES, WALL, run
 
 pytest.importorskip("matplotlib")
@@ -112,16 +113,7 @@ def test_two_cases_of_one_name_are_exit_2_before_anything_is_solved(capsys, tmp_
 
 def test_a_trial_without_an_answer_has_no_picture(capsys, tmp_path):
     file = tmp_path / "loose.toml"
-    file.write_text(
-        """
-title = "pushed off"
-axes = ["x"]
-nodes = [{ name = "1", at = ["0 m"] }]
-obstacles = [{ name = "wall", point = ["1 m"], normal = [-1] }]
-contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
-loads = [{ unknown = "1.x", value = "-1 N" }]
-"""
-    )
+    file.write_text(PUSHED_OFF)
     code, _, _ = run(capsys, "run", file, "--plot", tmp_path / "a.png")
     assert code == 1
     assert names(tmp_path) == ["loose.toml"]
