@@ -18,6 +18,8 @@ from contactqp.v_cycle import HeldHierarchy, VCycle
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
 LARGE, COUPLED = 200_000, 40
+# A large body that floats is factorised all the same, up to this size: beyond it the factors fill a workstation.
+LARGEST_FACTORISED = 500_000
 # A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
 # rounding decides: one support among a million unknowns leaves 1e-6.
 FLOATING = 1e-12
@@ -26,14 +28,28 @@ FLOATING = 1e-12
 def iterated(problem: ContactProblem) -> bool:
     """Whether a problem is solved and judged without a factorisation.
 
-    From 200 000 unknowns with more than 40 entries a row where pyamg is installed; always if the variable
-    CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, unless a body floats that can still
+    be factorised; always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
         return chosen == "pyamg"
     n = problem.dimension
-    return n >= LARGE and sp.issparse(problem.stiffness) and problem.stiffness.nnz > COUPLED * n and available()
+    if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
+        return False
+    return n > LARGEST_FACTORISED or _held(problem)
+
+
+def _held(problem: ContactProblem) -> bool:
+    """Whether no body floats, as far as a hierarchy can tell."""
+    if "held" not in problem._shared:
+        try:
+            iteration(problem)
+        except Unsupported:
+            problem._shared["held"] = False
+        else:
+            problem._shared["held"] = True
+    return bool(problem._shared["held"])
 
 
 class Iteration:

@@ -198,6 +198,19 @@ def test_what_is_iterated_on_is_large_and_in_space_unless_somebody_chooses(monke
         assert iterated(problem) == (choice == "pyamg")
 
 
+@needs_pyamg
+def test_a_large_body_that_floats_is_factorised_up_to_a_size(monkeypatch):
+    floating = on_paraboloid((6, 6, 4), sides=False)
+    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.setattr("contactqp.iteration.LARGE", 1)
+    solution = cq.solve(floating)
+    assert solution.certificate.proven
+    assert solution.work.factorisations > 0
+    monkeypatch.setattr("contactqp.iteration.LARGEST_FACTORISED", 1)
+    with pytest.raises(cq.Unsupported, match="floats"):
+        cq.solve(floating.replace(stiffness=floating.stiffness))
+
+
 def test_the_work_names_the_solver(monkeypatch):
     monkeypatch.setenv(CHOICE, "superlu")
     assert cq.solve(on_paraboloid((6, 6, 4))).work.solver == "superlu"
