@@ -119,9 +119,13 @@ class Condensation:
         return lowest
 
     def schur_factor(self) -> DenseCholesky:
-        """Of S in its scale, made when it is first asked for."""
+        """Of S in its scale, made when it is first asked for.
+
+        Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
+        """
         if self._schur_factor is None:
-            self._schur_factor = DenseCholesky(self.schur * np.outer(self.scale, self.scale))
+            scaled = self.schur * np.outer(self.scale, self.scale)
+            self._schur_factor = DenseCholesky(scaled, np.ones(len(scaled)))
         return self._schur_factor
 
     def _clear_rigid_motions(self) -> None:

@@ -52,12 +52,12 @@ class Factorization(Protocol):
 
 
 class DenseCholesky:
-    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal."""
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal or as it is told."""
 
-    def __init__(self, matrix: Array) -> None:
+    def __init__(self, matrix: Array, scale: Array | None = None) -> None:
         from scipy.linalg import cho_factor, eigvalsh
 
-        self._scale = unit_diagonal_scale(matrix)
+        self._scale = unit_diagonal_scale(matrix) if scale is None else scale
         scaled = matrix * np.outer(self._scale, self._scale)
         try:
             self._factor = cho_factor(scaled, lower=True, check_finite=False)

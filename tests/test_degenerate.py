@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.condensation import condense
 from contactqp.factorization import null_space
 
 
@@ -131,3 +132,21 @@ def test_nothing_moves_and_nothing_pushes() -> None:
     assert solution.tie_force == pytest.approx([-6.0])
     assert not np.any(solution.displacement)
     assert not cq.certify(problem, [1e-3, 1e-3], np.zeros(3), tie_force=[-6.0]).passed
+
+
+@pytest.mark.parametrize("rows", [[1.0], [1.0, 2.0, 3.0]])
+def test_what_condensation_leaves_of_a_floating_chain_is_no_stiffness(rows: list[float]) -> None:
+    """A chain that only the contacts at its end hold: S is a rounding of zero, one number, and its own scale."""
+    springs = np.array([12.44140625, 1404.8125, 36.080078125, 44.43359375, 27.37109375])
+    K = sp.diags([np.r_[springs, 0.0] + np.r_[0.0, springs], -springs, -springs], [0, 1, -1])
+    load = np.array([0.0322265625, 14.34375, 1.40625, 2.25, -1.53125, -5.859375])
+    normal = np.zeros((len(rows), 6))
+    normal[:, 5] = rows
+    problem = cq.ContactProblem(stiffness=K, load=load, normal=normal, gap=0.0185546875 * np.array(rows))
+    assert condense(problem).rigid.count == 1
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.normal_force @ rows == load.sum()
+    off = cq.certify(problem, solution.displacement, solution.normal_force * (1 + 1e-12))
+    assert off.force_error is not None
+    assert off.force_error > 0.9e-12
