@@ -7,8 +7,9 @@ process has the second core: they wait for each other by spinning. MKL, which PA
 from __future__ import annotations
 
 import importlib.util
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
@@ -26,8 +27,33 @@ def one_blas_thread(problem: ContactProblem) -> Iterator[None]:
     if problem.dimension < WORTHWHILE or problem.contacts >= THREADS_PAY or (pools := _openblas()) is None:
         yield
         return
-    with pools.limit(limits=1):
+    _LIMIT.enter(pools)
+    try:
         yield
+    finally:
+        _LIMIT.leave()
+
+
+class _Limit:
+    """One limit for all who want it at a time: entered by the first, left by the last."""
+
+    def __init__(self) -> None:
+        self._lock, self._count, self._limited = threading.Lock(), 0, ExitStack()
+
+    def enter(self, pools: Any) -> None:
+        with self._lock:
+            if not self._count:
+                self._limited.enter_context(pools.limit(limits=1))
+            self._count += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._count -= 1
+            if not self._count:
+                self._limited.close()
+
+
+_LIMIT = _Limit()
 
 
 @cache

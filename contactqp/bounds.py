@@ -84,6 +84,7 @@ class Bounds:
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
+    estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
@@ -122,6 +123,7 @@ def _iterated(problem: ContactProblem, answer: Answer, way: Iteration) -> Bounds
         force_error=_relative(found.force, force_scale, found.radius, np.inf),
         energy_scale=found.energy_scale,
         force_scale=force_scale,
+        estimated=True,
         reasons=("force_bound: contact by contact it takes responses to unit forces, and nothing was factorised",),
     )
 

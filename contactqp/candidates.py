@@ -70,13 +70,28 @@ def _many(problem: ContactProblem) -> bool:
 
 def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
     """The problem with some of its contacts; kept, with its condensation, for the loads that follow."""
-    known, few = problem._shared.get("among", (None, None))
-    if known is None or not np.array_equal(known, candidates):
-        lay_out(problem)
-        few = problem.with_contacts(candidates)
-        few._shared["few_enough"] = True
-        problem._shared["among"] = (candidates, few)
-    changed: ContactProblem = few.replace(load=problem.load, gap=problem.gap[candidates], tie_value=problem.tie_value)
+    return _kept_among(problem, candidates, "among")
+
+
+def _kept_among(problem: ContactProblem, candidates: NDArray[np.intp], place: str) -> ContactProblem:
+    """Candidates that only a certificate asks for have a place of their own: what solves is not to grow by them."""
+    shared = problem._shared
+    solved, few = shared.get("among", (None, None))
+    if solved is None or not np.array_equal(solved, candidates):
+        known, few = shared.get(place, (None, None))
+        if known is None or not np.array_equal(known, candidates):
+            lay_out(problem)
+            few = problem.with_contacts(candidates)
+            few._shared["few_enough"] = True
+            shared[place] = (candidates, few)
+    changed: ContactProblem = few.replace(
+        load=problem.load,
+        gap=problem.gap[candidates],
+        tie_value=problem.tie_value,
+        dof_names=problem.dof_names,
+        contact_names=[problem.contact_name(int(i)) for i in candidates],
+        units=problem.units,
+    )
     return changed
 
 
@@ -104,7 +119,7 @@ def bounds_among(
     contacts; these have no force then, and a bound of it by (1) of `bounds`.
     """
     for _ in range(WIDENINGS):
-        few = among(problem, candidates)
+        few = _kept_among(problem, candidates, "judged")
         condensation = condense(few)
         of_few = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
         known = bounds(few, of_few, Residuals(left.force, left.gap[candidates], left.tie), condensation)

@@ -34,7 +34,8 @@ class Certificate:
     """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
 
     `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
-    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded.
+    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
+    and not only estimated, as those of bodies too large to factorise.
     """
 
     equilibrium: float  # componentwise backward error
@@ -115,7 +116,8 @@ def certify(
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
-    left, known, rigid = _residuals_and_bounds(problem, answer, factorization)
+    with problem.lock:
+        left, known, rigid = _residuals_and_bounds(problem, answer, factorization)
     found = violations(problem, answer, left)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
@@ -130,11 +132,11 @@ def certify(
         reasons=known.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
         failures=tuple(failures),
-        notes=notes(problem, grazing),
+        notes=notes(problem, grazing, known),
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
-        proven=known.energy_error is not None and known.force_error is not None,
+        proven=known.energy_error is not None and known.force_error is not None and not known.estimated,
         violations=found,
     )
 
@@ -226,6 +228,8 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _matching(problem: ContactProblem, factorization: Condensation) -> Condensation:
+    if not isinstance(factorization, Condensation):
+        raise InvalidProblem(f"factorization: expected a Condensation, got {type(factorization).__name__}")
     if not factorization.fits(problem):
         raise InvalidProblem("factorization: it was made for another stiffness or other rows than this problem's")
     return factorization

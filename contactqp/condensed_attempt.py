@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.condensation import condense as condensation_of
@@ -44,10 +45,16 @@ class CondensedAttempt:
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
                 )
             try:
-                self._shown, self.candidate = self._run(settings, condense)
+                shown, self.candidate = self._run(settings, condense)
             except (NotConverged, BackendFailed):
                 self.refuse_conflict()
                 raise
+            self._whole = shown is problem
+            self._closed: NDArray[np.intp] | None = None
+            if self.candidate.finite:
+                self._closed = closed_contacts(
+                    shown, self._way, self.candidate.displacement, self.candidate.normal_force
+                )
 
     def final(self, polished: bool) -> Final:
         """The answer that is to be certified."""
@@ -57,7 +64,7 @@ class CondensedAttempt:
     @cached_property
     def expanded(self) -> Candidate:
         """The candidate in the unknowns of the problem: back-substitution that polishing can do without."""
-        if self._shown is self._problem:
+        if self._whole:
             return self.candidate
         _, inner = self._way.reduce_load(self._problem.load)
         return replace(self.candidate, displacement=self._way.expand(self.candidate.displacement, inner))
@@ -65,7 +72,7 @@ class CondensedAttempt:
     @property
     def start(self) -> Candidate:
         """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
-        return self.candidate if self._shown is self._problem else self._way.spread_candidate(self.candidate)
+        return self.candidate if self._whole else self._way.spread_candidate(self.candidate)
 
     def counting(self) -> object:
         """A context whose work counts as this attempt's."""
@@ -98,11 +105,10 @@ class CondensedAttempt:
 
     def _polished(self) -> Final | None:
         """The refined answer on the candidate's contact set, or None where its signs do not hold."""
-        candidate, problem, way = self.candidate, self._problem, self._way
-        if not candidate.finite:
+        problem, way = self._problem, self._way
+        if self._closed is None:
             return None
-        closed = closed_contacts(self._shown, way, candidate.displacement, candidate.normal_force)
-        answer, corrections, holds = polish(problem, way, closed, self._method.corrections)
+        answer, corrections, holds = polish(problem, way, self._closed, self._method.corrections)
         if not holds:
             return None
         answer, free = least_displacement(problem, way, answer)

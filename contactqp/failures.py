@@ -102,11 +102,13 @@ def _with_unit(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def notes(problem: ContactProblem, grazing: NDArray[np.bool_]) -> tuple[str, ...]:
+def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
     said = []
     if np.any(grazing):
         names = ", ".join(problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:8])
         said.append(f"grazing (gap and force both vanish): {names}")
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+    if known.estimated:
+        said.append("nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof")
     return tuple(said)

@@ -36,6 +36,10 @@ SETS, STEPS = 200, 400
 # Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13
+# What the certificate asks of the equilibrium, whatever the method is asked for.
+LOOSEST = 1e-9
+# A load of this part of what the known displacement takes is none beside the rounding of that: start from rest.
+UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
 # Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
@@ -59,7 +63,7 @@ class _Search:
         self.near_sizes = abs(self.near)
         self.rows, self.row_sizes = way.rows, abs(way.rows)
         self.sets_left = settings.max_iter or SETS
-        self.tolerance = max(settings.tolerance, TIGHTEST)
+        self.tolerance = max(min(settings.tolerance, LOOSEST), TIGHTEST)
         self.end = np.inf if settings.time_limit is None else time.perf_counter() + settings.time_limit
         self.seen: set[bytes] = set()
         self.trust = TRUST
@@ -68,7 +72,7 @@ class _Search:
 
     def start(self, known: Candidate | None) -> None:
         """A displacement and a set, from a known solution or from the bodies without contact."""
-        if known is not None:
+        if known is not None and self._loaded(known):
             self.x = known.displacement.copy()
             self.residual = self.problem.load - self.way.matrix @ self.x
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
@@ -82,6 +86,12 @@ class _Search:
         self.x, self.residual = run.x.copy(), run.residual.copy()
         self.before, self.residual_before = run.x, run.residual
         self.closed = self._penetration() > 0
+
+    def _loaded(self, known: Candidate) -> bool:
+        """Whether the load is more than rounding of what a known displacement takes."""
+        scale = 1 / np.sqrt(self.problem.diagonal)
+        taken = np.linalg.norm(scale * (self.way.matrix @ known.displacement))
+        return bool(np.linalg.norm(scale * self.problem.load) > UNLOADED * taken)
 
     def run(self) -> Candidate:
         sets = 0
@@ -205,7 +215,7 @@ class _Goal:
             return False
         # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
         self.way.learn(run)
-        weight = dual_norm(self.way, run.unbalanced)
+        weight = dual_norm(self.way, run.unbalanced, learned=True)
         if weight <= BOUND * self.size:
             return True
         self.energy *= min(0.5, BOUND * self.size / weight)

@@ -68,4 +68,4 @@ class IteratedAttempt:
         )
 
     def refuse_conflict(self) -> None:
-        """No set that conflicts gets as far as an answer."""
+        """Does nothing: constraints that conflict are not told from others without a factorisation."""

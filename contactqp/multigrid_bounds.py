@@ -14,10 +14,10 @@ eigenvalue of M K exceeds one (`v_cycle`), and
 
     sum of a_j rho_j + rho_k <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
 
-until the last term, with the least Ritz value over SAFETY for the eigenvalue (of any run, the longest of at least
-ENOUGH_STEPS steps), is at most GENEROUS times the left side. Ritz values estimate that eigenvalue from above: the bound
+until the last term, with the least Ritz value of the run, of at least ENOUGH_STEPS steps, over SAFETY for the
+eigenvalue, is at most GENEROUS times the left side. Ritz values estimate that eigenvalue from above: the bound
 is an a-posteriori estimate, no enclosure. It fails where r misses, to rounding, a motion along which M is SAFETY times
-worse than along all that the runs have met.
+worse than along all that the run has met.
 
 |l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
 
@@ -94,14 +94,19 @@ def _energy_norm(way: Iteration, v: Vector) -> float:
     return float(np.sqrt(max(v @ (way.matrix @ v), 0.0))) if np.any(v) else 0.0
 
 
-def dual_norm(way: Iteration, force: Vector) -> float:
-    """An estimate from above of sqrt(r'K^-1 r), square root of energy."""
+def dual_norm(way: Iteration, force: Vector, learned: bool = False) -> float:
+    """An estimate from above of sqrt(r'K^-1 r), square root of energy.
+
+    Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
+    of earlier runs serve too, which saves steps.
+    """
     run = way.run_without_rows(force.copy())
     while True:
         square = run.square()
         way.learn(run)
-        rest = SAFETY * square / way.least_eigenvalue
-        known = max(way.longest_run, run.steps) >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square)
+        least, longest = (way.least_eigenvalue, way.longest_run) if learned else (run.least_eigenvalue(), run.steps)
+        rest = SAFETY * square / least
+        known = longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square)
         if known or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
         way.krylov_iterations += 1

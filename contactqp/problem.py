@@ -10,6 +10,7 @@ FORCE, positive in compression. With friction, |l_T| <= mu l_N and l_T points al
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -263,6 +264,15 @@ class ContactProblem:
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
         shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
         return ContactProblem._of_checked(kept, shared)
+
+    @property
+    def lock(self) -> Any:
+        """A lock, held while something is computed that problems with the same stiffness and rows share."""
+        return self._shared.setdefault("lock", threading.RLock())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or pickled: the problem, without what was computed from it."""
+        return self.__dict__ | {"_shared": {}}
 
     def energy(self, displacement: ArrayLike) -> float:
         """1/2 u'Ku - f'u."""

@@ -46,7 +46,7 @@ class Work:
 
     def after(self, earlier: Work) -> Work:
         """This work and what was spent on it before."""
-        counts = ("factorisations", "back_substitutions", "polish_corrections")
+        counts = ("factorisations", "back_substitutions", "polish_corrections", "krylov_iterations")
         sums: dict[str, Any] = {name: getattr(self, name) + getattr(earlier, name) for name in counts}
         known = self.iterations is not None and earlier.iterations is not None
         return replace(self, iterations=(self.iterations or 0) + (earlier.iterations or 0) if known else None, **sums)

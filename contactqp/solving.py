@@ -83,11 +83,12 @@ def solve(
     """
     same: dict[str, Any] = dict(tolerance=tolerance, condense=condense, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
+    start = warm_candidate(problem, warm_start)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
         return solve_among(
-            problem, candidates, warm_start, lambda few, start: solve(few, method, warm_start=start, **same)
+            problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
         )
-    return begin(problem, method, warm_candidate(problem, warm_start), **same).finish()
+    return begin(problem, method, start, **same).finish()
 
 
 class Attempt(Protocol):
@@ -143,7 +144,7 @@ def begin(
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
     way = IteratedAttempt if iterated(problem) else CondensedAttempt
-    with one_blas_thread(problem):
+    with problem.lock, one_blas_thread(problem):
         attempt: Attempt = way(problem, chosen, settings, condense)
     return Begun(problem, chosen, attempt, polish, time.perf_counter() - started)
 
@@ -167,7 +168,7 @@ class Begun:
             As `solve`.
         """
         started = time.perf_counter() - self.seconds
-        with one_blas_thread(self.problem):
+        with self.problem.lock, one_blas_thread(self.problem):
             return self._accepted(*self._certified(started))
 
     def _accepted(self, solution: Solution, polished: bool) -> Solution:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.candidates import among, take_all, widened
 from contactqp.certificate import certify, contact_status
+from contactqp.condensation import condense
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Raw, Solution, Work
@@ -33,8 +34,10 @@ def solve_among(
         try:
             solution = solve(few, _restricted(start, few, candidates))
         except NoEquilibrium:
+            spent = _spent_on(few).after(spent)
             take_all(problem)
-            return solve(problem, start)
+            solution = solve(problem, start)
+            return replace(solution, work=solution.work.after(spent), seconds=time.perf_counter() - started)
         except (NotConverged, NotCertified) as error:
             if error.solution is not None:
                 error.solution = _of_all(problem, candidates, error.solution, spent, started)
@@ -44,6 +47,12 @@ def solve_among(
             return _of_all(problem, candidates, solution, spent, started)
         spent = solution.work.after(spent)
         candidates = wider
+
+
+def _spent_on(few: ContactProblem) -> Work:
+    """What a problem that came to no answer has cost."""
+    way = condense(few)
+    return Work(factorisations=way.factorisations, back_substitutions=way.back_substitutions)
 
 
 def _gap(problem: ContactProblem, displacement: Vector) -> Vector:

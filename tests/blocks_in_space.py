@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
 from contactqp.elements.material import Material
@@ -39,6 +40,24 @@ def stacked(upper=(7, 7, 5), lower=(6, 6, 5)):
     held += [Support("upper", "top", axis, -0.02 * (axis == 2)) for axis in range(3)]
     surfaces = (structure.surface("upper", "bottom"), structure.surface("lower", "top"))
     return structure.assemble(held).problem([cq.pair_mortar(*surfaces, dimension=structure.size)])
+
+
+def layered(contrast, cells=(12, 12, 24)):
+    """A lattice of unit springs with one soft layer; the nodes on top reach a wall at 0.9 of the way they would go."""
+    across, deep, high = cells
+    index = np.arange(across * deep * high).reshape(high, deep, across)
+    layer = index // (across * deep)
+    ends = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:]), (index[..., :-1], index[..., 1:])]
+    a, b = (np.concatenate([pair[k].ravel() for pair in ends]) for k in range(2))
+    spring = np.ones(len(a))
+    spring[: index[:-1].size][layer[:-1].ravel() == high // 2 - 1] = contrast
+    entries = (np.r_[spring, spring, -spring, -spring], (np.r_[a, b, a, b], np.r_[a, b, b, a]))
+    ground = sp.diags((layer == 0).ravel().astype(float))
+    K = sp.csc_matrix(sp.coo_matrix(entries, shape=(index.size, index.size)) + ground)
+    load = np.where(layer.ravel() < high // 2, 0.1, contrast / 10)
+    top = index[-1].ravel()
+    normal = sp.csr_matrix((np.ones(len(top)), (np.arange(len(top)), top)), shape=(len(top), index.size))
+    return cq.ContactProblem(stiffness=K, load=load, normal=normal, gap=0.9 * spsolve(K, load)[top])
 
 
 def with_ties(problem, count=4):

