@@ -33,8 +33,10 @@ if TYPE_CHECKING:
     from contactqp.errors import NotCertified as NotCertified
     from contactqp.errors import NotConverged as NotConverged
     from contactqp.errors import SceneError as SceneError
+    from contactqp.errors import SeveralEquilibria as SeveralEquilibria
     from contactqp.errors import Unsupported as Unsupported
     from contactqp.methods import methods as methods
+    from contactqp.multiplicity import equilibria as equilibria
     from contactqp.problem import ContactProblem as ContactProblem
     from contactqp.problem import Units as Units
     from contactqp.scene.loading import load_scene as load_scene
@@ -64,6 +66,7 @@ _HOME = {
     "Plane": "elements.obstacle",
     "Scene": "scene.schema",
     "SceneError": "errors",
+    "SeveralEquilibria": "errors",
     "SignedDistance": "elements.signed_distance",
     "Solution": "solution",
     "Sphere": "elements.round_obstacle",
@@ -72,6 +75,7 @@ _HOME = {
     "Unsupported": "errors",
     "certify": "certificate",
     "compare": "study.comparison",
+    "equilibria": "multiplicity",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",
     "methods": "methods",

@@ -173,19 +173,16 @@ def _grazing(
     return vanish
 
 
-def contact_status(problem: ContactProblem, certificate: Certificate, answer_slip: NDArray[np.float64] | None) -> Any:
+def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
     found = certificate.violations
     if found is None:
         return np.full(problem.contacts, "unknown")
     pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance))
     status = np.where(pushes, "closed", "open").astype("<U8")
-    if problem.friction is not None and answer_slip is not None:
+    if problem.friction is not None:
         frictional = (problem.friction > 0) & (status == "closed")
-        size = np.linalg.norm(answer_slip, axis=1)
-        status[frictional] = np.where(
-            size[frictional] > certificate.tolerance * np.max(size, initial=0.0), "slip", "stick"
-        )
+        status[frictional] = np.where(found.slip_measure[frictional] > certificate.tolerance, "slip", "stick")
     status[list(certificate.grazing)] = "grazing"
     return status
 

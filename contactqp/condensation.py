@@ -203,12 +203,26 @@ class Condensation:
         """What condensing the condensed problem would give: itself, with nothing left to factorise."""
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
-        twin._rows = (reduced.stiffness, reduced.normal, reduced.tangent, reduced.tie)
-        twin._sparse, twin._diagonal = reduced.stiffness_rows, reduced.diagonal
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
-        twin.retained, twin._reduced = np.arange(len(self.retained)), None
-        twin._elimination = eliminate(twin._sparse, twin.retained)
+        twin._retain_all(reduced)
         return twin
+
+    @classmethod
+    def of_condensed(cls, problem: ContactProblem, rigid: RigidMotions, scale: Array) -> Condensation:
+        """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
+        made = object.__new__(cls)
+        made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
+        made.rigid, made.scale, made._schur_factor = rigid, scale, None
+        made._retain_all(problem)
+        made.schur = made._elimination.schur
+        made.normal, made.tie, made.tangent = problem.normal.toarray(), problem.tie.toarray(), problem.tangent
+        return made
+
+    def _retain_all(self, problem: ContactProblem) -> None:
+        self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
+        self.retained, self._reduced = np.arange(problem.dimension), None
+        self._elimination = eliminate(self._sparse, self.retained)
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
         """What a candidate says of the retained unknowns."""

@@ -36,7 +36,7 @@ class CondensedAttempt:
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
-        self._problem, self._method, self._meter = problem, method, _Meter(problem)
+        self._problem, self._method, self._meter = problem, method, Meter(problem)
         with self._meter.running():
             self._way = _condensed(problem)
             refuse_driven_motion(problem, self._way)
@@ -156,7 +156,7 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
     return scaling.unscale(method.solve(twin, settings))
 
 
-class _Meter:
+class Meter:
     """Counts what one answer costs, the condensation included where it is the first to need it."""
 
     def __init__(self, problem: ContactProblem) -> None:

@@ -24,6 +24,10 @@ class NoEquilibrium(ContactQPError):
     """No displacement satisfies the constraints, or the load drives a motion that nothing holds back."""
 
 
+class SeveralEquilibria(ContactQPError):
+    """Coulomb friction allows more than one answer and one was asked for; the message lists them."""
+
+
 class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any."""
 

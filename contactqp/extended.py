@@ -168,11 +168,15 @@ class ExtendedRows:
         hi = np.concatenate([normal_force.hi, tie_force.hi])
         return self._outward @ Extended(hi, np.concatenate([normal_force.lo, tie_force.lo]))
 
-    def friction_force(self, force: NDArray[np.float64] | None) -> Extended:
-        """E_T' l_T."""
+    def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
+        """E_T' l_T of forces (m, d-1), or flat in extended precision."""
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.stiffness.shape[0]))
-        return self._tangent_transposed @ Extended(force.ravel())
+        return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
+
+    def slip(self, displacement: Extended) -> Extended:
+        """E_T u, flat."""
+        return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
 
 
 def _stiffness_rows(problem: ContactProblem) -> SparseRows:

@@ -85,6 +85,7 @@ class Final:
     free_motions: tuple[FreeMotion, ...] = ()
     corrections: int = 0  # of the contact set
     polished: bool = False
+    friction_force: NDArray[np.float64] | None = None  # (m, d-1); None: nothing rubs
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
 from contactqp.errors import NotCertified, NotConverged
+from contactqp.friction_attempt import attempt_friction
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings, find
@@ -56,7 +57,11 @@ def solve(
     warm_start : Solution, optional
         Of a problem with the same contacts.
     algorithm : str, optional
-        The outer law of friction.
+        With friction: "tresca" (a fixed point on the friction bound, each step by `method`, `max_iter` steps;
+        `contactqp.friction.tresca`), "enumeration" (all combinations of open, stick and slip of at most eight contacts;
+        `method` is not used), or None: the former, and the latter where it fails. Either answer is solved to the last
+        digits on its combination, `polish` or not. Where there are several equilibria the fixed point returns one of
+        them and does not know: `contactqp.equilibria` lists them.
     **options
         What the method names in its `options`: `penalty` [force / length], `perturbation` [force / length], `update`,
         `solver`.
@@ -64,7 +69,10 @@ def solve(
     Raises
     ------
     NoEquilibrium
-        The constraints conflict, or the load drives a rigid motion that nothing holds.
+        The constraints conflict, or the load drives a rigid motion that nothing holds; with friction, enumeration
+        finds no answer.
+    SeveralEquilibria
+        With friction, enumeration finds several answers.
     NotConverged, BackendFailed
         The method gave up; a last iterate, if any, is in `solution`.
     NotCertified
@@ -136,16 +144,21 @@ def begin(
 
     Raises
     ------
-    NoEquilibrium, NotConverged, BackendFailed, BackendMissing, Unsupported, InvalidProblem
+    NoEquilibrium, SeveralEquilibria, NotConverged, BackendFailed, BackendMissing, Unsupported, InvalidProblem
         As `solve`.
     """
     started = time.perf_counter()
     refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
-    way = IteratedAttempt if iterated(problem) else CondensedAttempt
     with problem.lock, one_blas_thread(problem):
-        attempt: Attempt = way(problem, chosen, settings, condense)
+        attempt: Attempt
+        if problem.frictional:
+            attempt = found = attempt_friction(problem, chosen, settings, algorithm)
+            chosen = replace(chosen, name=found.name)
+        else:
+            way = IteratedAttempt if iterated(problem) else CondensedAttempt
+            attempt = way(problem, chosen, settings, condense)
     return Begun(problem, chosen, attempt, polish, time.perf_counter() - started)
 
 
@@ -188,21 +201,23 @@ class Begun:
     def _certified(self, started: float) -> tuple[Solution, bool]:
         """The solution, and whether it is polished."""
         problem, candidate = self.problem, self.attempt.candidate
-        no_friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
         with self.attempt.counting():
             final = self.attempt.final(self.polish)
+            friction = final.friction_force
+            if friction is None and problem.slip_origin is not None:
+                friction = np.zeros_like(problem.slip_origin)
             answered = time.perf_counter()
-            certificate = certify(problem, final.displacement, final.normal_force, no_friction, final.tie_force)
+            certificate = certify(problem, final.displacement, final.normal_force, friction, final.tie_force)
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
-            raw = self._raw(no_friction) if final.polished and self.method.kind != "active set" else None
+            raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
         solution = Solution(
             problem=problem,
             displacement=final.displacement,
             normal_force=final.normal_force,
-            friction_force=no_friction,
+            friction_force=friction,
             tie_force=final.tie_force,
-            contact_status=contact_status(problem, certificate, None),
+            contact_status=contact_status(problem, certificate),
             free_motions=final.free_motions,
             certificate=certificate,
             method=self.method.name,
@@ -214,8 +229,8 @@ class Begun:
         )
         return solution, final.polished
 
-    def _raw(self, no_friction: Any) -> Raw:
+    def _raw(self, friction: Any) -> Raw:
         candidate = self.attempt.expanded
         values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
-        certificate = certify(self.problem, values[0], values[1], no_friction, values[2])
+        certificate = certify(self.problem, values[0], values[1], friction, values[2])
         return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)

@@ -46,11 +46,7 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
         raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
-    if problem.frictional:
-        raise Unsupported(
-            f"{method.name}: Coulomb friction (certify() judges it, no algorithm of this version solves it)"
-        )
-    if algorithm is not None:
+    if algorithm is not None and not problem.frictional:
         raise Unsupported(
             f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none"
         )

@@ -50,6 +50,7 @@ class Violations:
     cone: Vector  # (m,) (|l_T| - mu l_N)+ as a force
     slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
     tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
+    slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
     gap: Vector  # (m,) g - E_N u [length]
     gap_measure: Vector  # (m,) |gap| / L
     force_measure: Vector  # (m,) |l_N| as a force
@@ -105,7 +106,7 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
     F = forces_that_meet(problem, answer)
     gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement))
     push = force_measure(problem.normal, answer.normal_force, F)
-    cone, direction = _friction(problem, answer, F)
+    cone, direction, slip_measure = _friction(problem, answer, F)
     return Violations(
         equilibrium=ratio(abs(residual), F),
         residual=residual,
@@ -115,6 +116,7 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
         cone=cone,
         slip_direction=direction,
         tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement)),
+        slip_measure=slip_measure,
         gap=gap,
         gap_measure=gap_measure,
         force_measure=push,
@@ -200,8 +202,8 @@ def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
     return measure
 
 
-def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vector, Vector]:
-    """Coulomb's law, contact by contact: how far outside the cone, and how far from opposing the slip."""
+def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vector, Vector, Vector]:
+    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, and the slip."""
     none = np.zeros(problem.contacts)
     if (
         problem.tangent is None
@@ -209,16 +211,16 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
         or problem.slip_origin is None
         or answer.friction_force is None
     ):
-        return none, none
+        return none, none, none
     force = answer.friction_force
     slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
     size, slipped = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=1)
     bound = problem.friction * np.maximum(answer.normal_force, 0.0)
     beyond = np.maximum(size - bound, 0.0)[:, None] * _direction(force)
     wrong = force - bound[:, None] * _direction(slip)
-    lengths = (abs(problem.tangent) @ abs(answer.displacement)).reshape(force.shape) + abs(problem.slip_origin)
-    slipping = np.minimum(ratio(slipped, np.linalg.norm(lengths, axis=1)), _tangential(problem, wrong, F))
-    return _tangential(problem, beyond, F), slipping
+    lengths = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), answer.displacement)
+    slip_measure = ratio(slipped, np.linalg.norm(lengths.reshape(force.shape), axis=1))
+    return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
 
 
 def _direction(vectors: Array) -> Array:

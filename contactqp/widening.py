@@ -85,7 +85,7 @@ def _of_all(
     certified = time.perf_counter()
     return replace(
         whole,
-        contact_status=contact_status(problem, whole.certificate, None),
+        contact_status=contact_status(problem, whole.certificate),
         raw=None if solution.raw is None else replace(solution.raw, **judged(solution.raw)),
         seconds=certified - started,
         certify_seconds=certified - answered,

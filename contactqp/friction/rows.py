@@ -1,0 +1,64 @@
+"""The condensed stiffness and the rows of contacts, tangents and ties, all scaled to the unit of sqrt(energy).
+
+With D = 1/sqrt(S_jj), x = D y and rows of unit length in the energy, r_i = |E_i D|, the rows R = [N; T; A] become
+R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r_i. Coulomb's coefficient becomes mu r_T / r_N.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from contactqp.condensation import Condensation
+from contactqp.factorization import Array
+from contactqp.problem import ContactProblem, Vector
+
+
+class FrictionalRows:
+    """A frictional problem of the plane on its retained unknowns, scaled.
+
+    Attributes
+    ----------
+    S : (p, p) array
+        The condensed stiffness, its diagonal one.
+    normal, tangent, tie : (m, p), (m, p), (k, p) arrays
+        Rows of unit length.
+    coefficient : (m,) array
+        mu r_T / r_N: friction bounds in scaled forces.
+    """
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
+        if problem.friction is None or condensation.tangent is None:
+            raise ValueError("frictional rows of a problem without friction")
+        self.scale = condensation.scale
+        self.S = condensation.schur * np.outer(self.scale, self.scale)
+        self.normal, self.normal_length = _unit(condensation.normal * self.scale)
+        self.tangent, self.tangent_length = _unit(condensation.tangent.toarray() * self.scale)
+        self.tie, self.tie_length = _unit(condensation.tie * self.scale)
+        self.coefficient = problem.friction * self.tangent_length / self.normal_length
+        motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]
+        self.motions = np.linalg.qr(motions)[0] if motions.shape[1] else motions
+
+    @cached_property
+    def all_rows(self) -> Array:
+        """(2m + k, p): contacts, tangents, ties."""
+        return np.vstack([self.normal, self.tangent, self.tie])
+
+    @cached_property
+    def compliance(self) -> Array:
+        """S^+ (p, p): the inverse of S, zero on the rigid motions."""
+        rigid = self.motions @ self.motions.T
+        return np.asarray(np.linalg.inv(self.S + rigid) - rigid)
+
+    def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:
+        """Scaled gaps (m,), slip origins (m,), tie values (k,)."""
+        origin = np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin[:, 0]
+        return problem.gap / self.normal_length, origin / self.tangent_length, problem.tie_value / self.tie_length
+
+
+def _unit(rows: Array) -> tuple[Array, Vector]:
+    """Rows of unit length, and what they were divided by; an empty row is left as it is."""
+    length = np.linalg.norm(rows, axis=1)
+    length = np.where(length > 0, length, 1.0)
+    return rows / length[:, None], length

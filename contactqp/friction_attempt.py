@@ -1,0 +1,148 @@
+"""An answer with Coulomb friction: by Tresca's fixed point, or the only one that enumeration finds."""
+
+from __future__ import annotations
+
+from contactqp.condensation import condense
+from contactqp.condensed_attempt import Meter
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.existence import refuse_conflict
+from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
+from contactqp.friction.tresca import solve_tresca
+from contactqp.iteration import iterated
+from contactqp.methods import Method, Settings
+from contactqp.problem import ContactProblem
+from contactqp.solution import Candidate, Final, Work
+from contactqp.violations import Answer
+
+ALGORITHMS = ("tresca", "enumeration")
+
+
+class FrictionAttempt:
+    """One answer to a frictional problem, refined to the last digits by the algorithm that found it."""
+
+    def __init__(
+        self, problem: ContactProblem, answer: Answer, meter: Meter, name: str, history: tuple[float, ...] = ()
+    ) -> None:
+        self.name = name  # the algorithm, and the convex method where it has one
+        self._problem, self._answer, self._meter = problem, answer, meter
+        self.candidate = Candidate(
+            answer.displacement, answer.normal_force, answer.tie_force, iterations=len(history) + 1, history=history
+        )
+
+    def final(self, polished: bool) -> Final:
+        """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
+        del polished
+        answer = self._answer
+        return Final(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
+
+    @property
+    def expanded(self) -> Candidate:
+        """The candidate in the unknowns of the problem."""
+        return self.candidate
+
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from."""
+        return self.candidate
+
+    def counting(self) -> object:
+        """A context whose work counts as this attempt's."""
+        return self._meter.running()
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far."""
+        return self._meter.read(self.candidate.iterations, corrections)
+
+    def refuse_conflict(self) -> None:
+        """Constraints that conflict get no answer this far."""
+
+
+def attempt_friction(
+    problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None
+) -> FrictionAttempt:
+    """An answer by `algorithm`; None is Tresca's fixed point, then enumeration where it fails and contacts are few.
+
+    Raises
+    ------
+    NoEquilibrium
+        Enumeration finds no answer, or the constraints conflict.
+    SeveralEquilibria
+        Enumeration finds more than one.
+    NotConverged, BackendFailed
+        Tresca's fixed point, or the convex method in it, gave up.
+    Unsupported
+        Two tangential directions a contact, bodies too large to factorise, a method that is approximate by design or
+        needs a regular stiffness, too many contacts to enumerate.
+    InvalidProblem
+        There is no such algorithm.
+    """
+    if algorithm is not None and algorithm not in ALGORITHMS:
+        raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
+    _refuse_unsupported(problem)
+    if algorithm == "enumeration":
+        return _only(problem)
+    try:
+        return _by_tresca(problem, method, settings)
+    except (NoEquilibrium, NotConverged):
+        if algorithm is not None or problem.contacts > MOST_CONTACTS:
+            refuse_conflict(problem, condense(problem))
+            raise
+    return _only(problem)
+
+
+def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:
+    """Every equilibrium of a small problem.
+
+    Raises
+    ------
+    Unsupported
+        As `attempt_friction`.
+    """
+    _refuse_unsupported(problem)
+    meter = Meter(problem)
+    with meter.running():
+        found = all_equilibria(problem, condense(problem))
+    return tuple(FrictionAttempt(problem, one.answer, meter, "enumeration") for one in found)
+
+
+def _only(problem: ContactProblem) -> FrictionAttempt:
+    found = found_by_enumeration(problem)
+    if not found:
+        refuse_conflict(problem, condense(problem))
+        raise NoEquilibrium("enumeration: no combination of open, stick and slip is an equilibrium")
+    if len(found) > 1:
+        listed = "; ".join(_described(problem, one) for one in found)
+        raise SeveralEquilibria(
+            f"enumeration: {len(found)} equilibria, and nothing in the problem chooses ({listed}); "
+            "contactqp.equilibria(problem) returns them all"
+        )
+    return found[0]
+
+
+def _described(problem: ContactProblem, attempt: FrictionAttempt) -> str:
+    forces = attempt.candidate.normal_force
+    return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
+
+
+def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
+    if not method.exact:
+        raise Unsupported(
+            f"{method.name}: Coulomb friction takes exact convex steps, and this is approximate by design"
+        )
+    if not method.semidefinite:
+        raise Unsupported(
+            f"{method.name}: the convex steps of Coulomb friction have a singular stiffness; try active-set"
+        )
+    meter = Meter(problem)
+    with meter.running():
+        found = solve_tresca(problem, condense(problem), method, settings)
+    return FrictionAttempt(problem, found.answer, meter, f"tresca with {method.name}", found.changes)
+
+
+def _refuse_unsupported(problem: ContactProblem) -> None:
+    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        raise Unsupported(
+            "friction: two tangential rows a contact; it is solved in the plane only (certify judges both)"
+        )
+    if iterated(problem):
+        raise Unsupported("friction: a body this large is not factorised, and Coulomb friction is not iterated on")

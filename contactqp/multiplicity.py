@@ -1,0 +1,59 @@
+"""Every equilibrium of a small problem with Coulomb friction, each certified."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from contactqp.errors import InvalidProblem
+from contactqp.friction_attempt import found_by_enumeration
+from contactqp.methods import find
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+from contactqp.solving import Begun
+
+
+def equilibria(problem: ContactProblem) -> tuple[Solution, ...]:
+    """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
+
+    Above a critical coefficient of friction a problem may have none, several, or a continuum of which some members are
+    returned. All combinations of open, stick and slip are tried (`contactqp.friction.enumeration`).
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With friction, at most eight contacts, one tangential row a contact.
+
+    Returns
+    -------
+    tuple of Solution
+        One for each displacement, certified; empty where there is no equilibrium. Where contacts are redundant, the
+        forces are one choice among many.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no friction: `solve` has the one answer.
+    Unsupported
+        More than eight contacts, or two tangential rows a contact.
+    NotCertified
+        The certificate refuses one of them.
+
+    Examples
+    --------
+    Klarbring's (1990) one contact, mu = 0.8 above the critical 0.5, has three: open, stick, slip.
+
+    >>> import contactqp as cq
+    >>> data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    >>> [str(s.contact_status[0]) for s in cq.equilibria(cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8))]
+    ['open', 'stick', 'slip']
+    """
+    if not problem.frictional:
+        raise InvalidProblem(
+            "equilibria: expected a problem with friction; without it the minimum is what solve returns"
+        )
+    started = time.perf_counter()
+    found = found_by_enumeration(problem)
+    spent = time.perf_counter() - started
+    method = replace(find("active-set"), name="enumeration")
+    return tuple(Begun(problem, method, attempt, True, spent).finish() for attempt in found)
