@@ -16,7 +16,7 @@ from contactqp.condensation import condense as condensation_of
 from contactqp.elimination import LARGE
 from contactqp.errors import BackendFailed, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
-from contactqp.factorization import DENSE_SIZE
+from contactqp.factorization import DENSE_SIZE, Array
 from contactqp.methods import Method, Settings
 from contactqp.polishing import closed_contacts, least_displacement, polish, shift_to_least_norm, without_noise
 from contactqp.problem import ContactProblem, Vector
@@ -112,7 +112,7 @@ class CondensedAttempt:
         if not holds:
             return None
         answer, free = least_displacement(problem, way, answer)
-        return Final(*without_noise(problem, way, answer), self._motions(free), corrections, polished=True)
+        return Final(*without_noise(problem, way, answer), described(self._problem, free), corrections, polished=True)
 
     def _as_it_came(self) -> Final:
         """The candidate, its free motions put to rest as far as they are free."""
@@ -121,11 +121,13 @@ class CondensedAttempt:
         if not candidate.finite:
             return Final(u, force, tie)
         shift, free = shift_to_least_norm(self._problem, self._way, Answer(u, force, None, tie))
-        return Final(u + shift, force, tie, self._motions(free))
+        return Final(u + shift, force, tie, described(self._problem, free))
 
-    def _motions(self, free: Vector) -> tuple[FreeMotion, ...]:
-        directions = (direction / direction[np.argmax(abs(direction))] for direction in free.T)
-        return tuple(FreeMotion(direction, describe_motion(self._problem, direction)) for direction in directions)
+
+def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
+    """The columns of a basis (n, q) as motions whose largest unknown moves by one, in words."""
+    directions = (direction / direction[np.argmax(abs(direction))] for direction in free.T)
+    return tuple(FreeMotion(direction, describe_motion(problem, direction)) for direction in directions)
 
 
 def _condensed(problem: ContactProblem) -> Condensation:

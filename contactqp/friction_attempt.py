@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from contactqp.condensation import condense
-from contactqp.condensed_attempt import Meter
+from contactqp.condensed_attempt import Meter, described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.existence import refuse_conflict
 from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
+from contactqp.friction.free_motion import at_rest, free_motions
 from contactqp.friction.tresca import solve_tresca
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings
@@ -32,8 +33,15 @@ class FrictionAttempt:
     def final(self, polished: bool) -> Final:
         """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         del polished
-        answer = self._answer
-        return Final(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
+        free = free_motions(self._problem, condense(self._problem), self._answer)
+        answer = at_rest(self._problem, self._answer, free)
+        return Final(
+            answer.displacement,
+            answer.normal_force,
+            answer.tie_force,
+            free_motions=described(self._problem, free),
+            friction_force=answer.friction_force,
+        )
 
     @property
     def expanded(self) -> Candidate:

@@ -33,7 +33,7 @@ MOST_CONTACTS = 8
 BATCH = 4096
 # Singular values of this part of the largest, rows being of unit length, are zero.
 DEPENDENT = 1e-11
-# Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding: refined, they show.
+# Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding; refinement tells.
 DOUBTFUL = 1e-8
 # Displacements that differ by this part of their size are one.
 SAME = 1e-8
