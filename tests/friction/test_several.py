@@ -107,6 +107,40 @@ def test_what_is_not_there_says_so() -> None:
     assert cq.solve(nine).contact_status.tolist() == ["open"] * 9
 
 
+def test_a_body_too_large_to_factorise_and_a_limit_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(cq.NotConverged, match="time limit"):
+        cq.solve(rough_truss(), algorithm="tresca", time_limit=1e-9)
+    monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", "pyamg")
+    with pytest.raises(cq.Unsupported, match="not factorised"):
+        cq.solve(rough_truss())
+
+
+def test_units_and_the_scale_of_rows_change_nothing() -> None:
+    """u = d v unknown by unknown, forces times F, lengths times L, the rows of contact i times r_i."""
+    rng = np.random.default_rng(7)
+    for _ in range(30):
+        problem = random_problem(rng)
+        length, force = 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 9)
+        d, r = 10.0 ** rng.uniform(-4, 4, problem.dimension), 10.0 ** rng.uniform(-4, 4, problem.contacts)
+        other = cq.ContactProblem(
+            stiffness=problem.stiffness * np.outer(d, d) * force / length,
+            load=problem.load * d * force,
+            normal=problem.normal.toarray() * d * r[:, None],
+            gap=problem.gap * length * r,
+            tangent=problem.tangent.toarray() * d * r[:, None],
+            friction=problem.friction,
+            slip_origin=problem.slip_origin * length * r[:, None],
+            tie=problem.tie.toarray() * d if problem.ties else None,
+            tie_value=problem.tie_value * length if problem.ties else None,
+        )
+        here, there = cq.equilibria(problem), cq.equilibria(other)
+        assert len(here) == len(there)
+        for one, same in zip(here, there, strict=True):
+            assert one.contact_status.tolist() == same.contact_status.tolist()
+            atol = 1e-11 * np.max(abs(one.displacement))
+            np.testing.assert_allclose(same.displacement * d / length, one.displacement, rtol=0, atol=atol)
+
+
 def test_an_unsettled_fixed_point_is_no_answer() -> None:
     problem = one_contact(*FAMILIES["Klarbring, slides left"][:3])
     start = _with_force(cq.equilibria(problem)[0], 100.0)
@@ -133,7 +167,7 @@ def test_random_problems_against_the_law_and_against_each_other() -> None:
     """What solve returns obeys the law and is in enumeration's list; where the list is empty it refuses."""
     rng = np.random.default_rng(4)
     counts = {"one": 0, "none": 0, "several": 0, "by the fixed point": 0}
-    for _ in range(120):
+    for _ in range(60):
         problem = random_problem(rng)
         known = cq.equilibria(problem)
         assert all(_breaks_coulomb(state) < 1e-11 for state in known)
@@ -148,9 +182,9 @@ def test_random_problems_against_the_law_and_against_each_other() -> None:
         assert _breaks_coulomb(solution) < 1e-11
         size = np.linalg.norm(solution.displacement)
         assert min(np.linalg.norm(solution.displacement - s.displacement) for s in known) < 1e-9 * size
-    assert counts["one"] > 80, counts
-    assert counts["none"] >= 3, counts
-    assert counts["several"] >= 2, counts
+    assert counts["one"] > 40, counts
+    assert counts["none"] >= 2, counts
+    assert counts["several"] >= 1, counts
     assert counts["by the fixed point"] > 0.9 * (counts["one"] + counts["several"]), counts
 
 
