@@ -16,6 +16,8 @@ NO_RESULTANT = 1e-14
 NOTHING_BUT_ROUNDING = 0.1
 # Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
 SAME_MOTION = 1e-10
+# Forces that do this part of the work of the others on a motion act on it.
+ACTING = 1e-6
 LP_TOLERANCE = 1e-10
 
 
@@ -35,6 +37,9 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     stray = np.array([abs((rows.stiffness @ extend(z)).double()) @ abs(answer.displacement) for z in rigid.motions.T])
     size = outer_forces(problem, answer)
     body = bodies(problem)
+    # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
+    # there are none.
+    hidden = 1.0 if problem.frictional else 0.0
     worst = 0.0
     for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
         members = np.flatnonzero(body == b)
@@ -42,12 +47,12 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
         motions = rigid.motions[np.ix_(members, moving)]
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
-        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members]))
+        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))
     return worst
 
 
-def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) -> float:
-    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size."""
+def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
+    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size; `hidden` where rounding hides what acts."""
     # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
     kept = values > SAME_MOTION * values[0]
@@ -57,6 +62,8 @@ def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector) 
     forces = np.sum(abs(basis), axis=0)
     # Where next to no force acts along a motion, what the rounding of K holds is all there is to see.
     seen = stray < NOTHING_BUT_ROUNDING * forces
+    if hidden and np.any(~seen & (values[kept] > ACTING * values[0])):
+        return hidden
     if not np.any(seen):
         return 0.0
     basis, work, stray, forces = basis[:, seen], work[seen], stray[seen], forces[seen]

@@ -179,3 +179,22 @@ def test_without_friction_where_it_closes_and_with_so_much_that_nothing_slides()
     np.testing.assert_allclose(stuck.displacement, tied.displacement, rtol=1e-11, atol=1e-15)
     np.testing.assert_allclose(stuck.normal_force, tied.normal_force, rtol=1e-11)
     np.testing.assert_allclose(stuck.friction_force[:, 0], tied.tie_force, rtol=1e-9, atol=1e-13)
+
+
+def test_a_displacement_so_far_out_that_rounding_hides_the_forces_does_not_pass() -> None:
+    """Two blocks on an incline, pulled harder than friction holds: there is no equilibrium, however far they slide."""
+    along, across = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
+    spring = 10.0 * np.outer(along, along) + 3.3 * np.outer(across, across)
+    K = np.block([[spring, -spring], [-spring, spring]])
+    zero = np.zeros(2)
+    problem = cq.ContactProblem(
+        stiffness=(K + K.T) / 2,
+        load=np.r_[-across, along - across],
+        normal=[np.r_[-across, zero], np.r_[zero, -across]],
+        gap=[0.0, 0.0],
+        tangent=[np.r_[along, zero], np.r_[zero, along]],
+        friction=0.3,
+    )
+    for slip in np.logspace(0, 18, 37):
+        u = np.r_[slip * along, (slip + 0.07) * along]
+        assert not cq.certify(problem, u, [1.0, 1.0], [0.3, 0.3]).passed
