@@ -77,7 +77,7 @@ class Hierarchy:
         if not available():
             raise BackendMissing("pyamg is not installed: pip install 'contactqp[fast]'")
         matrix = _in_blocks(stiffness)
-        B = _constants(matrix) if motions is None else motions[:, np.any(motions, axis=0)]
+        B = _constants(matrix) if motions is None else _of_size_one(motions)
         B = B if B.shape[1] else _constants(matrix)
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
@@ -144,6 +144,12 @@ def _graph(matrix: Any) -> Any:
     """Which blocks of unknowns K couples."""
     count = len(matrix.indptr) - 1
     return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
+
+
+def _of_size_one(motions: Array) -> Array:
+    """The motions that move anything, each with its largest entry at one: their sizes mean nothing."""
+    largest = np.max(abs(motions), axis=0, initial=0.0)
+    return np.asarray(motions[:, largest > 0] / largest[largest > 0])
 
 
 def _constants(matrix: Any) -> Array:

@@ -245,6 +245,15 @@ def test_unloading_starts_from_rest(factor):
 
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
+@pytest.mark.parametrize("factor", [1e-200, 1e200])
+def test_the_size_of_the_near_null_space_means_nothing(factor):
+    problem = on_paraboloid((6, 6, 4))
+    hinted = problem.replace(near_null_space=factor * problem.near_null_space)
+    assert cq.solve(hinted).work.krylov_iterations == cq.solve(problem).work.krylov_iterations
+
+
+@pytest.mark.usefixtures("by_iteration")
+@needs_pyamg
 def test_a_loose_tolerance_is_no_loose_certificate():
     assert cq.solve(on_paraboloid((6, 6, 4)), tolerance=1e-3).certificate.passed
 
