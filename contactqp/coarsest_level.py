@@ -31,8 +31,6 @@ class CoarsestLevel:
     """
 
     def __init__(self, matrix: Any, touched: NDArray[np.intp]) -> None:
-        from scipy.linalg import solve_triangular
-
         dense = matrix.toarray()
         empty = np.flatnonzero(np.diag(dense) <= 0)
         dense[empty, empty] = 1.0
@@ -42,7 +40,7 @@ class CoarsestLevel:
         self.others = np.setdiff1d(np.arange(len(dense)), touched)
         self.lower = cholesky(dense[np.ix_(self.others, self.others)])
         coupling = dense[np.ix_(self.others, touched)]
-        self.coupling = solve_triangular(self.lower, coupling, lower=True, check_finite=False)
+        self.coupling = forward(self.lower, coupling)
         self.schur = dense[np.ix_(touched, touched)] - self.coupling.T @ self.coupling
 
 
@@ -55,15 +53,13 @@ class HeldCoarsestLevel:
         self._lower = cholesky(level.schur + scaled.T @ scaled)
 
     def solve(self, right: Array) -> Array:
-        from scipy.linalg import cho_solve, solve_triangular
-
         level, scaled = self._level, self._level.scale * right
-        inner = solve_triangular(level.lower, scaled[level.others], lower=True, check_finite=False)
+        inner = forward(level.lower, scaled[level.others])
         x = np.empty_like(scaled)
-        at = cho_solve((self._lower, True), scaled[level.touched] - level.coupling.T @ inner, check_finite=False)
+        at = backward(self._lower, forward(self._lower, scaled[level.touched] - level.coupling.T @ inner))
         x[level.touched] = at
         inner -= level.coupling @ at
-        x[level.others] = solve_triangular(level.lower, inner, lower=True, trans="T", check_finite=False)
+        x[level.others] = backward(level.lower, inner)
         return level.scale * x
 
 
@@ -86,3 +82,19 @@ def cholesky(matrix: Array) -> Array:
             "pyamg: the stiffness is singular, or too near to it to be solved by iteration; factorise it instead: "
             "CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
         ) from None
+
+
+def forward(lower: Array, right: Array) -> Array:
+    """L^-1 right; LAPACK refuses what is empty."""
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if right.size else right.copy()
+
+
+def backward(lower: Array, right: Array) -> Array:
+    """L'^-1 right."""
+    from scipy.linalg import solve_triangular
+
+    if not right.size:
+        return right.copy()
+    return np.asarray(solve_triangular(lower, right, lower=True, trans="T", check_finite=False))

@@ -76,6 +76,10 @@ class Hierarchy:
     def __init__(self, stiffness: Any, motions: Array | None = None) -> None:
         if not available():
             raise BackendMissing("pyamg is not installed: pip install 'contactqp[fast]'")
+        try:
+            importlib.import_module("pyamg.aggregation")
+        except ImportError as error:  # one that wants a newer SciPy, say
+            raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
         matrix = _in_blocks(stiffness)
         B = _constants(matrix) if motions is None else _of_size_one(motions)
         B = B if B.shape[1] else _constants(matrix)

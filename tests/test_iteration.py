@@ -1,6 +1,7 @@
 """Bodies solved without a factorisation: the answers of the factorising way, and what is refused."""
 
 import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -185,6 +186,14 @@ def test_without_pyamg_the_pip_command_is_named(monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "pyamg" else find(name, *rest))
     with pytest.raises(cq.BackendMissing, match=r"pip install 'contactqp\[fast\]'"):
+        cq.solve(on_paraboloid((4, 4, 3)))
+
+
+@pytest.mark.usefixtures("by_iteration")
+@needs_pyamg
+def test_a_pyamg_that_cannot_be_imported_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyamg.aggregation", None)
+    with pytest.raises(cq.BackendMissing, match=r"pyamg: import of pyamg.aggregation.*pip install --upgrade"):
         cq.solve(on_paraboloid((4, 4, 3)))
 
 
