@@ -42,14 +42,15 @@ def iterated(problem: ContactProblem) -> bool:
 
 def _held(problem: ContactProblem) -> bool:
     """Whether no body floats, as far as a hierarchy can tell."""
-    if "held" not in problem._shared:
-        try:
-            iteration(problem)
-        except Unsupported:
-            problem._shared["held"] = False
-        else:
-            problem._shared["held"] = True
-    return bool(problem._shared["held"])
+    with problem.lock:
+        if "held" not in problem._shared:
+            try:
+                iteration(problem)
+            except Unsupported:
+                problem._shared["held"] = False
+            else:
+                problem._shared["held"] = True
+        return bool(problem._shared["held"])
 
 
 class Iteration:

@@ -53,7 +53,8 @@ def equilibria(problem: ContactProblem) -> tuple[Solution, ...]:
             "equilibria: expected a problem with friction; without it the minimum is what solve returns"
         )
     started = time.perf_counter()
-    found = found_by_enumeration(problem)
+    with problem.lock:
+        found = found_by_enumeration(problem)
     spent = time.perf_counter() - started
     method = replace(find("active-set"), name="enumeration")
     return tuple(Begun(problem, method, attempt, True, spent).finish() for attempt in found)

@@ -93,9 +93,10 @@ def solve(
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     start = warm_candidate(problem, warm_start)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
-        return solve_among(
-            problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
-        )
+        with problem.lock:
+            return solve_among(
+                problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
+            )
     return begin(problem, method, start, **same).finish()
 
 

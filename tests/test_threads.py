@@ -53,3 +53,13 @@ def test_copies_are_problems_without_what_was_computed():
     force = cq.solve(problem).normal_force
     for twin in (copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert cq.solve(twin).normal_force == force
+
+
+def test_paths_of_one_body_in_threads():
+    base = on_paraboloid((6, 6, 4))
+    expected = cq.follow_path(base.replace(stiffness=base.stiffness), [base.load], steps=3).normal_forces
+    with ThreadPoolExecutor(3) as pool:
+        histories = list(pool.map(lambda _: cq.follow_path(base, [base.load], steps=3), range(6)))
+        forces = list(pool.map(lambda history: history.normal_forces, histories))
+    for found in forces:
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15 * expected.max())

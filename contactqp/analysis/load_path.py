@@ -73,25 +73,32 @@ def follow_path(
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     if problem.frictional:
         raise Unsupported("follow_path: Coulomb friction (not in this version)")
-    solutions = _Steps(problem, method, options)
+    with problem.lock:
+        return _walked(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
+
+
+def _walked(
+    solutions: _Steps, problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str
+) -> History:
+    """The legs from corner to corner, in so many steps each and, if exactly, at every event."""
     times, found = [0.0], []
     for leg, (start, end) in enumerate(pairwise(corners)):
         solutions.turn(start, end)
         fractions = [(i + 1) / count for i in range(count)]
-        if events == "exact":
+        if exactly:
             exact = events_of_leg(problem, start, end, solutions[-1], method)
             found += [Event(e.kind, e.contact, leg + e.time, problem.contact_name(e.contact)) for e in exact]
             fractions = sorted({*fractions, *(e.time for e in exact if e.time > 0)})
         for fraction in fractions:
             solutions.go_to(fraction)
             times.append(leg + fraction)
-    return History(solutions, times, lambda: found if events else _changes(solutions, times))
+    return History(solutions, times, lambda: found if exactly else _changes(solutions, times))
 
 
 class _Steps(Sequence[Solution]):
