@@ -214,17 +214,24 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
         return none, none, none
     force = answer.friction_force
     slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
-    size, slipped = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=1)
+    size, slipped = _lengths(force), _lengths(slip)
     bound = problem.friction * np.maximum(answer.normal_force, 0.0)
     beyond = np.maximum(size - bound, 0.0)[:, None] * _direction(force)
     wrong = force - bound[:, None] * _direction(slip)
     lengths = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), answer.displacement)
-    slip_measure = ratio(slipped, np.linalg.norm(lengths.reshape(force.shape), axis=1))
+    slip_measure = ratio(slipped, _lengths(lengths.reshape(force.shape)))
     return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
 
 
+def _lengths(vectors: Array) -> Vector:
+    """|v| of every row, infinite where an entry is, and right where squares are no doubles."""
+    largest = np.max(abs(vectors), axis=1, initial=0.0)
+    scale = np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
+    return np.asarray(scale * np.linalg.norm(vectors / scale[:, None], axis=1))
+
+
 def _direction(vectors: Array) -> Array:
-    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+    size = _lengths(vectors)[:, None]
     return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 

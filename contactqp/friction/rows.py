@@ -24,6 +24,9 @@ class FrictionalRows:
         The condensed stiffness, its diagonal one.
     normal, tangent, tie : (m, p), (m, p), (k, p) arrays
         Rows of unit length.
+    slides : (m,) array of bool
+        Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
+        within its bound would do; it is given none.
     coefficient : (m,) array
         mu r_T / r_N: friction bounds in scaled forces.
     """
@@ -35,6 +38,7 @@ class FrictionalRows:
         self.S = condensation.schur * np.outer(self.scale, self.scale)
         self.normal, self.normal_length = _unit(condensation.normal * self.scale)
         self.tangent, self.tangent_length = _unit(condensation.tangent.toarray() * self.scale)
+        self.slides = np.any(self.tangent != 0, axis=1)
         self.tie, self.tie_length = _unit(condensation.tie * self.scale)
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         motions = condensation.rigid.motions[condensation.retained] / self.scale[:, None]

@@ -150,7 +150,7 @@ class _Run:
     def with_bound(self, bound: Vector) -> _Step:
         """The answer to the Tresca problem of a bound (m,)."""
         rows, m, p = self._rows, self._problem.contacts, len(self._rows.S)
-        bounded = np.flatnonzero(bound > NO_BOUND * np.max(bound, initial=0.0))
+        bounded = np.flatnonzero(rows.slides & (bound > NO_BOUND * np.max(bound, initial=0.0)))
         count, T, o = len(bounded), rows.tangent[bounded], self._origin[bounded]
         inner = self._problem.transformed(
             _block_diagonal(rows.S, np.zeros((count, count))),
@@ -169,7 +169,7 @@ class _Run:
     def _stuck(self) -> _Step:
         """The answer with every contact stuck, closed or not."""
         rows, m = self._rows, self._problem.contacts
-        stuck = np.flatnonzero(rows.coefficient > 0)
+        stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
         ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
         data = (rows.S, self._load, self._load_size, rows.normal, self._gap, ties, values)
         u, force, tie = self._convex_answer(self._problem.transformed(*data), 0)

@@ -11,6 +11,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from tests.examples import truss
 from tests.friction.problems import TOUCH, pad, rough_truss, two_masses
 
 EXACT = [m for m in cq.methods() if m.installed and m.exact and m.semidefinite]
@@ -198,3 +199,21 @@ def test_a_displacement_so_far_out_that_rounding_hides_the_forces_does_not_pass(
     for slip in np.logspace(0, 18, 37):
         u = np.r_[slip * along, (slip + 0.07) * along]
         assert not cq.certify(problem, u, [1.0, 1.0], [0.3, 0.3]).passed
+
+
+@pytest.mark.parametrize("algorithm", ["tresca", "enumeration"])
+def test_a_contact_that_cannot_slide_has_no_friction(algorithm: str) -> None:
+    """Its tangential unknown is supported: the support takes the load, and what friction would take is nobody's."""
+    solution = cq.solve(rough_truss(0.3, 0.0, tangent=[[0.0, 0.0]]), algorithm=algorithm)
+    assert solution.certificate.passed
+    assert solution.friction_force[0, 0] == 0.0
+    np.testing.assert_allclose(solution.normal_force, cq.solve(truss()).normal_force, rtol=1e-15)
+
+
+@pytest.mark.parametrize("factor", [2.0**-600, 2.0**600])
+def test_forces_whose_squares_are_no_doubles(factor: float) -> None:
+    problem = rough_truss()
+    scaled = problem.replace(stiffness=problem.stiffness * factor, load=problem.load * factor)
+    one, other = cq.solve(problem), cq.solve(scaled)
+    assert other.certificate.passed
+    np.testing.assert_allclose(other.friction_force, one.friction_force * factor, rtol=1e-14)
