@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from contactqp.errors import SceneError as SceneError
     from contactqp.errors import SeveralEquilibria as SeveralEquilibria
     from contactqp.errors import Unsupported as Unsupported
+    from contactqp.local_certificate import LocalCertificate as LocalCertificate
+    from contactqp.local_certificate import certify_local as certify_local
+    from contactqp.local_problem import LocalProblem as LocalProblem
+    from contactqp.local_solution import LocalSolution as LocalSolution
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
     from contactqp.problem import ContactProblem as ContactProblem
@@ -58,6 +62,9 @@ _HOME = {
     "Cylinder": "elements.round_obstacle",
     "History": "analysis.history",
     "InvalidProblem": "errors",
+    "LocalCertificate": "local_certificate",
+    "LocalProblem": "local_problem",
+    "LocalSolution": "local_solution",
     "NoEquilibrium": "errors",
     "NotCertified": "errors",
     "NotConverged": "errors",
@@ -74,6 +81,7 @@ _HOME = {
     "Units": "problem",
     "Unsupported": "errors",
     "certify": "certificate",
+    "certify_local": "local_certificate",
     "compare": "study.comparison",
     "equilibria": "multiplicity",
     "follow_path": "analysis.load_path",

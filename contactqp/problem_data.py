@@ -155,13 +155,7 @@ def read_friction(
     if E_T.shape[0] not in (m, 2 * m):
         raise InvalidProblem(f"tangent: expected {m} rows (2D) or {2 * m} rows (3D), got {E_T.shape[0]}")
     per_contact = E_T.shape[0] // m if m else 1
-    coefficient = _array("friction", 0.0 if friction is None else friction)
-    if coefficient.ndim == 0:
-        coefficient = np.full(m, float(coefficient))
-    coefficient = read_vector("friction", coefficient, m)
-    if np.any(coefficient < 0):
-        i = int(np.argmin(coefficient))
-        raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
+    coefficient = read_coefficient(0.0 if friction is None else friction, m)
     origin = np.zeros((m, per_contact)) if slip_origin is None else _array("slip_origin", slip_origin)
     if (
         origin.size != m * per_contact
@@ -173,6 +167,23 @@ def read_friction(
         )
     _finite("slip_origin", origin)
     return E_T, coefficient, _frozen(origin.reshape(m, per_contact))
+
+
+def read_coefficient(friction: ArrayLike, m: int) -> Vector:
+    """Coulomb's coefficient of every contact, from one for all or one for each."""
+    coefficient = _array("friction", friction)
+    if coefficient.ndim == 0:
+        coefficient = np.full(m, float(coefficient))
+    coefficient = read_vector("friction", coefficient, m)
+    if np.any(coefficient < 0):
+        i = int(np.argmin(coefficient))
+        raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
+    return coefficient
+
+
+def read_matrix(name: str, value: Any) -> Any:
+    """A finite matrix in CSR form, duplicates summed."""
+    return _sparse(name, value)
 
 
 def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.coulomb_cone import directions, lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
@@ -214,25 +215,13 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
         return none, none, none
     force = answer.friction_force
     slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
-    size, slipped = _lengths(force), _lengths(slip)
+    size, slipped = lengths(force), lengths(slip)
     bound = problem.friction * np.maximum(answer.normal_force, 0.0)
-    beyond = np.maximum(size - bound, 0.0)[:, None] * _direction(force)
-    wrong = force - bound[:, None] * _direction(slip)
-    lengths = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), answer.displacement)
-    slip_measure = ratio(slipped, _lengths(lengths.reshape(force.shape)))
+    beyond = np.maximum(size - bound, 0.0)[:, None] * directions(force)
+    wrong = force - bound[:, None] * directions(slip)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), answer.displacement)
+    slip_measure = ratio(slipped, lengths(meeting.reshape(force.shape)))
     return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
-
-
-def _lengths(vectors: Array) -> Vector:
-    """|v| of every row, infinite where an entry is, and right where squares are no doubles."""
-    largest = np.max(abs(vectors), axis=1, initial=0.0)
-    scale = np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
-    return np.asarray(scale * np.linalg.norm(vectors / scale[:, None], axis=1))
-
-
-def _direction(vectors: Array) -> Array:
-    size = _lengths(vectors)[:, None]
-    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:

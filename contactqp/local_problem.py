@@ -1,0 +1,168 @@
+"""Frictional contact in the local form of FCLIB: velocities and forces of the contacts alone, no bodies behind them.
+
+    u = W r + q + V l,    V'r + R l + s = 0        the bodies, seen from their contacts and joints
+    r_N >= 0,  u_N >= 0,  r_N u_N = 0              Signorini
+    |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T does not vanish        Coulomb
+
+The order in a contact is (N, T) or (N, T1, T2), and r is the force on the body: r_N = l_N, r_T = -l_T, u_N = g - E_N u,
+u_T = E_T u - slip_origin in the signs of `contactqp.problem` (Acary, Bremond, Huber 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.problem_data import Matrix, Vector, read_coefficient, read_matrix, read_names, read_vector
+
+# Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
+INDEFINITE = 1e-5
+# Up to this size definiteness is decided at the door, by eigenvalues.
+DEFINITENESS_CHECK_SIZE = 300
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class LocalProblem:
+    """One frictional contact problem in local form.
+
+    Parameters
+    ----------
+    delassus : (d m, d m) array or sparse matrix
+        W = H'M^-1 H, positive semidefinite; contact by contact, N before T. It is used as given, symmetric or not:
+        `asymmetry` is max |W - W'| / max |W|.
+    offset : (d m,) or (m, d) array
+        q, the velocities (or gaps and slips) without contact forces.
+    friction : float or (m,) array
+        Coulomb's coefficient, not negative.
+    dimension : 2 or 3
+        d, of the space.
+    bilateral : (d m, p) array or sparse matrix, optional
+        V, the influence of p joints.
+    bilateral_delassus : (p, p) array or sparse matrix, optional
+        R, of the joints on each other; zero by default (then V'r = -s is a condition on the forces).
+    bilateral_offset : (p,) array, optional
+        s; zero by default.
+    contact_names : sequence of distinct strings, optional
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, values that are not finite, a negative coefficient, an indefinite W.
+
+    Examples
+    --------
+    >>> problem = LocalProblem(delassus=[[1.0, 2.0], [2.0, 5.0]], offset=[-7.0, -17.0], friction=0.8, dimension=2)
+    >>> problem.contacts, problem.asymmetry
+    (1, 0.0)
+    """
+
+    delassus: Matrix
+    offset: Vector
+    friction: Vector
+    dimension: int
+    bilateral: Matrix
+    bilateral_delassus: Matrix
+    bilateral_offset: Vector
+    contact_names: tuple[str, ...] | None
+    asymmetry: float
+
+    def __init__(
+        self,
+        delassus: Any,
+        offset: ArrayLike,
+        friction: ArrayLike,
+        dimension: int,
+        bilateral: Any = None,
+        bilateral_delassus: Any = None,
+        bilateral_offset: ArrayLike | None = None,
+        contact_names: Sequence[str] | None = None,
+    ) -> None:
+        if isinstance(dimension, bool) or dimension not in (2, 3):
+            raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
+        W = read_matrix("delassus", delassus)
+        size = W.shape[0]
+        if W.shape != (size, size) or size % dimension:
+            raise InvalidProblem(
+                f"delassus: expected a square matrix of {dimension} rows a contact, got shape {W.shape}"
+            )
+        m = size // dimension
+        V = read_matrix("bilateral", np.zeros((size, 0)) if bilateral is None else bilateral)
+        if V.shape[0] != size:
+            raise InvalidProblem(f"bilateral: expected {size} rows, one for each of delassus, got shape {V.shape}")
+        joints = V.shape[1]
+        given = bilateral_delassus is not None or bilateral_offset is not None
+        if bilateral is None and given:
+            raise InvalidProblem("bilateral_delassus or bilateral_offset was given without bilateral")
+        R = read_matrix(
+            "bilateral_delassus", np.zeros((joints, joints)) if bilateral_delassus is None else bilateral_delassus
+        )
+        if R.shape != (joints, joints):
+            raise InvalidProblem(f"bilateral_delassus: expected shape ({joints}, {joints}), got {R.shape}")
+        names = read_names("contact_names", contact_names, m)
+        offset_ = np.asarray(offset).reshape(-1) if np.shape(offset) == (m, dimension) else offset
+        values = dict(
+            delassus=W,
+            offset=read_vector("offset", offset_, size),
+            friction=read_coefficient(friction, m),
+            dimension=int(dimension),
+            bilateral=V,
+            bilateral_delassus=R,
+            bilateral_offset=read_vector(
+                "bilateral_offset", np.zeros(joints) if bilateral_offset is None else bilateral_offset, joints
+            ),
+            contact_names=names,
+            asymmetry=_asymmetry(W),
+        )
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._refuse_indefinite()
+
+    def _refuse_indefinite(self) -> None:
+        W = self.delassus
+        diagonal = W.diagonal()
+        largest = np.max(abs(W.data), initial=0.0)
+        worst = float(np.min(diagonal, initial=0.0))
+        if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
+            root = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, largest))
+            scaled = W.toarray() * np.outer(root, root)
+            worst, largest = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0]), 1.0
+        if worst < -INDEFINITE * largest:
+            raise InvalidProblem(
+                f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "
+                f"largest {'diagonal entry 1 after scaling' if largest == 1.0 else f'entry {largest:.3g}'})"
+            )
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts m."""
+        return len(self.friction)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints p."""
+        return len(self.bilateral_offset)
+
+    def contact_name(self, i: int) -> str:
+        return self.contact_names[i] if self.contact_names else f"contact {i}"
+
+    def velocity(self, force: NDArray[np.float64], joint_force: Vector | None = None) -> NDArray[np.float64]:
+        """u = W r + q + V l, (m, d), of forces (m, d) and (p,)."""
+        u = self.delassus @ np.asarray(force, dtype=float).ravel() + self.offset
+        if joint_force is not None and self.joints:
+            u = u + self.bilateral @ joint_force
+        return np.asarray(u.reshape(self.contacts, self.dimension))
+
+    def __repr__(self) -> str:
+        joints = f", {self.joints} joints" if self.joints else ""
+        return f"LocalProblem({self.contacts} contacts in {self.dimension}D{joints})"
+
+
+def _asymmetry(W: Any) -> float:
+    largest = np.max(abs(W.data), initial=0.0)
+    return float(np.max(abs(sp.csr_array(W - W.T)).data, initial=0.0) / largest) if largest > 0 else 0.0
