@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from contactqp.local_solution import LocalSolution
     from contactqp.solution import Candidate, Solution
 
 
@@ -31,7 +32,9 @@ class SeveralEquilibria(ContactQPError):
 class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any."""
 
-    def __init__(self, message: str, history: tuple[Any, ...] = (), solution: Solution | None = None) -> None:
+    def __init__(
+        self, message: str, history: tuple[Any, ...] = (), solution: Solution | LocalSolution | None = None
+    ) -> None:
         super().__init__(message)
         self.history = history
         self.solution = solution
@@ -40,7 +43,7 @@ class NotConverged(ContactQPError):
 class NotCertified(ContactQPError):
     """A method that promises the exact answer returned one that the certificate refuses; `solution` is that answer."""
 
-    def __init__(self, message: str, solution: Solution) -> None:
+    def __init__(self, message: str, solution: Solution | LocalSolution) -> None:
         super().__init__(message)
         self.solution = solution
 

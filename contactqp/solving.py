@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, overload
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from contactqp.errors import NotCertified, NotConverged
 from contactqp.friction_attempt import attempt_friction
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
+from contactqp.local_problem import LocalProblem
+from contactqp.local_solution import LocalSolution
+from contactqp.local_solving import solve_local
 from contactqp.methods import Method, Settings, find
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Raw, Solution, Work
@@ -23,8 +26,16 @@ from contactqp.solving_arguments import refuse_arguments, refuse_unsupported, wa
 from contactqp.widening import solve_among
 
 
+@overload
+def solve(problem: ContactProblem, method: str = "active-set", **arguments: Any) -> Solution: ...
+
+
+@overload
+def solve(problem: LocalProblem, method: str = "active-set", **arguments: Any) -> LocalSolution: ...
+
+
 def solve(
-    problem: ContactProblem,
+    problem: ContactProblem | LocalProblem,
     method: str = "active-set",
     *,
     tolerance: float = 1e-9,
@@ -32,10 +43,10 @@ def solve(
     polish: bool = True,
     time_limit: float | None = None,
     max_iter: int | None = None,
-    warm_start: Solution | None = None,
+    warm_start: Any = None,
     algorithm: str | None = None,
     **options: Any,
-) -> Solution:
+) -> Solution | LocalSolution:
     """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate.
 
     Parameters
@@ -89,8 +100,11 @@ def solve(
     >>> solution.normal_force.round(9), solution.certificate.proven
     (array([95.]), True)
     """
-    same: dict[str, Any] = dict(tolerance=tolerance, condense=condense, polish=polish, algorithm=algorithm)
+    same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
+    if isinstance(problem, LocalProblem):
+        return solve_local(problem, method, warm_start=warm_start, **same)
+    same["condense"] = condense
     start = warm_candidate(problem, warm_start)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
         with problem.lock:

@@ -24,7 +24,7 @@ def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any
         raise InvalidProblem(f"polish: expected True or False, got {polish!r}")
 
 
-def warm_candidate(problem: ContactProblem, warm_start: Solution | None) -> Candidate | None:
+def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None:
     """A solution of a problem with the same contacts as a place to start from."""
     if warm_start is None:
         return None

@@ -39,7 +39,7 @@ def solve_among(
             solution = solve(problem, start)
             return replace(solution, work=solution.work.after(spent), seconds=time.perf_counter() - started)
         except (NotConverged, NotCertified) as error:
-            if error.solution is not None:
+            if isinstance(error.solution, Solution):
                 error.solution = _of_all(problem, candidates, error.solution, spent, started)
             raise
         wider = widened(problem, candidates, _gap(problem, solution.displacement), solution.displacement)

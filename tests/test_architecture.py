@@ -55,6 +55,7 @@ LAYERS = (
     "solving_arguments",
     "inexact_active_set",
     "friction",
+    "local_solving",
     "condensed_attempt",
     "friction_attempt",
     "iterated_attempt",

@@ -1,0 +1,145 @@
+"""Coulomb's law on a local form: the algorithms by name, when they stop, and what is tried where none is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged, Unsupported
+from contactqp.friction.admm import admm
+from contactqp.friction.alart_curnier import newton
+from contactqp.friction.convex_steps import ConvexSteps
+from contactqp.friction.fixed_points import cone_fixed_point, tresca_fixed_point
+from contactqp.friction.gauss_seidel import gauss_seidel
+from contactqp.friction.iterate import Deadline, Iterate
+from contactqp.friction.local_form import LocalForm
+from contactqp.methods import Method, Settings, find
+
+Accepted = Callable[[Iterate], bool]
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One way to Coulomb's law."""
+
+    name: str
+    iterates: Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]
+    convex: bool  # takes steps of a convex method
+    limit: int  # iterations, where nothing else is said
+    about: str
+
+
+def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
+    del steps
+    while True:
+        start = newton(form, start)
+        yield start
+
+
+def _with_steps(
+    run: Callable[[LocalForm, ConvexSteps, Iterate], Iterator[Iterate]],
+) -> Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]:
+    def iterates(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
+        if steps is None:
+            raise ValueError("convex steps are needed")
+        return run(form, steps, start)
+
+    return iterates
+
+
+ALGORITHMS = {
+    algorithm.name: algorithm
+    for algorithm in (
+        Algorithm("newton", _newton_only, False, 1, "semismooth Newton (Alart and Curnier), regularised"),
+        Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, "nonsmooth Gauss-Seidel"),
+        Algorithm(
+            "admm", lambda form, _, start: admm(form, start), False, 20000, "ADMM, De Saxce's shift from the dual"
+        ),
+        Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, "convex problems over shifted cones"),
+        Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, "convex problems of given friction bounds"),
+    )
+}
+# Newton's method starts from iterates at these counts, growing by a half.
+FIRST_POLISH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What an algorithm ended with, and how it is called."""
+
+    iterate: Iterate
+    name: str
+    accepted: bool
+    steps: ConvexSteps | None = None
+
+
+def run_algorithm(
+    form: LocalForm,
+    algorithm: Algorithm,
+    method: Method,
+    settings: Settings,
+    start: Iterate,
+    accepted: Accepted,
+    polish: bool = True,
+) -> Outcome:
+    """Iterate until an iterate, or what Newton's method makes of one, is accepted; else the best there was.
+
+    Raises
+    ------
+    NotConverged, BackendFailed, BackendMissing, Unsupported
+        Of the convex method, or an overflow.
+    """
+    steps = ConvexSteps(form, method, settings) if algorithm.convex else None
+    name = f"{algorithm.name} with {method.name}" if steps is not None else algorithm.name
+    deadline = Deadline(settings.time_limit)
+    limit = algorithm.limit if settings.max_iter is None else settings.max_iter
+    best, history, next_polish = start, [], FIRST_POLISH
+    try:
+        for found in algorithm.iterates(form, steps, start):
+            history.append(found.error)
+            best = found if found.error < best.error or not history else best
+            last = found.iterations >= limit or deadline.passed
+            candidate = found
+            if polish and (found.iterations >= next_polish or last) and algorithm.name != "newton":
+                next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
+                candidate = newton(form, found)
+                best = candidate if candidate.error < best.error else best
+            for one in (found, candidate):
+                if accepted(one):
+                    kept = replace(one, iterations=found.iterations, history=tuple(history))
+                    return Outcome(kept, name, True, steps)
+            if last:
+                break
+    except (NoEquilibrium, BackendFailed) as error:
+        if not history:
+            raise
+        raise NotConverged(f"{name}: {error}", tuple(history)) from error
+    kept = replace(best, iterations=len(history), history=tuple(history))
+    return Outcome(kept, name, False, steps)
+
+
+# Tried one after another where no algorithm is asked for: name, iterations.
+ATTEMPTS = (("newton", None), ("nsgs", 12), ("admm", 2000), ("aclm", 60), ("admm", 20000))
+
+
+def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accepted) -> Outcome:
+    """Newton's method from a start; then from what other algorithms make of it, until one is accepted."""
+    deadline = Deadline(settings.time_limit)
+    best: Outcome | None = None
+    for name, limit in ATTEMPTS:
+        if deadline.passed:
+            break
+        method = find("clarabel")
+        if ALGORITHMS[name].convex and not method.installed:
+            continue
+        try:
+            found = run_algorithm(form, ALGORITHMS[name], method, replace(settings, max_iter=limit), start, accepted)
+        except (NotConverged, BackendFailed, Unsupported):
+            continue
+        if found.accepted:
+            return found
+        if best is None or found.iterate.error < best.iterate.error:
+            best = found
+    if best is None:
+        raise NotConverged("friction: no algorithm came to an answer")
+    return best

@@ -1,0 +1,135 @@
+"""A local problem scaled for its algorithms: contacts whose own compliance is one, velocities of size one.
+
+With s_i = 1/sqrt(mean diagonal of W_ii), D = diag(s_i I), b = |D q| / sqrt(d m) and unit columns of joints,
+
+    W := D W D,    q := D q / b,    V := D V T,    r := D^-1 r / b,    u := D u / b,
+
+which keeps every cone as it is.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.coulomb_cone import natural_map
+from contactqp.factorization import Array
+from contactqp.local_problem import LocalProblem
+from contactqp.problem_data import Vector
+
+# Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
+DENSE_SIZE = 1200
+SPARSE_DENSITY = 0.05
+# What joints without offset, of forces of size one, leave open.
+TINY = np.finfo(float).tiny
+
+
+class LocalForm:
+    """The scaled problem u = W r + q + V l, V'r + R l + s = 0.
+
+    Attributes
+    ----------
+    W : (d m, d m) array or CSR matrix
+    q, mu : (d m,), (m,) arrays
+    V, R, s : (d m, p), (p, p), (p,) arrays
+    """
+
+    def __init__(self, problem: LocalProblem) -> None:
+        self.problem, self.d, self.m = problem, problem.dimension, problem.contacts
+        self.mu = problem.friction
+        diagonal = problem.delassus.diagonal().reshape(self.m, self.d).mean(axis=1)
+        known = diagonal > 0
+        typical = float(np.median(diagonal[known])) if np.any(known) else 1.0
+        self._contact_scale = np.repeat(1.0 / np.sqrt(np.where(known, diagonal, typical)), self.d)
+        scaled = self._contact_scale * problem.offset
+        self._velocity_size = float(np.linalg.norm(scaled)) / np.sqrt(max(len(scaled), 1)) or 1.0
+        W = sp.csr_array(sp.diags(self._contact_scale) @ problem.delassus @ sp.diags(self._contact_scale))
+        self.sparse = W.shape[0] > DENSE_SIZE and W.nnz < SPARSE_DENSITY * W.shape[0] ** 2
+        self.W: Any = W if self.sparse else W.toarray()
+        self.q = scaled / self._velocity_size
+        V = problem.bilateral.toarray() * self._contact_scale[:, None]
+        size = np.linalg.norm(V, axis=0)
+        self._joint_scale = 1.0 / np.where(size > 0, size, 1.0)
+        self.V = V * self._joint_scale
+        self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale)
+        self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size
+
+    @property
+    def joints(self) -> int:
+        """Number of joints p."""
+        return len(self.s)
+
+    @cached_property
+    def asymmetric(self) -> bool:
+        """Whether W is unsymmetric by more than rounding."""
+        return self.problem.asymmetry > 1e-14
+
+    @cached_property
+    def symmetric_part(self) -> Any:
+        """(W + W')/2, what a minimisation makes of W."""
+        return (self.W + self.W.T) / 2 if self.asymmetric else self.W
+
+    def velocity(self, r: Array, joint: Vector) -> Array:
+        """u (m, d) of forces (m, d) and (p,)."""
+        return np.asarray((self.W @ r.ravel() + self.q + self.V @ joint).reshape(self.m, self.d))
+
+    def error(self, r: Array, joint: Vector) -> float:
+        """The largest entry of the natural map's residual and of what the joints leave open."""
+        residual = np.max(abs(natural_map(r, self.velocity(r, joint), self.mu)), initial=0.0)
+        return float(max(residual, np.max(abs(self.joint_residual(r, joint)), initial=0.0)))
+
+    def joint_residual(self, r: Array, joint: Vector) -> Vector:
+        """V'r + R l + s (p,)."""
+        return np.asarray(self.V.T @ r.ravel() + self.R @ joint + self.s)
+
+    def joint_force(self, r: Array) -> Vector:
+        """The joints' forces that fit contact forces best: R l = -s - V'r, and where R has no say, u small."""
+        if not self.joints:
+            return np.zeros(0)
+        stacked = np.vstack([self.R, 1e-8 * self.V])
+        right = np.concatenate([-self.s - self.V.T @ r.ravel(), -1e-8 * (self.W @ r.ravel() + self.q)])
+        return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
+
+    def scaled(self, force: NDArray[np.float64]) -> Array:
+        """r (m, d) of the forces of the problem."""
+        return np.asarray(
+            (np.asarray(force).ravel() / (self._contact_scale * self._velocity_size)).reshape(self.m, self.d)
+        )
+
+    def unscaled(self, r: Array, joint: Vector) -> tuple[NDArray[np.float64], Vector]:
+        """The forces (m, d) and (p,) of the problem."""
+        force = (r.ravel() * self._contact_scale * self._velocity_size).reshape(self.m, self.d)
+        return force, joint * self._joint_scale * self._velocity_size
+
+
+class BlockSystem:
+    """The factors of [[A, V], [V', R]], A being (d m, d m), dense or sparse."""
+
+    def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
+        V = form.V if coupling is None else coupling
+        self._size, self._sparse = A.shape[0], form.sparse
+        if form.sparse:
+            from scipy.sparse.linalg import splu
+
+            blocks = sp.block_array([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), form.R]]) if form.joints else A
+            self._factor: Any = splu(sp.csc_matrix(blocks))
+        else:
+            from scipy.linalg import lu_factor
+
+            blocks = np.block([[A, V], [form.V.T, form.R]]) if form.joints else A
+            self._factor = lu_factor(blocks, check_finite=False)
+
+    def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:
+        """x (d m,) and l (p,)."""
+        right = np.concatenate([top, bottom])
+        if self._sparse:
+            solution = self._factor.solve(right)
+        else:
+            from scipy.linalg import lu_solve
+
+            solution = lu_solve(self._factor, right, check_finite=False)
+        return solution[: self._size], solution[self._size :]

@@ -1,0 +1,110 @@
+"""solve() of a local problem: scale, run an algorithm, finish by Newton's method, certify."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged
+from contactqp.friction.iterate import Iterate
+from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
+from contactqp.friction.local_form import LocalForm
+from contactqp.local_certificate import certify_local
+from contactqp.local_problem import LocalProblem
+from contactqp.local_solution import LocalSolution, local_status
+from contactqp.methods import Settings, find
+from contactqp.solving_arguments import refuse_arguments
+
+DEFAULT_METHOD = "active-set"
+# Scaled errors this small are worth a certificate.
+WORTH_JUDGING = 1e-6
+
+
+def solve_local(
+    problem: LocalProblem,
+    method: str = DEFAULT_METHOD,
+    *,
+    tolerance: float = 1e-9,
+    polish: bool = True,
+    time_limit: float | None = None,
+    max_iter: int | None = None,
+    warm_start: Any = None,
+    algorithm: str | None = None,
+    **options: Any,
+) -> LocalSolution:
+    """Forces and velocities of a frictional problem in local form; see `contactqp.solve` for the arguments.
+
+    Raises
+    ------
+    NotConverged
+        No algorithm came to forces that pass `tolerance`; `solution` holds the best.
+    NotCertified
+        The algorithm was not to be polished, and its answer does not pass.
+    BackendMissing, BackendFailed, Unsupported, InvalidProblem
+        Of the convex method; an argument is wrong.
+    """
+    refuse_arguments(tolerance, "auto", polish, time_limit, max_iter)
+    if algorithm is None and method != DEFAULT_METHOD:
+        algorithm = "aclm"
+    if algorithm is not None and algorithm not in ALGORITHMS:
+        raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
+    began = time.perf_counter()
+    form = LocalForm(problem)
+    settings = Settings(tolerance, max_iter, time_limit, None, options)
+    start = Iterate.nothing(form)
+    if warm_start is not None:
+        if not isinstance(warm_start, LocalSolution):
+            raise InvalidProblem(f"warm_start: expected a LocalSolution, got {type(warm_start).__name__}")
+        if warm_start.force.shape != (form.m, form.d) or len(warm_start.joint_force) != form.joints:
+            raise InvalidProblem("warm_start: expected a solution of a problem with the same contacts and joints")
+        start = Iterate.at(form, form.scaled(warm_start.force), form.joint_force(form.scaled(warm_start.force)))
+
+    def accepted(iterate: Iterate) -> bool:
+        if not iterate.error <= WORTH_JUDGING * max(1.0, float(np.max(abs(iterate.force), initial=0.0))):
+            return False
+        return certify_local(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
+
+    if algorithm is None:
+        outcome = run_any(form, settings, start, accepted)
+    else:
+        outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
+    solution = _solution(problem, form, outcome, tolerance, began)
+    if outcome.accepted:
+        return solution
+    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_polygon(outcome)}"
+    if polish:
+        count = outcome.iterate.iterations
+        raise NotConverged(f"{reason} (after {count} iterations)", outcome.iterate.history, solution)
+    raise NotCertified(reason, solution)
+
+
+def _polygon(outcome: Outcome) -> str:
+    steps = outcome.steps
+    if steps is None or not steps.cone_error:
+        return ""
+    return (
+        f"; polygons of {steps.facets} sides, {steps.polygon}, are up to {steps.cone_error:.2g} of the friction bound "
+        "off the cone"
+    )
+
+
+def _solution(
+    problem: LocalProblem, form: LocalForm, outcome: Outcome, tolerance: float, began: float
+) -> LocalSolution:
+    iterate = outcome.iterate
+    force, joint = form.unscaled(iterate.force, iterate.joint_force)
+    certificate = certify_local(problem, force, joint, tolerance=tolerance)
+    return LocalSolution(
+        problem=problem,
+        force=force,
+        velocity=problem.velocity(force, joint),
+        joint_force=joint,
+        contact_status=local_status(problem, certificate),
+        certificate=certificate,
+        method=outcome.name,
+        seconds=time.perf_counter() - began,
+        iterations=iterate.iterations,
+        history=iterate.history,
+    )
