@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
@@ -21,10 +21,15 @@ THREADS_PAY = 1500
 WORTHWHILE = 2000
 
 
+def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
+    """While a problem is worked on, where that pays."""
+    return on_one_thread(problem.dimension >= WORTHWHILE and problem.contacts < THREADS_PAY)
+
+
 @contextmanager
-def one_blas_thread(problem: ContactProblem) -> Iterator[None]:
-    """While a problem is worked on, where that pays; without threadpoolctl (extra `fast`) nothing changes."""
-    if problem.dimension < WORTHWHILE or problem.contacts >= THREADS_PAY or (pools := _openblas()) is None:
+def on_one_thread(pays: bool = True) -> Iterator[None]:
+    """OpenBLAS on one thread, if that pays; without threadpoolctl (extra `fast`) nothing changes."""
+    if not pays or (pools := _openblas()) is None:
         yield
         return
     _LIMIT.enter(pools)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.blas_threads import THREADS_PAY, on_one_thread
 from contactqp.errors import InvalidProblem, NotCertified, NotConverged
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
@@ -18,6 +19,8 @@ from contactqp.methods import Settings, find
 from contactqp.solving_arguments import refuse_arguments
 
 DEFAULT_METHOD = "active-set"
+# Sizes from which dense systems are large enough for two threads to wait for each other.
+WORTH_ONE_THREAD = 100
 # Scaled errors this small are worth a certificate.
 WORTH_JUDGING = 1e-6
 
@@ -66,10 +69,11 @@ def solve_local(
             return False
         return certify_local(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
 
-    if algorithm is None:
-        outcome = run_any(form, settings, start, accepted)
-    else:
-        outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
+    with on_one_thread(WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY):
+        if algorithm is None:
+            outcome = run_any(form, settings, start, accepted)
+        else:
+            outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
     solution = _solution(problem, form, outcome, tolerance, began)
     if outcome.accepted:
         return solution
