@@ -1,11 +1,12 @@
 """One combination of open, stick and slip is one linear system, unsymmetric where something slips.
 
-    [ S     N_c' + T_c' diag(s mu)   T_b'   A' ] [ x   ]   [ f_S ]
-    [ N_c                                      ] [ l_N ] = [ g   ]      c: closed contacts, s = +-1 where they slip
-    [ T_b                                      ] [ l_T ]   [ o   ]      b: those that stick, s = 0 there
-    [ A                                        ] [ nu  ]   [ b   ]
+    [ S + C   N_c' + T_c' diag(mu t)   T_b'   A' ] [ x   ]   [ f_S ]
+    [ N_c                                        ] [ l_N ] = [ g   ]      c: closed contacts, t the direction of slip
+    [ T_b                                        ] [ l_T ]   [ o   ]      b: those that stick, t = 0 there
+    [ A                                          ] [ nu  ]   [ b   ]
 
-(Wriggers 2006, section 9.3.3, with the slip's sign in place of its direction). The system acts as an approximate
+(Wriggers 2006, section 9.3.3). In the plane t = +-1 is part of the combination and C = 0. In space directions turn with
+the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's. It acts as an approximate
 inverse: residuals are formed on the full problem in twice double precision, as polishing without friction does.
 """
 
@@ -15,18 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
+from contactqp.coulomb_cone import directions as directions_of
+from contactqp.coulomb_cone import lengths
 from contactqp.extended import Extended, extend, extended_rows, two_product
 from contactqp.factorization import Array
 from contactqp.friction.rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import FIGURES, Answer, residuals, residuals_of, violations
 
-# A contact is open, sticks, or slips with s < 0 or s > 0.
+# A contact is open, sticks, or slips: in the plane with s < 0 or s > 0, in space always SLIP_ON, along s.
 OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 Status = NDArray[np.int8]
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12
+# In space the first sweeps turn directions, and need not shrink.
+TURNS = 5
+# A slip of this part of the friction bound, both in sqrt(energy), has no direction.
+LEAST_SLIP = 1e-13
 # A correction of this part of the answer is beneath what doubles hold.
 NEGLIGIBLE = 1e-20
 # Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
@@ -36,21 +43,36 @@ HOLDS = 1e-10
 
 
 class StateSystem:
-    """The factorised linear system of one combination."""
+    """The factorised linear system of one combination.
+
+    Parameters
+    ----------
+    directions : (m, d-1) array
+        Of slip, of unit length; zero where a contact does not slip.
+    turning : (m,) array
+        mu l_N / |s| in scaled forces and lengths, zero in the plane.
+    """
 
     def __init__(
-        self, problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status
+        self,
+        problem: ContactProblem,
+        condensation: Condensation,
+        rows: FrictionalRows,
+        status: Status,
+        directions: Array,
+        turning: Vector | None = None,
     ) -> None:
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        self.sliding = np.where(status == STICK, 0.0, status)
         self._way, self._rows = condensation, rows
-        normal, tangent = rows.normal[self.closed], rows.tangent[self.stuck]
-        dragged = (self.sliding * rows.coefficient)[self.closed, None] * rows.tangent[self.closed]
-        held = np.vstack([normal, tangent, rows.tie])
-        pushed = np.vstack([normal + dragged, tangent, rows.tie])
-        size = len(rows.S)
-        self._matrix = np.block([[rows.S, pushed.T], [held, np.zeros((len(held), len(held)))]])
-        self._size, self._contacts, self._ties = size, problem.contacts, problem.ties
+        tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
+        along = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
+        dragged = rows.coefficient[self.closed, None] * along
+        normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
+        held = np.vstack([normal, stuck, rows.tie])
+        pushed = np.vstack([normal + dragged, stuck, rows.tie])
+        stiffness = rows.S if turning is None else rows.S + _turned(tangent, directions, turning)
+        self._matrix = np.block([[stiffness, pushed.T], [held, np.zeros((len(held), len(held)))]])
+        self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
         self._factorise()
 
     def _factorise(self) -> None:
@@ -63,20 +85,30 @@ class StateSystem:
             self._inverse = np.linalg.pinv(self._matrix, rcond=SINGULAR)
         self._factor = (factor, pivots)
 
-    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """du (n,), dl_N (m,), dl_T (m,) of sticking contacts, dnu (k,) for residuals of the full problem."""
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
+        """du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts, dnu (k,) for residuals of the full problem."""
         from scipy.linalg import lu_solve
 
         reduced, inner = self._way.reduce_load(load)
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
-        lengths = (gap[c] / rows.normal_length[c], slip[b] / rows.tangent_length[b], tie / rows.tie_length)
+        slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
+        lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
         right = np.concatenate([reduced * rows.scale, *lengths])
         y = lu_solve(self._factor, right) if self._inverse is None else self._inverse @ right
-        normal_force, friction_force = np.zeros(self._contacts), np.zeros(self._contacts)
+        normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
         normal_force[c] = y[p : p + len(c)] / rows.normal_length[c]
-        friction_force[b] = y[p + len(c) : p + len(c) + len(b)] / rows.tangent_length[b]
+        sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
+        friction_force[b] = sticking / rows.tangent_length[b, None]
         tie_force = y[len(y) - self._ties :] / rows.tie_length
         return self._way.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
+
+
+def _turned(tangent: Array, directions: Array, turning: Vector) -> Array:
+    """C (p, p)."""
+    moving = np.flatnonzero(turning > 0)
+    T, t = tangent[moving], directions[moving]
+    across = T - t[:, :, None] * np.einsum("iw,iwp->ip", t, T)[:, None, :]
+    return np.asarray(np.einsum("i,iwp,iwq->pq", turning[moving], across, across))
 
 
 def answer_in(
@@ -84,29 +116,45 @@ def answer_in(
 ) -> Answer:
     """The answer of one combination, refined from `start`; where it leaves something free, near the start.
 
-    Nothing is said of whether its signs hold: see `holds`.
+    In space slip directions are those of the start to begin with. Nothing is said of whether signs hold: see `holds`.
     """
-    system = StateSystem(problem, condensation, rows, status)
     exact = extended_rows(problem)
     u, tie = extend(start.displacement), extend(start.tie_force)
     force = extend(np.where(status != OPEN, start.normal_force, 0.0))
-    stick = extend(np.where(status == STICK, _friction_of(start), 0.0))
+    stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
     origin = extend(_origin(problem))
-    last = np.inf
-    for _ in range(MAX_SWEEPS):
-        friction = stick + _bound(problem, force, system.sliding)
-        left = residuals_of(exact, problem, u, force, tie, friction)
-        slip = (origin - exact.slip(u)).double()
-        du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), slip, left.tie.double())
-        u, force, stick, tie = u + du, force + dl, stick + dt, tie + dn
+    system, directions, last = None, np.zeros((problem.contacts, rows.width)), np.inf
+    for sweep in range(MAX_SWEEPS):
+        slip = (exact.slip(u) - origin).double()
+        if system is None or rows.width > 1:
+            directions, turning = _directions(rows, status, slip, force.double())
+            system = StateSystem(problem, condensation, rows, status, directions, turning)
+        left = residuals_of(exact, problem, u, force, tie, stick + _bound(problem, force, directions))
+        du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
+        u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         # Relative to the largest of each kind: no unit is compared with another.
-        pairs = ((du, u), (dl, force), (dt, stick), (dn, tie))
+        pairs = ((du, u), (dl, force), (dt.ravel(), stick), (dn, tie))
         size = max(_part(change, whole.double()) for change, whole in pairs)
-        if size <= NEGLIGIBLE or size > 0.5 * last:
+        turns = rows.width > 1 and sweep < TURNS
+        if size <= NEGLIGIBLE or (size > 0.5 * last and not turns):
             break
         last = size
-    friction = stick + _bound(problem, force, system.sliding)
-    return Answer(u.double(), force.double(), friction.double()[:, None], tie.double())
+    if rows.width > 1:
+        directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
+    friction = stick + _bound(problem, force, directions)
+    return Answer(u.double(), force.double(), friction.double().reshape(-1, rows.width), tie.double())
+
+
+def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
+    """Unit directions of slip (m, d-1), and how slip turns them (m,), nothing in the plane."""
+    if rows.width == 1:
+        return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
+    sliding = abs(status) == 1
+    vectors = np.where(sliding[:, None], slip.reshape(-1, rows.width), 0.0)
+    size = lengths(vectors) / rows.tangent_length
+    bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
+    turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
+    return directions_of(vectors), turning
 
 
 def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
@@ -118,19 +166,21 @@ def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> 
     return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in figures)
 
 
-def _bound(problem: ContactProblem, force: Extended, sliding: Array) -> Extended:
-    """s mu l_N, exactly."""
-    coefficient = sliding * (0.0 if problem.friction is None else problem.friction)
-    product, error = two_product(coefficient, force.hi)
-    return Extended(product, error + coefficient * force.lo)
+def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
+    """mu l_N t, flat; exactly in the plane, where mu t is a double."""
+    coefficient = 0.0 if problem.friction is None else problem.friction
+    along = (np.asarray(coefficient)[..., None] * directions).ravel()
+    width = directions.shape[1]
+    product, error = two_product(along, np.repeat(force.hi, width))
+    return Extended(product, error + along * np.repeat(force.lo, width))
 
 
-def _friction_of(answer: Answer) -> Vector:
-    return np.zeros_like(answer.normal_force) if answer.friction_force is None else answer.friction_force[:, 0]
+def _friction_of(answer: Answer, width: int) -> Array:
+    return np.zeros((len(answer.normal_force), width)) if answer.friction_force is None else answer.friction_force
 
 
 def _origin(problem: ContactProblem) -> Vector:
-    return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin[:, 0]
+    return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
 
 
 def _part(change: Vector, whole: Vector) -> float:
