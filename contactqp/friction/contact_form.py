@@ -86,7 +86,7 @@ class ContactForm:
         force, joint = form.unscaled(iterate.force, iterate.joint_force)
         driven = self._load + self._basis.T @ (self._H.T @ force.ravel())
         x = self._start + self._basis @ (self._compliance @ driven + self._motions @ joint)
-        tie = np.zeros(0)
+        tie: Vector = np.zeros(0)
         if len(rows.tie):
             load, _ = self._way.reduce_load(self._problem.load)
             left = load * rows.scale - rows.S @ x + self._H.T @ force.ravel()
