@@ -1,6 +1,8 @@
-"""An answer with Coulomb friction: by Tresca's fixed point, or the only one that enumeration finds."""
+"""An answer with Coulomb friction: by Newton's method, by Tresca's fixed point, or the only one of enumeration."""
 
 from __future__ import annotations
+
+from contextlib import suppress
 
 from contactqp.condensation import condense
 from contactqp.condensed_attempt import Meter, described
@@ -8,6 +10,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.existence import refuse_conflict
 from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.friction.free_motion import at_rest, free_motions
+from contactqp.friction.newton import solve_newton
 from contactqp.friction.tresca import solve_tresca
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings
@@ -15,19 +18,26 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Work
 from contactqp.violations import Answer
 
-ALGORITHMS = ("tresca", "enumeration")
+ALGORITHMS = ("tresca", "newton", "enumeration")
 
 
 class FrictionAttempt:
     """One answer to a frictional problem, refined to the last digits by the algorithm that found it."""
 
     def __init__(
-        self, problem: ContactProblem, answer: Answer, meter: Meter, name: str, history: tuple[float, ...] = ()
+        self,
+        problem: ContactProblem,
+        answer: Answer,
+        meter: Meter,
+        name: str,
+        history: tuple[float, ...] = (),
+        iterations: int | None = None,
     ) -> None:
         self.name = name  # the algorithm, and the convex method where it has one
         self._problem, self._answer, self._meter = problem, answer, meter
+        steps = len(history) + 1 if iterations is None else iterations
         self.candidate = Candidate(
-            answer.displacement, answer.normal_force, answer.tie_force, iterations=len(history) + 1, history=history
+            answer.displacement, answer.normal_force, answer.tie_force, iterations=steps, history=history
         )
 
     def final(self, polished: bool) -> Final:
@@ -68,7 +78,8 @@ class FrictionAttempt:
 def attempt_friction(
     problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None
 ) -> FrictionAttempt:
-    """An answer by `algorithm`; None is Tresca's fixed point, then enumeration where it fails and contacts are few.
+    """An answer by `algorithm`; None is Newton's method from `settings.warm_start` if there is one, else or where that
+    fails Tresca's fixed point, then enumeration where that fails and contacts are few.
 
     Raises
     ------
@@ -89,6 +100,12 @@ def attempt_friction(
     _refuse_unsupported(problem)
     if algorithm == "enumeration":
         return _only(problem)
+    if algorithm == "newton":
+        return _by_newton(problem, settings)
+    _refuse_method(method)
+    if algorithm is None and settings.warm_start is not None:
+        with suppress(NotConverged):
+            return _by_newton(problem, settings)
     try:
         return _by_tresca(problem, method, settings)
     except (NoEquilibrium, NotConverged):
@@ -132,7 +149,16 @@ def _described(problem: ContactProblem, attempt: FrictionAttempt) -> str:
     return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
 
 
-def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
+def _by_newton(problem: ContactProblem, settings: Settings) -> FrictionAttempt:
+    meter = Meter(problem)
+    with meter.running():
+        found = solve_newton(
+            problem, condense(problem), settings.warm_start, settings.max_iter, time_limit=settings.time_limit
+        )
+    return FrictionAttempt(problem, found.answer, meter, "newton", iterations=found.steps)
+
+
+def _refuse_method(method: Method) -> None:
     if not method.exact:
         raise Unsupported(
             f"{method.name}: Coulomb friction takes exact convex steps, and this is approximate by design"
@@ -141,6 +167,9 @@ def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> F
         raise Unsupported(
             f"{method.name}: the convex steps of Coulomb friction have a singular stiffness; try active-set"
         )
+
+
+def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
     meter = Meter(problem)
     with meter.running():
         found = solve_tresca(problem, condense(problem), method, settings)
