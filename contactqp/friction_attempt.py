@@ -9,8 +9,9 @@ from contactqp.condensed_attempt import Meter, described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.existence import refuse_conflict
 from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
+from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.free_motion import at_rest, free_motions
-from contactqp.friction.newton import solve_newton
+from contactqp.friction.newton import refined, solve_newton
 from contactqp.friction.tresca import solve_tresca
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings
@@ -113,6 +114,21 @@ def attempt_friction(
             refuse_conflict(problem, condense(problem))
             raise
     return _only(problem)
+
+
+def attempt_on(
+    problem: ContactProblem, system: ForceSystem, lengths: Lengths, found: CombinationAnswer, combinations: int
+) -> FrictionAttempt:
+    """The answer of a combination that was found on the contact unknowns, refined; nobody has seen its signs."""
+    meter = Meter(problem)
+    with meter.running():
+        answer = refined(problem, condense(problem), system, lengths, found)
+    return FrictionAttempt(problem, answer, meter, "newton", iterations=combinations)
+
+
+def attempt_with(problem: ContactProblem, answer: Answer, name: str) -> FrictionAttempt:
+    """An answer that is known."""
+    return FrictionAttempt(problem, answer, Meter(problem), name, iterations=0)
 
 
 def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:

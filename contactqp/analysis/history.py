@@ -17,12 +17,16 @@ from contactqp.solution import Solution
 
 @dataclass(frozen=True)
 class Energies:
-    """Of one instant, in force times length."""
+    """Of one instant, in force times length.
+
+    On a path between whose instants all is linear (exact events), work = elastic + dissipated to rounding; in steps the
+    difference shrinks with the steps.
+    """
 
     elastic: float  # 1/2 u'Ku
     kinetic: float
     work: float  # of the loads since the start
-    dissipated: float
+    dissipated: float  # by friction since the start: the sum of l_T . s, never negative
 
     @property
     def total(self) -> float:
@@ -34,7 +38,7 @@ class Energies:
 class Event:
     """One contact changes its state."""
 
-    kind: str  # "closed", "opened", "stick", "slip"
+    kind: str  # "closed", "opened", "stick" (a contact that slipped), "slip" (one that stuck, or that closes slipping)
     contact: int
     time: float  # pseudo-time of a load path, seconds in dynamics
     name: str = ""
@@ -43,13 +47,19 @@ class Event:
 class History(Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
-    Solutions may be a sequence that expands each one, with its certificate, when it is looked at.
+    Solutions may be a sequence that expands each one, with its certificate, when it is looked at. With friction each
+    solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since.
+    `linear` says that nothing changes its state between two instants.
     """
 
     def __init__(
-        self, solutions: Sequence[Solution], times: Sequence[float], events: Callable[[], Iterable[Event]] = tuple
+        self,
+        solutions: Sequence[Solution],
+        times: Sequence[float],
+        events: Callable[[], Iterable[Event]] = tuple,
+        linear: bool = False,
     ) -> None:
-        self._solutions = solutions
+        self._solutions, self._linear = solutions, linear
         self.times: Vector = np.asarray(times, dtype=float)
         self._find_events = events
 
@@ -61,7 +71,7 @@ class History(Sequence[Solution]):
     @cached_property
     def energies(self) -> tuple[Energies, ...]:
         """Of every instant."""
-        return tuple(_static_energies(self._solutions))
+        return tuple(_static_energies(self._solutions, self._linear))
 
     def __len__(self) -> int:
         return len(self._solutions)
@@ -99,13 +109,28 @@ class History(Sequence[Solution]):
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
 
 
-def _static_energies(solutions: Sequence[Solution]) -> Iterator[Energies]:
-    """Energies of a quasi-static, frictionless sequence.
+def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:
+    """Energies of a quasi-static sequence.
 
     The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between.
     """
-    work = 0.0
+    work = dissipated = 0.0
     for before, now in pairwise(chain(solutions[:1], solutions)):
         work += float((before.problem.load + now.problem.load) @ (now.displacement - before.displacement)) / 2
+        if before is not now:
+            dissipated += _friction_work(before, now, linear)
         elastic = float(now.displacement @ (now.problem.stiffness @ now.displacement)) / 2
-        yield Energies(elastic, kinetic=0.0, work=work, dissipated=0.0)
+        yield Energies(elastic, kinetic=0.0, work=work, dissipated=dissipated)
+
+
+def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
+    """l_T . s, s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends where all is linear.
+
+    Coulomb's law, which the certificate holds, leaves no contact less than zero; what is less is rounding.
+    """
+    force, slip = now.friction_force, now.slip
+    if force is None or slip is None or before.friction_force is None:
+        return 0.0
+    if linear:
+        force = (force + before.friction_force) / 2
+    return float(np.sum(np.maximum(np.sum(force * slip, axis=1), 0.0)))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.events import events_of_leg
+from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.history import Event, History
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
@@ -77,9 +78,9 @@ def follow_path(
         raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
-    if problem.frictional:
-        raise Unsupported("follow_path: Coulomb friction (not in this version)")
     with problem.lock:
+        if problem.frictional:
+            return follow_with_friction(problem, corners, int(count), events == "exact", method, options)
         return _walked(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
 
 

@@ -29,6 +29,8 @@ from contactqp.violations import Answer
 CHANGED_ROWS = 0.15
 # What an update leaves of the right-hand side, relative to the largest number in the system, before it is given up.
 LEFT = 1e-13
+# A null vector of unit length that moves a contact by less than this moves none.
+UNDETERMINED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,16 @@ class ForceSystem:
             self._factorise(status)
             y, left = self._solved(status, lengths)
         return self._answer(status, lengths, y, left)
+
+    def undetermined(self, status: Status) -> bool:
+        """Whether a combination leaves gaps, slips or rigid motions free; forces of redundant contacts may be."""
+        matrix = self.matrix(status)
+        if not len(matrix):
+            return False
+        _, values, rotation = np.linalg.svd(matrix)
+        free = rotation[values <= SINGULAR * values[0]].T
+        moved = np.vstack([self.slope @ free, free[len(self.slope) :]])
+        return bool(np.any(abs(moved) > UNDETERMINED))
 
     def displacement(self, answer: CombinationAnswer, lengths: Lengths) -> Vector:
         """x (p,), scaled."""

@@ -22,7 +22,7 @@ from contactqp.errors import NotConverged
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Candidate
+from contactqp.solution import Candidate, Solution
 from contactqp.violations import Answer
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.
@@ -59,16 +59,27 @@ def solve_newton(
     """
     began = time.perf_counter()
     system = ForceSystem(problem, condensation)
-    load, inner = condensation.reduce_load(problem.load)
-    lengths = system.lengths(problem, load)
+    lengths = system.lengths(problem, condensation.reduce_load(problem.load)[0])
     status = _touching(system, lengths) if start is None else combination_of(problem, start)
     limit = None if time_limit is None else began + time_limit
     found, steps = search(system, lengths, status, max_iter=max_iter, until=limit)
-    expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
-    answer = answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
+    answer = refined(problem, condensation, system, lengths, found)
     if not holds(problem, answer):
         raise NotConverged("newton: the signs of its combination do not hold to the last digits")
     return NewtonAnswer(answer, found.status, steps)
+
+
+def refined(
+    problem: ContactProblem,
+    condensation: Condensation,
+    system: ForceSystem,
+    lengths: Lengths,
+    found: CombinationAnswer,
+) -> Answer:
+    """The answer of a combination to the last digits; nothing is said of whether its signs hold."""
+    _, inner = condensation.reduce_load(problem.load)
+    expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
+    return answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
 
 
 def search(
@@ -135,7 +146,7 @@ def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
     return system.plain(np.where(push > 0, status, OPEN).astype(np.int8))
 
 
-def combination_of(problem: ContactProblem, candidate: Candidate | Answer) -> Status:
+def combination_of(problem: ContactProblem, candidate: Candidate | Solution) -> Status:
     """What the forces and slips of an answer say: closed where it pushes, slipping where E_T u has left the origin."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("combination of a problem without friction")

@@ -1,0 +1,189 @@
+"""Every change of state along a load path with Coulomb friction in the plane, found exactly.
+
+While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. Where a gap,
+a contact force or the room mu l_N - |l_T| of a contact that sticks reaches zero, and at every corner of the path,
+`friction_rates` says how the contacts go on. A contact that sticks is anchored at its E_T u of the instant at which it
+began to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactqp.analysis.friction_rates import Mask, Standing, continuation
+from contactqp.analysis.history import Event
+from contactqp.condensation import condense
+from contactqp.errors import NotConverged, Unsupported
+from contactqp.factorization import Array
+from contactqp.friction.force_system import ForceSystem
+from contactqp.friction.newton import combination_of
+from contactqp.friction.states import OPEN, STICK, Status, answer_in
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Solution
+from contactqp.violations import Answer
+
+# Two events nearer than this part of a leg are one: doubles cannot order them.
+SIMULTANEOUS = 1e-12
+# Gaps, forces and rooms below this part of the largest are zero.
+NOTHING = 1e-12
+# Rates below this part of the largest are zero.
+STEADY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a leg on which all is linear."""
+
+    end: float  # fraction of the leg
+    status: Status  # (m,)
+    anchor: Vector  # (m,) E_T u of those that stick [length]
+
+
+@dataclass(frozen=True, eq=False)
+class _Margins:
+    """What changes its sign at an event, (4, m): gap, force, and the rooms on both sides of the cone, scaled."""
+
+    value: Array
+    kept: Mask  # which concern a contact in its state
+
+
+class ExactPath:
+    """The walk from event to event.
+
+    Raises
+    ------
+    Unsupported
+        A contact is closed at the start and anchored where it is not.
+    """
+
+    def __init__(self, problem: ContactProblem, first: Solution) -> None:
+        self._problem, self._way = problem, condense(problem)
+        self.system = ForceSystem(problem, self._way)
+        self.status = self.system.plain(combination_of(first.problem, first))
+        self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
+        self.anchor = self._position(self.answer)
+        self._refuse_jump()
+
+    def leg(self, start: Vector, end: Vector, number: int) -> tuple[list[Event], list[Segment]]:
+        """The events of one leg, their times fractions of it, and its segments.
+
+        Raises
+        ------
+        NoEquilibrium, SeveralEquilibria, NotConverged
+            No continuation, several, or too many events; with the pseudo-time.
+        """
+        zero = np.zeros(self._problem.contacts)
+        still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
+        direction = self._problem.replace(load=end - start, **still)
+        rates = self.system.lengths(direction, self._way.reduce_load(end - start)[0])
+        fraction, events, segments = 0.0, list[Event](), list[Segment]()
+        hit = np.zeros((4, len(zero)), dtype=bool)
+        limit = 40 * len(zero) + 40
+        for _ in range(limit):
+            standing = self._standing(hit)
+            at = f"at t = {number + fraction:.12g}"
+            status = continuation(self.system, rates, standing, self._problem, at)
+            events += _decided(self._problem, standing.status, status, fraction)
+            rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
+            self._go_on_in(status)
+            following, hit = self._next(standing, rate)
+            fraction = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
+            segments.append(Segment(fraction, status, self.anchor))
+            load = end if fraction == 1 else start + fraction * (end - start)
+            self.answer = self.at(load, segments[-1])
+            if fraction == 1:
+                return events, segments
+        raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
+
+    def at(self, load: Vector, segment: Segment) -> Answer:
+        """The answer to a load within a segment, to the last digits."""
+        problem = self._problem.replace(load=load, slip_origin=segment.anchor)
+        return answer_in(problem, self._way, self.system.rows, segment.status, self.answer)
+
+    def _go_on_in(self, status: Status) -> None:
+        """Contacts that stick now and did not are anchored where they are."""
+        begins = (status == STICK) & (self.status != STICK)
+        self.anchor = np.where(begins, self._position(self.answer), self.anchor)
+        self.status = status
+
+    def _standing(self, hit: Mask) -> Standing:
+        """Which contacts have a choice: those that reached a zero, and those that are at one by their values."""
+        margins = self._margins(self.answer)
+        zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
+        closed, stuck = self.status != OPEN, self.status == STICK
+        null = np.where(closed, zero[1], zero[0])
+        edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
+        smooth = (self.system.rows.coefficient <= 0) | ~self.system.rows.slides
+        edge = np.where(stuck, edge, np.where(closed & ~smooth, self.status, 0))
+        return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
+
+    def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
+        """How far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
+        margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
+        decided = standing.null | (standing.edge != 0)
+        # What was just decided does not fall.
+        at_zero = margins.value <= 10 * NOTHING * self._sizes(margins.value)
+        falls = margins.kept & (slope < -STEADY * self._sizes(slope)) & ~(decided & at_zero)
+        ahead = np.full(slope.shape, np.inf)
+        ahead[falls] = np.maximum(margins.value[falls], 0.0) / -slope[falls]
+        nearest = float(np.min(ahead, initial=np.inf))
+        return nearest, ahead <= nearest + SIMULTANEOUS
+
+    def _margins(self, answer: Answer, rates: bool = False) -> _Margins:
+        rows, problem = self.system.rows, self._problem
+        gap = (0.0 if rates else problem.gap) - problem.normal @ answer.displacement
+        normal = answer.normal_force * rows.normal_length
+        friction = self._friction(answer) * rows.tangent_length
+        bound = rows.coefficient * normal
+        closed, stuck = self.status != OPEN, self.status == STICK
+        value = np.array([gap / rows.normal_length, normal, bound - friction, bound + friction])
+        return _Margins(value, np.array([~closed, closed, stuck, stuck]))
+
+    def _sizes(self, values: Array) -> Array:
+        """(4, 1) the largest gap, then the largest force."""
+        force = float(np.max(abs(values[1:]), initial=0.0))
+        return np.array([float(np.max(abs(values[0]), initial=0.0)), force, force, force])[:, None]
+
+    def _friction(self, answer: Answer) -> Vector:
+        return np.zeros(self._problem.contacts) if answer.friction_force is None else answer.friction_force[:, 0]
+
+    def _position(self, answer: Answer) -> Vector:
+        if self._problem.tangent is None:
+            raise ValueError("exact events with friction of a problem without tangential rows")
+        return np.asarray(self._problem.tangent @ answer.displacement)
+
+    def _refuse_jump(self) -> None:
+        origin = self._problem.slip_origin
+        gap = self._problem.gap - self._problem.normal @ self.answer.displacement
+        if origin is None:
+            return
+        length = abs(self.anchor) + abs(origin[:, 0])
+        # A contact that carries a force at the start has slipped to where it is.
+        off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
+        if np.any(off & (self.system.rows.coefficient > 0)):
+            i = int(np.argmax(off))
+            raise Unsupported(
+                f"follow_path(events='exact'): {self._problem.contact_name(i)} is closed at the start, at E_T u = "
+                f"{self.anchor[i]:.6g}, and slip_origin anchors it at {origin[i, 0]:.6g}: it would jump; give steps"
+            )
+
+
+def _decided(problem: ContactProblem, before: Status, now: Status, time: float) -> list[Event]:
+    """What happened to each contact; one that closes slipping does both at once."""
+    events: list[Event] = []
+    smooth = np.zeros(len(now), dtype=bool) if problem.friction is None else problem.friction <= 0
+    for i in np.flatnonzero(before != now).tolist():
+        kinds: list[str] = []
+        if (before[i] == OPEN) != (now[i] == OPEN):
+            kinds.append("opened" if now[i] == OPEN else "closed")
+        if now[i] != OPEN and not smooth[i] and (now[i] != STICK or before[i] != OPEN):
+            kinds.append("stick" if now[i] == STICK else "slip")
+        events += [Event(kind, i, time, problem.contact_name(i)) for kind in kinds]
+    return events
+
+
+def _nothing(problem: ContactProblem) -> Answer:
+    none = np.zeros(problem.contacts)
+    return Answer(np.zeros(problem.dimension), none, none[:, None], np.zeros(problem.ties))

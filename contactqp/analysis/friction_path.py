@@ -1,0 +1,99 @@
+"""Load paths with Coulomb friction: in steps, or from one exact event to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, overload
+
+import numpy as np
+
+from contactqp.analysis.friction_events import ExactPath, Segment
+from contactqp.analysis.friction_steps import FrictionSteps
+from contactqp.analysis.history import Event, History
+from contactqp.blas_threads import one_blas_thread
+from contactqp.errors import Unsupported
+from contactqp.friction.states import STICK
+from contactqp.friction_attempt import attempt_with
+from contactqp.methods import find
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Solution
+from contactqp.solving import Begun
+
+
+def follow_with_friction(
+    problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
+) -> History:
+    """The legs from corner to corner, in so many steps each and, if exactly, at every event.
+
+    Raises
+    ------
+    Unsupported
+        Exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
+    """
+    if exactly and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        raise Unsupported(
+            "follow_path(events='exact'): two tangential rows a contact: slip turns within a leg; give steps instead"
+        )
+    steps = FrictionSteps(problem, method, options)
+    if exactly:
+        with one_blas_thread(problem):
+            return _between_events(problem, corners, count, steps[0])
+    times = [0.0]
+    for leg, (start, end) in enumerate(pairwise(corners)):
+        steps.turn(start, end)
+        for i in range(count):
+            steps.go_to((i + 1) / count)
+            times.append(leg + (i + 1) / count)
+    return History(steps, times, lambda: steps.changes(times))
+
+
+def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: int, first: Solution) -> History:
+    path, instants, times = ExactPath(problem, first), _Instants(first), [0.0]
+    events: list[Event] = []
+    for leg, (start, end) in enumerate(pairwise(corners)):
+        found, segments = path.leg(start, end, leg)
+        events += [replace(event, time=leg + event.time) for event in found]
+        fractions = sorted({(i + 1) / count for i in range(count)} | {segment.end for segment in segments})
+        for fraction in fractions:
+            segment = next(segment for segment in segments if fraction <= segment.end)
+            load = end if fraction == 1 else start + fraction * (end - start)
+            instants.add(path, problem.replace(load=load), segment)
+            times.append(leg + fraction)
+    return History(instants, times, lambda: events, linear=True)
+
+
+class _Instants(Sequence[Solution]):
+    """Solutions at instants between which all is linear, certified when they are looked at."""
+
+    def __init__(self, first: Solution) -> None:
+        self._solutions: list[Solution | Begun] = [first]
+        self._displacement = first.displacement
+
+    def add(self, path: ExactPath, problem: ContactProblem, segment: Segment) -> None:
+        """The answer to the problem's load in a segment; its slip counts from the instant before."""
+        answer = path.at(problem.load, segment)
+        before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else segment.anchor
+        origin = np.where(segment.status == STICK, segment.anchor, before)
+        attempt = attempt_with(problem.replace(slip_origin=origin), answer, "exact events")
+        method = replace(find("active-set"), name=attempt.name)
+        self._solutions.append(Begun(problem.replace(slip_origin=origin), method, attempt, True, 0.0))
+        self._displacement = answer.displacement
+
+    def __len__(self) -> int:
+        return len(self._solutions)
+
+    @overload
+    def __getitem__(self, index: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
+
+    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        step = self._solutions[index]
+        solution = step if isinstance(step, Solution) else step.finish()
+        self._solutions[index] = solution
+        return solution

@@ -1,0 +1,206 @@
+"""The equilibria that a step of a load path with friction asks for: on the contact unknowns, or by `solve`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from contactqp.analysis.anchoring import Mask, State
+from contactqp.blas_threads import one_blas_thread
+from contactqp.condensation import condense
+from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.factorization import Array
+from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
+from contactqp.friction.newton import combination_of, search
+from contactqp.friction.states import OPEN, SLIP_ON, STICK, Status
+from contactqp.friction_attempt import attempt_on
+from contactqp.methods import find
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Solution
+from contactqp.solving import Begun, solve
+
+# A gap of this part of the lengths that meet is rounding.
+TOUCHING = 1e-12
+# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
+WIDENED = 1e3
+
+
+class Stepper(Protocol):
+    """Equilibria along one leg after the other."""
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+
+    def accept(self, state: State) -> None:
+        """The next solve starts from this state."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightStep:
+    """An answer on the contact unknowns that nobody has looked at."""
+
+    problem: ContactProblem  # with the load and the slip origin of the step
+    system: ForceSystem
+    lengths: Lengths
+    found: CombinationAnswer
+    combinations: int
+    seconds: float
+
+    def finish(self) -> Solution:
+        """Refine, expand and certify.
+
+        Raises
+        ------
+        NotCertified
+            The certificate refuses the answer.
+        """
+        started = time.perf_counter()
+        with self.problem.lock, one_blas_thread(self.problem):
+            attempt = attempt_on(self.problem, self.system, self.lengths, self.found, self.combinations)
+        method = replace(find("active-set"), name=attempt.name)
+        spent = self.seconds + time.perf_counter() - started
+        return Begun(self.problem, method, attempt, True, spent).finish()
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedStep:
+    """A solution that is certified already."""
+
+    solution: Solution
+
+    def finish(self) -> Solution:
+        """The solution."""
+        return self.solution
+
+
+class PlaneStepper:
+    """In the plane: Newton's method on the condensed unknowns; its factors serve all steps.
+
+    Where Newton fails, what `solve` falls back to.
+    """
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem = problem
+        self._otherwise = SolveStepper(problem, method, options)
+        self._way = condense(problem)
+        self._system = ForceSystem(problem, self._way)
+        self._status: Status = np.where(problem.gap > 0, OPEN, STICK).astype(np.int8)
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+        self._leg = start, end
+        self._otherwise.turn(start, end)
+        self._reduced = self._way.reduce_load(start)[0].copy(), self._way.reduce_load(end)[0].copy()
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """The equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
+        started = time.perf_counter()
+        start, end = self._reduced
+        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        lengths = self._system.lengths(problem, _between(start, end, fraction))
+        try:
+            found, combinations = search(self._system, lengths, self._status, held_open)
+        except NotConverged:
+            return self._otherwise.solve(fraction, origin, held_open)
+        spent = time.perf_counter() - started
+        step = LightStep(problem, self._system, lengths, found, combinations, spent)
+        return self._state(step, fraction, origin, held_open)
+
+    def accept(self, state: State) -> None:
+        """The next solve starts from the combination of this state."""
+        step = state.step
+        if isinstance(step, LightStep):
+            self._status = step.found.status
+        else:
+            solution = step.finish()
+            self._status = combination_of(solution.problem, solution)
+
+    def _state(self, step: LightStep, fraction: float, origin: Array, held_open: Mask) -> State:
+        rows, found = self._system.rows, step.found
+        status, gap = found.status, found.gap * rows.normal_length
+        m = len(status)
+        length = step.lengths.target[:m]
+        rounding = TOUCHING * float(np.max(abs(length - found.gap), initial=np.max(abs(length), initial=0.0)))
+        position = origin[:, 0] + found.slip * rows.tangent_length
+        pushes = found.normal > TOUCHING * step.lengths.size
+        return State(
+            fraction=fraction,
+            gap=gap,
+            position=position[:, None],
+            pushes=pushes,
+            slides=pushes & (abs(status) == SLIP_ON) & (rows.coefficient > 0),
+            touching=(status != OPEN) | (abs(found.gap) <= rounding),
+            overlap=held_open & (found.gap < -rounding),
+            step=step,
+        )
+
+
+class SolveStepper:
+    """Step by step with `solve`: two tangential directions a contact, bodies that are not factorised, a method or an
+    algorithm of the caller's."""
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem, self._method, self._options = problem, method, options
+        self._before: Solution | None = None
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+        self._leg = start, end
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        if np.any(held_open):
+            shown = _widened(problem, held_open)
+            solution = self._solved(shown)
+            if np.any(solution.normal_force[held_open] > 0):
+                raise NoEquilibrium("a contact that is held open closes")
+            state = _state_of(problem, solution, fraction, held_open)
+            if np.any(state.overlap):
+                return state
+        return _state_of(problem, self._solved(problem), fraction, held_open)
+
+    def accept(self, state: State) -> None:
+        """The next solve starts from this solution."""
+        self._before = state.step.finish()
+
+    def _solved(self, problem: ContactProblem) -> Solution:
+        return solve(problem, self._method, warm_start=self._before, **self._options)
+
+
+def _between(start: Vector, end: Vector, fraction: float) -> Vector:
+    return end if fraction == 1 else start + fraction * (end - start)
+
+
+def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:
+    """With contacts so far away that they cannot close."""
+    if not np.any(held_open):
+        return problem
+    far = WIDENED * (abs(problem.gap) + float(np.max(abs(problem.gap))))
+    return problem.replace(gap=np.where(held_open, problem.gap + far, problem.gap))
+
+
+def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held_open: Mask) -> State:
+    """What the next step needs of a solution; gaps are those of the problem."""
+    if problem.tangent is None or problem.slip_origin is None:
+        raise ValueError("a path with friction of a problem without tangential rows")
+    u = solution.displacement
+    gap = problem.gap - problem.normal @ u
+    rounding = TOUCHING * (abs(problem.normal) @ abs(u) + abs(problem.gap))
+    pushes = solution.normal_force > 0
+    return State(
+        fraction=fraction,
+        gap=np.asarray(gap),
+        position=np.asarray((problem.tangent @ u).reshape(problem.slip_origin.shape)),
+        pushes=pushes,
+        slides=pushes & (solution.contact_status == "slip"),
+        touching=pushes | (gap <= rounding),
+        overlap=held_open & (gap < -rounding),
+        step=SolvedStep(solution),
+    )
