@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from contactqp.local_certificate import certify_local as certify_local
     from contactqp.local_problem import LocalProblem as LocalProblem
     from contactqp.local_solution import LocalSolution as LocalSolution
+    from contactqp.local_solving import existence_margin as existence_margin
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
     from contactqp.problem import ContactProblem as ContactProblem
@@ -84,6 +85,7 @@ _HOME = {
     "certify_local": "local_certificate",
     "compare": "study.comparison",
     "equilibria": "multiplicity",
+    "existence_margin": "local_solving",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",
     "methods": "methods",

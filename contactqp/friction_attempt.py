@@ -12,6 +12,7 @@ from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.free_motion import at_rest, free_motions
 from contactqp.friction.newton import refined, solve_newton
+from contactqp.friction.on_contacts import solve_on_contacts
 from contactqp.friction.tresca import solve_tresca
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings
@@ -19,7 +20,10 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Work
 from contactqp.violations import Answer
 
-ALGORITHMS = ("tresca", "newton", "enumeration")
+ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "admm", "enumeration")
+# Algorithms of convex steps.
+CONVEX = ("tresca", "aclm")
+DEFAULT_METHOD = "active-set"
 
 
 class FrictionAttempt:
@@ -79,8 +83,9 @@ class FrictionAttempt:
 def attempt_friction(
     problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None
 ) -> FrictionAttempt:
-    """An answer by `algorithm`; None is Newton's method from `settings.warm_start` if there is one, else or where that
-    fails Tresca's fixed point, then enumeration where that fails and contacts are few.
+    """An answer by `algorithm`. None is, in the plane, Newton's method from `settings.warm_start` if there is one, then
+    Tresca's fixed point, then the algorithms of the local form, then enumeration where contacts are few; in space the
+    algorithms of the local form, by steps of `method` where that is not the default.
 
     Raises
     ------
@@ -89,10 +94,10 @@ def attempt_friction(
     SeveralEquilibria
         Enumeration finds more than one.
     NotConverged, BackendFailed
-        Tresca's fixed point, or the convex method in it, gave up.
+        The algorithm, or the convex method in it, gave up.
     Unsupported
-        Two tangential directions a contact, bodies too large to factorise, a method that is approximate by design or
-        needs a regular stiffness, too many contacts to enumerate.
+        Bodies too large to factorise, a method that is approximate by design or needs a regular stiffness,
+        enumeration in space or of too many contacts.
     InvalidProblem
         There is no such algorithm.
     """
@@ -101,19 +106,42 @@ def attempt_friction(
     _refuse_unsupported(problem)
     if algorithm == "enumeration":
         return _only(problem)
+    if algorithm is None or algorithm in CONVEX:
+        _refuse_method(method)
+    if _in_space(problem) or algorithm not in (None, "tresca", "newton"):
+        convex = algorithm is None and method.name != DEFAULT_METHOD
+        return _on_contacts(problem, method, settings, "aclm" if convex else algorithm)
     if algorithm == "newton":
         return _by_newton(problem, settings)
-    _refuse_method(method)
-    if algorithm is None and settings.warm_start is not None:
+    if algorithm == "tresca":
+        return _by_tresca(problem, method, settings)
+    return _by_any(problem, method, settings)
+
+
+def _by_any(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
+    if settings.warm_start is not None:
         with suppress(NotConverged):
             return _by_newton(problem, settings)
     try:
         return _by_tresca(problem, method, settings)
-    except (NoEquilibrium, NotConverged):
-        if algorithm is not None or problem.contacts > MOST_CONTACTS:
+    except (NoEquilibrium, NotConverged) as error:
+        refuse_conflict(problem, condense(problem))
+        with suppress(NotConverged):
+            return _on_contacts(problem, method, settings, None)
+        if problem.contacts > MOST_CONTACTS:
+            raise error from None
+    return _only(problem)
+
+
+def _on_contacts(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionAttempt:
+    meter = Meter(problem)
+    with meter.running():
+        try:
+            found = solve_on_contacts(problem, condense(problem), method, settings, algorithm)
+        except NotConverged:
             refuse_conflict(problem, condense(problem))
             raise
-    return _only(problem)
+    return FrictionAttempt(problem, found.answer, meter, found.name, found.history, found.iterations)
 
 
 def attempt_on(
@@ -140,6 +168,8 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]
         As `attempt_friction`.
     """
     _refuse_unsupported(problem)
+    if _in_space(problem):
+        raise Unsupported("enumeration: two tangential rows a contact; slip directions in space cannot be listed")
     meter = Meter(problem)
     with meter.running():
         found = all_equilibria(problem, condense(problem))
@@ -192,10 +222,10 @@ def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> F
     return FrictionAttempt(problem, found.answer, meter, f"tresca with {method.name}", found.changes)
 
 
+def _in_space(problem: ContactProblem) -> bool:
+    return problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
+
+
 def _refuse_unsupported(problem: ContactProblem) -> None:
-    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
-        raise Unsupported(
-            "friction: two tangential rows a contact; it is solved in the plane only (certify judges both)"
-        )
     if iterated(problem):
         raise Unsupported("friction: a body this large is not factorised, and Coulomb friction is not iterated on")

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from contactqp.coulomb_cone import lengths, onto_cone
 from contactqp.errors import NotConverged
 from contactqp.friction.iterate import Iterate
-from contactqp.friction.local_form import BlockSystem, LocalForm
+from contactqp.friction.local_form import JOINT_REGULARISATION, BlockSystem, LocalForm
 
 # The residuals are compared after so many iterations, the penalty changes when they differ by this factor.
 EVERY, UNBALANCED = 20, 5.0
@@ -39,7 +39,8 @@ def admm(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
         for _ in range(EVERY):
             shift = form.q.reshape(form.m, form.d).copy()
             shift[:, 0] += form.mu * rho * lengths(y[:, 1:])
-            r, joint = system.solve((rho * (z - y) - shift).ravel(), -form.s)
+            held = JOINT_REGULARISATION * form.joint_signs * joint
+            r, joint = system.solve((rho * (z - y) - shift).ravel(), held - form.s)
             relaxed = RELAXATION * r.reshape(form.m, form.d) + (1 - RELAXATION) * z
             before, z = z, onto_cone(relaxed + y, form.mu)
             y = y + relaxed - z

@@ -61,8 +61,8 @@ class ContactForm:
             offset=HB @ (self._compliance @ self._load) + self._H @ start + w,
             friction=rows.coefficient,
             dimension=d,
-            bilateral=HB @ motions,
-            bilateral_offset=motions.T @ self._load,
+            bilateral=HB @ motions if motions.shape[1] else None,
+            bilateral_offset=motions.T @ self._load if motions.shape[1] else None,
             contact_names=problem.contact_names,
         )
 
@@ -80,6 +80,12 @@ class ContactForm:
         closed = np.where(slides | (form.mu == 0), direction, STICK)
         return np.where(pushed > 0, closed, OPEN).astype(np.int8)
 
+    def scaled_normal(self, normal_force: Vector) -> Array:
+        """Forces (m, d) of the local form with normal forces (m,) of the problem, and no friction."""
+        force = np.zeros((len(normal_force), self.local.dimension))
+        force[:, 0] = np.maximum(normal_force, 0.0) * self._rows.normal_length
+        return force
+
     def plain(self, form: LocalForm, iterate: Iterate) -> Answer:
         """The answer as the iterate has it."""
         rows = self._rows
@@ -90,7 +96,7 @@ class ContactForm:
         if len(rows.tie):
             load, _ = self._way.reduce_load(self._problem.load)
             left = load * rows.scale - rows.S @ x + self._H.T @ force.ravel()
-            tie = np.linalg.lstsq(rows.tie.T, left, rcond=None)[0]
+            tie = np.asarray(np.linalg.lstsq(rows.tie.T, left, rcond=None)[0], dtype=float)
         return Answer(
             self._way.expand(x * rows.scale, self._inner),
             force[:, 0] / rows.normal_length,

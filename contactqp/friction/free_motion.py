@@ -20,7 +20,13 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
     if not basis.shape[1] or problem.tangent is None or problem.friction is None:
         return basis
     pushes = answer.normal_force > 0
-    rows = sp.vstack([problem.normal[pushes], problem.tangent[pushes & (problem.friction > 0)], problem.tie])
+    rows = sp.vstack(
+        [
+            problem.normal[pushes],
+            problem.tangent[np.repeat(pushes & (problem.friction > 0), problem.tangent.shape[0] // problem.contacts)],
+            problem.tie,
+        ]
+    )
     if not rows.shape[0]:
         return basis
     size = np.max(abs(rows) @ abs(basis), axis=1, initial=0.0)

@@ -2,8 +2,8 @@
 
 Each contact solves its own law with its own block of W by projections r <- P_K(r - rho (u + mu |u_T| e_N)); rho adapts
 itself so that a step neither overshoots nor crawls (Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts
-that do not feel each other are of one colour and move together. Conditions V'r = -s on the forces, R = 0, become
-springs 1/e on the contacts and multipliers that follow every sweep (augmented Lagrangian).
+that do not feel each other are of one colour and move together. Joints follow every sweep,
+by proximal steps; conditions V'r = -s on the forces, R = 0, thereby become springs 1/e on the contacts and multipliers (augmented Lagrangian).
 """
 
 from __future__ import annotations
@@ -48,8 +48,10 @@ class _Sweeps:
         self.r, self.joint = start.force.copy(), start.joint_force.copy()
         W = form.W
         if form.joints:
-            self._stiffness = np.linalg.inv(form.R + JOINT_COMPLIANCE * np.eye(form.joints))
-            W = W + form.V @ self._stiffness @ form.V.T
+            # Positive where a joint has a compliance, negative where it is a condition on the forces.
+            self._regular = JOINT_COMPLIANCE * form.joint_signs
+            self._stiffness = np.linalg.inv(form.R + np.diag(self._regular))
+            W = W - form.V @ self._stiffness @ form.V.T
         self._W = sp.csr_array(W) if form.sparse else W
         self._blocks = _own_blocks(self._W, form.m, form.d)
         largest = np.linalg.norm(self._blocks, axis=(1, 2))
@@ -65,8 +67,8 @@ class _Sweeps:
         """One sweep over all contacts."""
         form, q = self._form, self._form.q
         if form.joints:
-            # l = -(R + e)^-1 (V'r + s - e l_old): the contacts feel it through V as springs that V'r moves.
-            held = self._stiffness @ (JOINT_COMPLIANCE * self.joint - form.s)
+            # l = (R + e)^-1 (e l_old - s - V'r): what of it is no spring on the contacts.
+            held = self._stiffness @ (self._regular * self.joint - form.s)
             q = q + form.V @ held
         q = q.reshape(form.m, form.d)
         for colour, rows in self._colours:
@@ -75,7 +77,7 @@ class _Sweeps:
             outer -= np.einsum("iab,ib->ia", own, before)
             self.r[colour], self._rho[colour] = solve_contacts(own, outer, form.mu[colour], before, self._rho[colour])
         if form.joints:
-            self.joint = self._stiffness @ (JOINT_COMPLIANCE * self.joint - form.s - form.V.T @ self.r.ravel())
+            self.joint = self._stiffness @ (self._regular * self.joint - form.s - form.V.T @ self.r.ravel())
 
 
 def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:

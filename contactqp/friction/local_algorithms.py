@@ -61,6 +61,8 @@ ALGORITHMS = {
 }
 # Newton's method starts from iterates at these counts, growing by a half.
 FIRST_POLISH = 4
+# So many iterates may come to nothing; then the later half must be better than this part of the earlier.
+PATIENCE, HARDLY_BETTER = 40, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ def run_algorithm(
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
             best = found if found.error < best.error or not history else best
-            last = found.iterations >= limit or deadline.passed
+            last = found.iterations >= limit or deadline.passed or _stagnates(history)
             candidate = found
             if polish and (found.iterations >= next_polish or last) and algorithm.name != "newton":
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
@@ -116,6 +118,12 @@ def run_algorithm(
         raise NotConverged(f"{name}: {error}", tuple(history)) from error
     kept = replace(best, iterations=len(history), history=tuple(history))
     return Outcome(kept, name, False, steps)
+
+
+def _stagnates(errors: list[float]) -> bool:
+    """Whether the later half of many iterates is hardly better than the earlier."""
+    count = len(errors)
+    return count >= PATIENCE and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
 
 
 # Tried one after another where no algorithm is asked for: name, iterations.

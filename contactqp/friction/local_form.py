@@ -24,8 +24,8 @@ from contactqp.problem_data import Vector
 # Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
 DENSE_SIZE = 1200
 SPARSE_DENSITY = 0.05
-# What joints without offset, of forces of size one, leave open.
-TINY = np.finfo(float).tiny
+# Motions that no contact resists have no say in any force: this keeps their equations regular, unit columns of V by.
+JOINT_REGULARISATION = 1e-12
 
 
 class LocalForm:
@@ -62,6 +62,11 @@ class LocalForm:
     def joints(self) -> int:
         """Number of joints p."""
         return len(self.s)
+
+    @cached_property
+    def joint_signs(self) -> Vector:
+        """(p,) the signs by which R may be regularised: 1 for joints with a compliance, -1 for conditions on forces."""
+        return np.where(np.any(self.R != 0, axis=1), 1.0, -1.0)
 
     @cached_property
     def asymmetric(self) -> bool:
@@ -107,20 +112,21 @@ class LocalForm:
 
 
 class BlockSystem:
-    """The factors of [[A, V], [V', R]], A being (d m, d m), dense or sparse."""
+    """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none."""
 
     def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
         V = form.V if coupling is None else coupling
+        R = form.R + JOINT_REGULARISATION * np.diag(form.joint_signs)
         self._size, self._sparse = A.shape[0], form.sparse
         if form.sparse:
             from scipy.sparse.linalg import splu
 
-            blocks = sp.block_array([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), form.R]]) if form.joints else A
+            blocks = sp.block_array([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
             self._factor: Any = splu(sp.csc_matrix(blocks))
         else:
             from scipy.linalg import lu_factor
 
-            blocks = np.block([[A, V], [form.V.T, form.R]]) if form.joints else A
+            blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
             self._factor = lu_factor(blocks, check_finite=False)
 
     def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:

@@ -1,0 +1,91 @@
+"""Whether Coulomb's law can hold at all: balance of forces in their cones, and the test of Acary and others (2011).
+
+That test: if some velocity u = W y + V l + q lies inside all dual cones K* = {u_N >= mu |u_T|}, the map from shifts
+to |u_T| has a fixed point, and there is a solution for any coefficient of friction. It is sufficient, not necessary.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.coulomb_cone import lengths
+from contactqp.errors import NoEquilibrium
+from contactqp.friction.conic import ConicProgram, diagonal_rows, solve_conic
+from contactqp.friction.local_form import LocalForm
+from contactqp.methods import Settings
+
+# The direction of an unbalanced motion is believed where cones and load miss it by less than this part.
+SURE = 1e-6
+SOLVER, SETTINGS = "clarabel", Settings(tolerance=1e-9)
+
+
+def refuse_unbalanced(form: LocalForm) -> None:
+    """Raise NoEquilibrium where no forces in their cones balance the load along free motions, V'r = -s.
+
+    The proof is a motion g along which no such force does negative work while the load does: V g in K*, g's > 0.
+    """
+    hard = np.flatnonzero(form.joint_signs < 0)
+    V, s = form.V[:, hard], form.s[hard]
+    if not np.any(s):
+        return
+    size = form.m * form.d
+    slope = np.ones((form.m, form.d))
+    slope[:, 0] = form.mu
+    normal = sp.csr_array((-np.ones(form.m), (np.arange(form.m), form.d * np.arange(form.m))), shape=(form.m, size))
+    program = ConicProgram(
+        P=V @ V.T,
+        c=V @ s,
+        A=sp.csc_array(sp.vstack([normal, -diagonal_rows(slope)])),
+        b=np.zeros(form.m + size),
+        zeros=0,
+        nonnegatives=form.m,
+        cones=form.m,
+        width=form.d,
+    )
+    r, _ = solve_conic(program, SOLVER, SETTINGS)
+    motion = V.T @ r + s
+    if float(motion @ s) <= SURE * float(np.linalg.norm(motion) * np.linalg.norm(s)):
+        return
+    moves = (V @ motion).reshape(form.m, form.d)
+    into = form.mu * lengths(moves[:, 1:]) - moves[:, 0]
+    reach = np.max(abs(V) @ abs(motion), initial=0.0)
+    if np.max(into, initial=0.0) <= SURE * reach and np.linalg.norm(motion) > SURE * np.linalg.norm(s):
+        raise NoEquilibrium("friction: the load drives a rigid motion that neither contacts nor friction hold")
+
+
+def interior_margin(form: LocalForm) -> float:
+    """The largest x <= 1 with W y + V l + q - x e_N in K* for some y and l; positive: a solution exists.
+
+    Scaled: contacts have a compliance of one and q has entries of size one.
+    """
+    soft, hard = np.flatnonzero(form.joint_signs > 0), np.flatnonzero(form.joint_signs < 0)
+    size, p = form.m * form.d, form.joints
+    order = np.concatenate([soft, hard])
+    V, q = form.V[:, order], form.q.reshape(form.m, form.d)
+    slope = np.ones((form.m, form.d))
+    slope[:, 1:] = form.mu[:, None]
+    scale = diagonal_rows(slope)
+    towards = np.zeros((form.m, form.d))
+    towards[:, 0] = -1.0
+    reach = sp.hstack([sp.csr_array(form.W), sp.csr_array(V), sp.csr_array(towards.reshape(-1, 1))])
+    balance = sp.hstack(
+        [
+            sp.csr_array(form.V[:, soft].T),
+            sp.csr_array(form.R[np.ix_(soft, soft)]),
+            sp.csr_array((len(soft), len(hard) + 1)),
+        ]
+    )
+    limit = sp.csr_array(([1.0], ([0], [size + p])), shape=(1, size + p + 1))
+    program = ConicProgram(
+        P=sp.csc_array((size + p + 1, size + p + 1)),
+        c=np.append(np.zeros(size + p), -1.0),
+        A=sp.csc_array(sp.vstack([balance, limit, -scale @ reach])),
+        b=np.concatenate([-form.s[soft], [1.0], (slope * q).ravel()]),
+        zeros=len(soft),
+        nonnegatives=1,
+        cones=form.m,
+        width=form.d,
+    )
+    x, _ = solve_conic(program, SOLVER, SETTINGS)
+    return float(x[-1])
