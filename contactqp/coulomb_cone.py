@@ -52,6 +52,11 @@ def de_saxce(velocity: Vectors, friction: Vector) -> Vectors:
 
 
 def natural_map(force: Vectors, velocity: Vectors, friction: Vector, rho: float | Vector = 1.0) -> Vectors:
-    """r - P_K(r - rho (u + mu |u_T| e_N)): zero exactly where the law holds."""
-    step = np.broadcast_to(np.asarray(rho, dtype=float), friction.shape)[:, None]
-    return np.asarray(force - onto_cone(force - step * de_saxce(velocity, friction), friction))
+    """r - P_K(r - rho (u + mu |u_T| e_N)): zero exactly where the law holds.
+
+    Where r - rho (...) lies in K the difference is rho (...), which is not lost beside a force that is very large.
+    """
+    step = np.broadcast_to(np.asarray(rho, dtype=float), friction.shape)[:, None] * de_saxce(velocity, friction)
+    moved = force - step
+    inside = lengths(moved[:, 1:]) <= friction * moved[:, 0]
+    return np.where(inside[:, None], step, force - onto_cone(moved, friction))

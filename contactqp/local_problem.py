@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.extended import SparseRows, extend
 from contactqp.problem_data import Matrix, Vector, read_coefficient, read_matrix, read_names, read_vector
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
@@ -152,11 +153,14 @@ class LocalProblem:
         return self.contact_names[i] if self.contact_names else f"contact {i}"
 
     def velocity(self, force: NDArray[np.float64], joint_force: Vector | None = None) -> NDArray[np.float64]:
-        """u = W r + q + V l, (m, d), of forces (m, d) and (p,)."""
-        u = self.delassus @ np.asarray(force, dtype=float).ravel() + self.offset
+        """u = W r + q + V l, (m, d), of forces (m, d) and (p,), in twice double precision.
+
+        Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+        """
+        u = SparseRows(self.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(self.offset)
         if joint_force is not None and self.joints:
-            u = u + self.bilateral @ joint_force
-        return np.asarray(u.reshape(self.contacts, self.dimension))
+            u = u + SparseRows(self.bilateral) @ extend(joint_force)
+        return np.asarray(u.double().reshape(self.contacts, self.dimension))
 
     def __repr__(self) -> str:
         joints = f", {self.joints} joints" if self.joints else ""

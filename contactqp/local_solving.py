@@ -9,6 +9,7 @@ import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
 from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
+from contactqp.friction.convex_steps import OPTIONS as POLYGON_OPTIONS
 from contactqp.friction.existence_test import interior_margin, refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
@@ -54,6 +55,7 @@ def solve_local(
         algorithm = "aclm"
     if algorithm is not None and algorithm not in ALGORITHMS:
         raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
+    _refuse_options(method, algorithm, options)
     began = time.perf_counter()
     form = LocalForm(problem)
     settings = Settings(tolerance, max_iter, time_limit, None, options)
@@ -66,7 +68,8 @@ def solve_local(
         start = Iterate.at(form, form.scaled(warm_start.force), form.joint_force(form.scaled(warm_start.force)))
 
     def accepted(iterate: Iterate) -> bool:
-        if not iterate.error <= WORTH_JUDGING * max(1.0, float(np.max(abs(iterate.force), initial=0.0))):
+        size = max(1.0, float(np.max(abs(iterate.force), initial=0.0)))
+        if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * size:
             return False
         return certify_local(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
 
@@ -79,11 +82,20 @@ def solve_local(
     solution = _solution(problem, form, outcome, tolerance, began)
     if outcome.accepted:
         return solution
-    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_polygon(outcome)}"
+    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floors(outcome)}"
     if polish:
         count = outcome.iterate.iterations
         raise NotConverged(f"{reason} (after {count} iterations)", outcome.iterate.history, solution)
     raise NotCertified(reason, solution)
+
+
+def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any]) -> None:
+    convex = algorithm is not None and ALGORITHMS[algorithm].convex
+    known = (*POLYGON_OPTIONS, *find(method).options) if convex else ()
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        whose = f"{algorithm} with {method}" if convex else (algorithm or "friction")
+        raise InvalidProblem(f"{whose}: unknown option {unknown[0]!r}; its own options: {', '.join(known) or 'none'}")
 
 
 def existence_margin(problem: LocalProblem) -> float:
@@ -116,13 +128,21 @@ def existence_margin(problem: LocalProblem) -> float:
     return interior_margin(form)
 
 
-def _polygon(outcome: Outcome) -> str:
+def _floors(outcome: Outcome) -> str:
+    """What convex steps by themselves cannot do better than."""
     steps = outcome.steps
-    if steps is None or not steps.cone_error:
+    if steps is None:
         return ""
+    asymmetry = ""
+    if steps.asymmetry:
+        asymmetry = (
+            f"; a minimisation sees the symmetric part of delassus only, which is off by {steps.asymmetry:.2g} of it"
+        )
+    if not steps.cone_error:
+        return asymmetry
     return (
-        f"; polygons of {steps.facets} sides, {steps.polygon}, are up to {steps.cone_error:.2g} of the friction bound "
-        "off the cone"
+        f"{asymmetry}; polygons of {steps.facets} sides, {steps.polygon}, are up to {steps.cone_error:.2g} of the "
+        "friction bound off the cone"
     )
 
 

@@ -69,4 +69,7 @@ def _first_penalty(form: LocalForm) -> float:
 def _factorised(form: LocalForm, rho: float) -> BlockSystem:
     size = form.m * form.d
     identity = sp.identity(size, format="csr") if form.sparse else np.eye(size)
-    return BlockSystem(form, form.W + rho * identity)
+    try:
+        return BlockSystem(form, form.W + rho * identity)
+    except np.linalg.LinAlgError as error:
+        raise NotConverged(f"admm: singular at the penalty {rho:.3g}") from error

@@ -27,6 +27,7 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.scaling import nondimensional
 
 FACETS = 16
+OPTIONS = ("facets", "polygon")
 POLYGONS = ("inscribed", "circumscribed")
 
 
@@ -73,6 +74,11 @@ class ConvexSteps:
             )
         if not self._method.semidefinite:
             raise Unsupported(f"{self._method.name}: the convex steps of friction may be singular; try active-set")
+
+    @property
+    def asymmetry(self) -> float:
+        """max |W - W'| / 2 max |W|: what a minimisation leaves out of W; 0 where that is rounding."""
+        return self._form.problem.asymmetry / 2 if self._form.asymmetric else 0.0
 
     @property
     def cone_error(self) -> float:

@@ -2,8 +2,8 @@
 
 Each contact solves its own law with its own block of W by projections r <- P_K(r - rho (u + mu |u_T| e_N)); rho adapts
 itself so that a step neither overshoots nor crawls (Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts
-that do not feel each other are of one colour and move together. Joints follow every sweep,
-by proximal steps; conditions V'r = -s on the forces, R = 0, thereby become springs 1/e on the contacts and multipliers (augmented Lagrangian).
+that do not feel each other are of one colour and move together. Joints follow every sweep by a proximal step, by which
+conditions V'r = -s on the forces, R = 0, become springs 1/e on the contacts and multipliers (augmented Lagrangian).
 """
 
 from __future__ import annotations

@@ -112,7 +112,13 @@ class LocalForm:
 
 
 class BlockSystem:
-    """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none."""
+    """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none.
+
+    Raises
+    ------
+    LinAlgError
+        It is singular.
+    """
 
     def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
         V = form.V if coupling is None else coupling
@@ -122,12 +128,18 @@ class BlockSystem:
             from scipy.sparse.linalg import splu
 
             blocks = sp.block_array([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
-            self._factor: Any = splu(sp.csc_matrix(blocks))
+            try:
+                self._factor: Any = splu(sp.csc_matrix(blocks))
+            except RuntimeError as error:
+                raise np.linalg.LinAlgError(str(error)) from error
         else:
-            from scipy.linalg import lu_factor
+            from scipy.linalg.lapack import dgetrf
 
             blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
-            self._factor = lu_factor(blocks, check_finite=False)
+            factor, pivots, info = dgetrf(blocks)
+            if info > 0:
+                raise np.linalg.LinAlgError(f"pivot {info} is zero")
+            self._factor = (factor, pivots)
 
     def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:
         """x (d m,) and l (p,)."""
