@@ -12,20 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.condensation import condense, unknown_scale
 from contactqp.errors import NotConverged
-from contactqp.factorization import null_space
+from contactqp.methods.floating_bodies import NEGLIGIBLE, FloatingBodies
 from contactqp.methods.textbook_algebra import Indices, Mask, SingularSystem
 from contactqp.problem import ContactProblem, Vector
-
-# Parts of a dependent row of unit length, and what such rows feel of unit motions, below this are rounding.
-NEGLIGIBLE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,25 +44,9 @@ class Sets:
     enforce: Enforcement
 
     @cached_property
-    def rigid(self) -> NDArray[np.float64]:
-        """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
-        if not condense(self.problem).rigid.count:
-            return np.zeros((self.problem.dimension, 0))
-        return np.linalg.qr(null_space(self.problem.stiffness).motions / self._scale[:, None])[0]
-
-    @cached_property
-    def normal(self) -> NDArray[np.float64]:
-        """(m, n) rows of the contacts, of unit length in these unknowns."""
-        return _unit(self.problem.normal, self._scale)
-
-    @cached_property
-    def tie(self) -> NDArray[np.float64]:
-        """(k, n) rows of the ties, likewise."""
-        return _unit(self.problem.tie, self._scale)
-
-    @cached_property
-    def _scale(self) -> Vector:
-        return unknown_scale(self.problem)
+    def bodies(self) -> FloatingBodies:
+        """The rigid motions, and the rows that feel them."""
+        return FloatingBodies(self.problem)
 
     def step(self, closed: Mask, preference: Indices) -> Step:
         """The equality problem of a set.
@@ -79,10 +56,9 @@ class Sets:
         SingularSystem
             The set does not hold the bodies: told from the motions themselves, which rounding may hide in the system.
         """
-        r = self.rigid.shape[1]
-        if r:
-            felt = np.linalg.svd(np.vstack([self.normal[closed], self.tie]) @ self.rigid, compute_uv=False)
-            if np.count_nonzero(felt > NEGLIGIBLE) < r:
+        if self.bodies.rigid.shape[1]:
+            rows = np.vstack([self.bodies.normal[closed], self.bodies.tie])
+            if not self.bodies.held_by(rows):
                 raise SingularSystem(f"{self.name}: the bodies are not held by the contacts that are closed")
         return self.enforce(closed, preference)
 
@@ -115,18 +91,10 @@ class Sets:
         changed[other] = not changed[other]
         return self.step(changed, preference)
 
-    def carried(self, forces: Vector) -> Vector:
-        """What rounding of forces (n,) makes of contact forces (m,): a floating body hands all to its contacts."""
-        if not self.rigid.shape[1]:
-            return np.zeros(self.problem.contacts)
-        felt = abs(self.normal @ self.rigid) > NEGLIGIBLE
-        length = np.linalg.norm((self.problem.normal @ sp.diags(self._scale)).toarray(), axis=1)
-        return np.asarray(16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (self._scale * forces))) / length)
-
     def _in_the_way(self, closed: Mask, entering: Mask) -> int:
         """With E_i = c'[E_B; A], the least k in B with c_k > 0: unless one of them gives way, E_i u cannot decrease."""
-        rows = np.vstack([self.normal[closed], self.tie])
-        weights = np.linalg.lstsq(rows.T, self.normal[entering][0], rcond=None)[0][: np.count_nonzero(closed)]
+        rows = np.vstack([self.bodies.normal[closed], self.bodies.tie])
+        weights = np.linalg.lstsq(rows.T, self.bodies.normal[entering][0], rcond=None)[0][: np.count_nonzero(closed)]
         blocking = np.flatnonzero(closed)[weights > NEGLIGIBLE]
         if blocking.size == 0:
             raise NotConverged(f"{self.name}: {self._named(entering)} is penetrated and no closed contact can give way")
@@ -134,12 +102,12 @@ class Sets:
 
     def _next_stop(self, others: Mask, leaving: Mask) -> int:
         """The open contact of least index that is approached by the rigid motion that leaves contact i alone."""
-        rows = np.vstack([self.normal[others], self.tie, self.normal[leaving]]) @ self.rigid
+        rows = np.vstack([self.bodies.normal[others], self.bodies.tie, self.bodies.normal[leaving]]) @ self.bodies.rigid
         opening = np.append(np.zeros(len(rows) - 1), -1.0)
         coordinates = np.linalg.lstsq(rows, opening, rcond=NEGLIGIBLE)[0]
         if np.linalg.norm(rows @ coordinates - opening) > np.sqrt(NEGLIGIBLE):
             raise NotConverged(f"{self.name}: the system of equations is singular without {self._named(leaving)}")
-        approach = self.normal @ self.rigid @ (coordinates / np.linalg.norm(coordinates))
+        approach = self.bodies.normal @ self.bodies.rigid @ (coordinates / np.linalg.norm(coordinates))
         ahead = np.flatnonzero(~others & ~leaving & (approach > NEGLIGIBLE))
         if ahead.size == 0:
             raise NotConverged(f"{self.name}: nothing stops the body that the load drives off {self._named(leaving)}")
@@ -147,8 +115,3 @@ class Sets:
 
     def _named(self, contact: Mask) -> str:
         return self.problem.contact_name(int(np.flatnonzero(contact)[0]))
-
-
-def _unit(rows: Any, D: Vector) -> NDArray[np.float64]:
-    dense = np.asarray((rows @ sp.diags(D)).toarray())
-    return np.asarray(dense / np.linalg.norm(dense, axis=1, keepdims=True))

@@ -140,9 +140,10 @@ def solve_bordered(
     values: Vector,
     corner: Vector | None = None,
     *,
+    pushed: Matrix | None = None,
     refined: bool = False,
 ) -> tuple[Vector, Vector]:
-    """Solve [[matrix, rows'], [rows, diag(corner)]] {x; y} = {load; values}.
+    """Solve [[matrix, pushed'], [rows, diag(corner)]] {x; y} = {load; values}.
 
     Parameters
     ----------
@@ -152,6 +153,8 @@ def solve_bordered(
     values : (r,)
     corner : (r,), optional
         Diagonal of the lower right block, zero by default.
+    pushed : (r, n) csr_array, optional
+        Where the forces y act, `rows` by default; contacts that slip push along other rows than they hold.
     refined : bool
         As for `solve_linear`.
 
@@ -162,13 +165,13 @@ def solve_bordered(
     """
     n, r = matrix.shape[0], rows.shape[0]
     corner = np.zeros(r) if corner is None else corner
+    pushed = rows if pushed is None else pushed
     if r == 0:
         return solve_linear(name, matrix, load, refined=refined), np.zeros(0)
     if sp.issparse(matrix):
-        system = sp.bmat([[matrix, rows.T], [rows, sp.diags(corner)]], format="csc")
+        system = sp.bmat([[matrix, pushed.T], [rows, sp.diags(corner)]], format="csc")
     else:
-        C = rows.toarray()
-        system = np.block([[matrix, C.T], [C, np.diag(corner)]])
+        system = np.block([[matrix, pushed.toarray().T], [rows.toarray(), np.diag(corner)]])
     solution = solve_linear(name, system, np.concatenate([load, values]), refined=refined)
     return solution[:n], solution[n:]
 
@@ -195,11 +198,12 @@ def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refine
             f"{name}: the system of equations is singular: the bodies are not held by the contacts that are closed, "
             "or springs are so stiff that the bodies' stiffness is lost beside them"
         )
-    x = np.asarray(solve(load))
-    return np.asarray(x + solve(load - matrix @ x)) if refined else x
+    x = np.asarray(solve(load, False))
+    return np.asarray(x + solve(load - matrix @ x, False)) if refined else x
 
 
-Solver = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+# Solves for a right-hand side; with the transposed matrix where the second argument is true.
+Solver = Callable[[NDArray[np.float64], bool], NDArray[np.float64]]
 
 
 def _dense_lu(matrix: NDArray[np.float64]) -> Solver | None:
@@ -209,7 +213,7 @@ def _dense_lu(matrix: NDArray[np.float64]) -> Solver | None:
     factors, pivots, zero_pivot = lapack.dgetrf(matrix)
     if zero_pivot:
         return None
-    return lambda load: np.asarray(lapack.dgetrs(factors, pivots, load)[0])
+    return lambda load, transposed: np.asarray(lapack.dgetrs(factors, pivots, load, trans=int(transposed))[0])
 
 
 def _sparse_lu(matrix: Matrix) -> Solver | None:
@@ -219,36 +223,41 @@ def _sparse_lu(matrix: Matrix) -> Solver | None:
         factors = splu(sp.csc_array(matrix))
     except RuntimeError:  # "Factor is exactly singular"
         return None
-    return lambda load: np.asarray(factors.solve(load))
+    return lambda load, transposed: np.asarray(factors.solve(load, "T" if transposed else "N"))
 
 
 def _hopeless(matrix: Matrix, solve: Solver) -> bool:
-    """Whether 1 / (|S M S| |(S M S)^-1|) <= n eps in the 1-norm, with the S that equilibrates the symmetric M.
+    """Whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, with the diagonal R and C that equilibrate M.
 
-    With S, stiffness beside penalty or beside multiplier rows is not mistaken for singularity.
+    With them, stiffness beside penalty or beside multiplier rows is not mistaken for singularity. For a symmetric M
+    they are the same.
     """
     from scipy.sparse.linalg import LinearOperator, onenormest
 
     n = matrix.shape[0]
     size = abs(matrix)
-    scale = np.ones(n)
+    rows, columns = np.ones(n), np.ones(n)
     for _ in range(3):  # Ruiz equilibration; it settles in two or three sweeps
-        largest = _row_maxima(size, scale)
-        scale = scale / np.sqrt(np.where(largest > 0, largest, 1.0))
-    norm = float(np.max(scale * (size.T @ scale)))
+        of_rows, of_columns = _row_maxima(size, rows, columns), _row_maxima(size.T, columns, rows)
+        rows = rows / np.sqrt(np.where(of_rows > 0, of_rows, 1.0))
+        columns = columns / np.sqrt(np.where(of_columns > 0, of_columns, 1.0))
+    norm = float(np.max(columns * (size.T @ rows)))
 
     def scaled_solve(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(solve(np.ravel(x) / scale) / scale)
+        return np.asarray(solve(np.ravel(x) / rows, False) / columns)
 
-    inverse = LinearOperator((n, n), matvec=scaled_solve, rmatvec=scaled_solve, dtype=float)
+    def scaled_solve_transposed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(solve(np.ravel(x) / columns, True) / rows)
+
+    inverse = LinearOperator((n, n), matvec=scaled_solve, rmatvec=scaled_solve_transposed, dtype=float)
     with np.errstate(all="ignore"):
         bound = norm * float(onenormest(inverse, t=1))
     return not bound * n * np.finfo(float).eps < 1
 
 
-def _row_maxima(size: Matrix, scale: Vector) -> Vector:
-    """max over j of s_i |M_ij| s_j for each row i."""
+def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
+    """max over j of r_i |M_ij| c_j for each row i."""
     if sp.issparse(size):
-        scaled = sp.diags(scale) @ size @ sp.diags(scale)
+        scaled = sp.diags(rows) @ size @ sp.diags(columns)
         return np.asarray(scaled.max(axis=1).toarray()).ravel()
-    return np.asarray((scale[:, None] * size * scale).max(axis=1))
+    return np.asarray((rows[:, None] * size * columns).max(axis=1))

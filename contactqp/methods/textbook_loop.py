@@ -10,15 +10,15 @@ penalty, perturbed and augmented Lagrangian differ, so each is one function from
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.methods.criss_cross import Enforcement, Sets, Step
 from contactqp.methods.method import Settings
-from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING, Mask, SingularSystem
-from contactqp.problem import ContactProblem, Matrix, Vector
+from contactqp.methods.textbook_algebra import Mask, SingularSystem
+from contactqp.methods.textbook_rounding import Sizes
+from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 
 
@@ -69,7 +69,7 @@ class _Loop:
     ) -> None:
         self._name, self._problem, self._settings = name, problem, settings
         self._sets = Sets(name, problem, enforce)
-        self._stiffness, self._sizes = stiffness, _Sizes.of(problem)
+        self._stiffness, self._sizes = stiffness, Sizes.of(problem, self._sets.bodies)
         self._started = time.perf_counter()
         self._limit = settings.max_iter or 50 * problem.contacts + 200
         self._textbook_steps: int | None = None  # how many there were, once the loop goes one contact at a time
@@ -143,46 +143,15 @@ def _warm_set(problem: ContactProblem, settings: Settings) -> Mask:
     return np.asarray(settings.warm_start.normal_force > 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sizes:
-    """Absolute values of the problem's matrices, for the size of what rounding can do."""
-
-    stiffness: Matrix
-    normal: Matrix
-    tie: Matrix
-
-    @classmethod
-    def of(cls, problem: ContactProblem) -> _Sizes:
-        return cls(abs(problem.stiffness), abs(problem.normal), abs(problem.tie))
-
-    def forces(self, problem: ContactProblem, step: Step) -> Vector:
-        """F_j, the size of the forces that meet at unknown j (n,) [force]."""
-        u, force, tie_force = np.abs(step.displacement), np.abs(step.normal_force), np.abs(step.tie_force)
-        return np.asarray(self.stiffness @ u + self.normal.T @ force + self.tie.T @ tie_force + problem.load_size)
-
-    def tremor(self, forces: Vector) -> tuple[Vector, Vector]:
-        """What rounding makes of a force and of a displacement that should be zero, (n,) each [force], [length].
-
-        The rounding of F_k moves unknown k by 16 eps F_k / K_kk, and its neighbours j feel |K_jk| times that.
-        """
-        diagonal = self.stiffness.diagonal()
-        softness = 1.0 / np.where(diagonal > 0, diagonal, np.inf)
-        shaken = 16 * np.finfo(float).eps * (self.stiffness @ (softness * forces))
-        return shaken, softness * shaken
-
-
-def _changes(sets: Sets, sizes: _Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
+def _changes(sets: Sets, sizes: Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
     """Open contacts that penetrate and closed contacts in tension, both by more than rounding."""
     problem, closed = sets.problem, step.bound
     if problem.contacts == 0:
         return closed, closed
-    normal, forces = sizes.normal, sizes.forces(problem, step)
-    shaken, moved = sizes.tremor(forces)
-    # A force is noise when it is at one of the contact's unknowns j: min over j of the noise there / |E_ij|.
-    noise = np.minimum.reduceat((TEXTBOOK_ROUNDING * forces + shaken)[normal.indices] / normal.data, normal.indptr[:-1])
-    noise = noise + sets.carried(forces)
-    length = TEXTBOOK_ROUNDING * (normal @ np.abs(step.displacement) + np.abs(problem.gap)) + normal @ moved
+    pushes = ((problem.normal, step.normal_force), (problem.tie, step.tie_force))
+    noise = sizes.noise(step.displacement, sizes.forces(step.displacement, pushes))
+    length = noise.of_lengths(problem.normal, problem.gap)
     penetration = problem.normal @ step.displacement - problem.gap
     incoming = ~closed & (penetration > length)
-    outgoing = closed & (step.normal_force < -(noise + stiffness * length))
+    outgoing = closed & (step.normal_force < -(noise.of_forces(problem.normal) + stiffness * length))
     return incoming, outgoing

@@ -364,6 +364,20 @@ def test_dependent_rows_bind_where_they_are_violated() -> None:
     require_near("forces", candidate.normal_force, [0.0, 110.625], 1e-13)
 
 
+@pytest.mark.parametrize("form", [np.asarray, sp.csc_array], ids=["dense", "sparse"])
+def test_unsymmetric_systems_are_singular_or_not_whatever_their_units(form: object) -> None:
+    """Rows and columns scaled apart by 1e-9 to 1e9: one is regular, its twin has a row that is twice another."""
+    random = np.random.default_rng(8)
+    for _ in range(20):
+        matrix = random.standard_normal((6, 6))
+        rows, columns = 10.0 ** random.uniform(-9, 9, (2, 6))
+        scaled, x = rows[:, None] * matrix * columns, random.standard_normal(6) / columns
+        require_near("x", solve_linear("free", form(scaled), scaled @ x) * columns, x * columns, 1e-9)
+        matrix[3] = 2 * matrix[1]
+        with pytest.raises(NotConverged, match="singular"):
+            solve_linear("free", form(rows[:, None] * matrix * columns), rows)
+
+
 def test_independent_rows_keep_the_first_of_dependent_ones() -> None:
     rows = sp.csr_array([[1.0, 0, 0], [0, 1, 0], [1, 1, 0], [2, 0, 0], [1, 1, 1e-9], [0, 0, 5.0]])
     assert independent_rows(rows).tolist() == [0, 1, 4]

@@ -87,8 +87,8 @@ def semidefinite_problem(seed: int) -> ContactProblem | None:
 
 def feasible_set(problem: ContactProblem) -> bool:
     """Whether some set of contacts holds the bodies: without one there is no unique displacement to ask for."""
-    Z = sets(problem).rigid
-    return bool(np.linalg.matrix_rank(sets(problem).normal @ Z, tol=1e-10) == Z.shape[1])
+    Z = sets(problem).bodies.rigid
+    return bool(np.linalg.matrix_rank(sets(problem).bodies.normal @ Z, tol=1e-10) == Z.shape[1])
 
 
 @settings(max_examples=300, deadline=None)
