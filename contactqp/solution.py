@@ -25,11 +25,14 @@ class Candidate:
     claimed: bool = True  # does the method itself call this solved?
     status: str = ""  # the backend's own words
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
+    friction_force: NDArray[np.float64] | None = None  # (m, d-1) l_T, of a method that enforces friction itself
+    contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, likewise
 
     @property
     def finite(self) -> bool:
         """Whether every number of it is one."""
-        return all(np.all(np.isfinite(part)) for part in (self.displacement, self.normal_force, self.tie_force))
+        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
+        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ class Final:
     corrections: int = 0  # of the contact set
     polished: bool = False
     friction_force: NDArray[np.float64] | None = None  # (m, d-1); None: nothing rubs
+    contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
 
 
 @dataclass(frozen=True, eq=False)

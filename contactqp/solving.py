@@ -12,6 +12,7 @@ from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
+from contactqp.enforced_attempt import EnforcedAttempt
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.friction_attempt import attempt_friction
 from contactqp.iterated_attempt import IteratedAttempt
@@ -71,11 +72,12 @@ def solve(
         With friction: "tresca" (a fixed point on the friction bound, each step by `method`, `max_iter` steps;
         `contactqp.friction.tresca`), "enumeration" (all combinations of open, stick and slip of at most eight contacts;
         `method` is not used), or None: the former, and the latter where it fails. Either answer is solved to the last
-        digits on its combination, `polish` or not. Where there are several equilibria the fixed point returns one of
-        them and does not know: `contactqp.equilibria` lists them.
+        digits on its combination, `polish` or not. Methods of kind "classical enforcement" take no algorithm: they have
+        systems of stick and slip of their own, of the problem as it is, uncondensed. Where there are several equilibria
+        one of them is returned, by enumeration alone none: `contactqp.equilibria` lists them.
     **options
-        What the method names in its `options`: `penalty` [force / length], `perturbation` [force / length], `update`,
-        `solver`.
+        What the method names in its `options`: `penalty`, `tangential_penalty` and `perturbation` [force / length],
+        `update`, `solver`.
 
     Raises
     ------
@@ -168,7 +170,9 @@ def begin(
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem):
         attempt: Attempt
-        if problem.frictional:
+        if problem.frictional and chosen.solve_friction is not None:
+            attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
+        elif problem.frictional:
             attempt = found = attempt_friction(problem, chosen, settings, algorithm)
             chosen = replace(chosen, name=found.name)
         else:
@@ -232,7 +236,9 @@ class Begun:
             normal_force=final.normal_force,
             friction_force=friction,
             tie_force=final.tie_force,
-            contact_status=contact_status(problem, certificate),
+            contact_status=contact_status(problem, certificate)
+            if final.contact_status is None
+            else final.contact_status,
             free_motions=final.free_motions,
             certificate=certificate,
             method=self.method.name,

@@ -46,6 +46,11 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:
         raise InvalidProblem(f"{method.name}: {missing[0]} has no default, state it: solve(..., {missing[0]}=...)")
+    if algorithm is not None and problem.frictional and method.solve_friction is not None:
+        raise Unsupported(
+            f"{method.name}: algorithm={algorithm!r} takes convex steps of another method, and this one has systems of "
+            "stick and slip of its own: leave one of the two out"
+        )
     if algorithm is not None and not problem.frictional:
         raise Unsupported(
             f"{method.name}: algorithm={algorithm!r} is an outer law of friction, and this problem has none"

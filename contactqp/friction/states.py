@@ -13,7 +13,6 @@ inverse: residuals are formed on the full problem in twice double precision, as 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.coulomb_cone import directions as directions_of
@@ -22,11 +21,12 @@ from contactqp.extended import Extended, extend, extended_rows, two_product
 from contactqp.factorization import Array
 from contactqp.friction.rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
+from contactqp.statuses import OPEN as OPEN
+from contactqp.statuses import SLIP_BACK as SLIP_BACK
+from contactqp.statuses import SLIP_ON as SLIP_ON
+from contactqp.statuses import STICK as STICK
+from contactqp.statuses import Status as Status
 from contactqp.violations import FIGURES, Answer, residuals, residuals_of, violations
-
-# A contact is open, sticks, or slips: in the plane with s < 0 or s > 0, in space always SLIP_ON, along s.
-OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
-Status = NDArray[np.int8]
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12

@@ -8,10 +8,13 @@ import numpy as np
 
 from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
+from contactqp.methods.status_loop import status_loop
+from contactqp.methods.stick_and_slip import FrictionalStep, status_rows
 from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered, spread
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
+from contactqp.statuses import Status
 
 NAME = "lagrange-multiplier"
 
@@ -45,11 +48,36 @@ def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step
     )
 
 
+def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
+    """Stick and slip as equations beside those of the ties (the course chapter, eqs 2.37 and 2.41, signs corrected):
+
+        [ K  P' ] {u     }   {f}
+        [ H  0  ] {lambda} = {q}        H = [A; E_N; E_T where it sticks], P the same with E_s = E_N + s mu E_T where
+                                        it slips, q = [b; g; o]
+
+    The matrix is unsymmetric where a contact slips.
+
+    Raises
+    ------
+    NotConverged
+        The contacts do not hold the bodies, or ties contradict each other.
+    """
+    return status_loop(NAME, problem, settings, partial(_enforce_friction, problem))
+
+
+def _enforce_friction(problem: ContactProblem, status: Status, preference: Indices) -> FrictionalStep:
+    rows = status_rows(NAME, problem, status, preference, independent=True)
+    K, f = problem.stiffness, problem.load
+    displacement, force = solve_bordered(NAME, K, f, rows.held, rows.values, pushed=rows.pushed, refined=True)
+    return rows.step(displacement, force[rows.of_contacts], force[: rows.ties.size])
+
+
 METHODS = (
     Method(
         name=NAME,
         kind="classical enforcement",
         solve=solve_lagrange_multiplier,
+        solve_friction=solve_frictional,
         note="the contact forces are unknowns (course chapter, eq. 2.23)",
     ),
 )

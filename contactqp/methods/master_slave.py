@@ -9,10 +9,21 @@ import scipy.sparse as sp
 
 from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
-from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_linear, spread
+from contactqp.methods.status_loop import status_loop
+from contactqp.methods.stick_and_slip import FrictionalStep, status_rows
+from contactqp.methods.textbook_algebra import (
+    Indices,
+    Mask,
+    SingularSystem,
+    binding_rows,
+    independent_rows,
+    solve_linear,
+    spread,
+)
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
+from contactqp.statuses import Status
 
 NAME = "master-slave"
 
@@ -50,6 +61,37 @@ def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step
         tie_force=spread(force[: ties.size], ties, problem.ties),
         bound=spread(np.ones(contacts.size), contacts, problem.contacts) > 0,
     )
+
+
+def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
+    """Stick is a tie of both rows (the rough contact of the course chapter's Example 2.17). Slip is a tie of the normal
+    row only, and its forces act along P = E_N + s mu E_T: they are eliminated by motions that do no work on them,
+
+        u = B u_m + c,  H B = 0        T'K B u_m = T'(f - K c),  P T = 0
+
+    with slaves of H for the displacements u and slaves of P for the motions T, so that the system of slip is
+    unsymmetric (a Petrov-Galerkin form). The forces follow from the equilibrium of the slaves of P.
+
+    Raises
+    ------
+    NotConverged
+        The contacts do not hold the bodies, or ties contradict each other.
+    """
+    return status_loop(NAME, problem, settings, partial(_enforce_friction, problem))
+
+
+def _enforce_friction(problem: ContactProblem, status: Status, preference: Indices) -> FrictionalStep:
+    rows = status_rows(NAME, problem, status, preference, independent=True)
+    if independent_rows(rows.pushed).size < rows.values.size:
+        raise SingularSystem(f"{NAME}: the forces of contacts that slip depend on each other")
+    B, offset = transformation(rows.held, rows.values, choose_slaves(rows.held))
+    slaves = choose_slaves(rows.pushed)
+    T, _ = transformation(rows.pushed, np.zeros(rows.values.size), slaves)
+    K = problem.stiffness
+    reduced = T.T @ (K @ B) if sp.issparse(K) else T.T @ (B.T @ K).T
+    displacement = B @ solve_linear(NAME, reduced, T.T @ (problem.load - K @ offset), refined=True) + offset
+    force = np.linalg.solve(rows.pushed[:, slaves].toarray().T, (problem.load - K @ displacement)[slaves])
+    return rows.step(displacement, force[rows.of_contacts], force[: rows.ties.size])
 
 
 def choose_slaves(rows: Matrix) -> Indices:
@@ -109,6 +151,7 @@ METHODS = (
         name=NAME,
         kind="classical enforcement",
         solve=solve_master_slave,
+        solve_friction=solve_frictional,
         note="closed contacts and ties are multi-point constraints, slaves eliminated (course chapter, eqs 2.17-2.20)",
     ),
 )

@@ -29,6 +29,9 @@ class Method:
     name: str
     kind: str  # "active set", "quadratic program", "modelling language", "complementarity", "classical enforcement"
     solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
+    # A frictional problem of the plane by its own systems of stick and slip; without it, what the method can do with
+    # friction is to take the convex steps of an algorithm.
+    solve_friction: Callable[[ContactProblem, Settings], Candidate] | None = field(default=None, repr=False)
     exact: bool = True  # promises the exact answer; otherwise approximate by design
     polish: bool = False  # its answer is polished on the contact set that it finds
     corrections: int = (
@@ -43,6 +46,13 @@ class Method:
     packages: tuple[str, ...] = ()  # importable modules it needs
     install: str = ""  # the pip command that brings them
     note: str = ""
+
+    @property
+    def friction(self) -> str:
+        """With Coulomb friction: "stick and slip" by its own systems, "convex steps" of algorithms, or none."""
+        if self.solve_friction is not None:
+            return "stick and slip"
+        return "convex steps" if self.exact and self.semidefinite else ""
 
     @property
     def installed(self) -> bool:

@@ -9,10 +9,13 @@ import scipy.sparse as sp
 
 from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
+from contactqp.methods.status_loop import status_loop
+from contactqp.methods.stick_and_slip import FrictionalStep, status_rows
 from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, contact_stiffness, solve_bordered, spread
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
+from contactqp.statuses import Status
 
 NAME = "perturbed-lagrangian"
 
@@ -59,11 +62,45 @@ def _enforce(problem: ContactProblem, kappa: Vector, closed: Mask, preference: I
     )
 
 
+def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
+    """Stick (the course chapter's eq. 2.48, sign corrected) and slip, with E_s = E_N + s mu E_T:
+
+        [ K    E_N'      E_T'     ] {u       }   {f}        [ K    E_s'     ] {u       }   {f}
+        [ E_N  -1/kappa           ] {lambda_N} = {g}        [ E_N  -1/kappa ] {lambda_N} = {g}
+        [ E_T            -1/kappa ] {lambda_T}   {o}        lambda_T = s mu lambda_N
+
+    It is the penalty method with friction for beta = beta_T = kappa, in exact arithmetic; `slip_origin` means the same.
+
+    Options
+    -------
+    perturbation : float or (m,) array
+        kappa [force / length], positive.
+
+    Raises
+    ------
+    InvalidProblem
+        kappa is not positive and finite.
+    NotConverged
+        The contacts do not hold the bodies.
+    """
+    kappa = contact_stiffness(NAME, "perturbation", settings.options["perturbation"], problem.contacts)
+    return status_loop(NAME, problem, settings, partial(_enforce_friction, problem, kappa), compliance=1.0 / kappa)
+
+
+def _enforce_friction(problem: ContactProblem, kappa: Vector, status: Status, preference: Indices) -> FrictionalStep:
+    rows = status_rows(NAME, problem, status, preference, independent=False)
+    corner = np.concatenate([np.zeros(rows.ties.size), -1.0 / rows.per_row(kappa, kappa)])
+    K, f = problem.stiffness, problem.load
+    displacement, force = solve_bordered(NAME, K, f, rows.held, rows.values, corner, pushed=rows.pushed)
+    return rows.step(displacement, force[rows.of_contacts], force[: rows.ties.size])
+
+
 METHODS = (
     Method(
         name=NAME,
         kind="classical enforcement",
         solve=solve_perturbed_lagrangian,
+        solve_friction=solve_frictional,
         exact=False,
         options=("perturbation",),
         required=("perturbation",),

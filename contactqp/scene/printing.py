@@ -208,6 +208,7 @@ def _abilities(method: Method) -> str:
     yes = [
         "floating bodies" if method.semidefinite else "",
         "sparse" if method.sparse else "",
+        f"friction: {method.friction}" if method.friction else "",
         f"knob: {method.knob}" if method.knob else "",
     ]
     return ", ".join(text for text in yes if text)
@@ -223,6 +224,7 @@ def method_data(method: Method) -> dict[str, Any]:
         "exact",
         "semidefinite",
         "sparse",
+        "friction",
         "options",
         "required",
         "knob",

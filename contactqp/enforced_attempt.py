@@ -1,0 +1,85 @@
+"""An answer with Coulomb friction by a method's own systems of stick and slip, in the problem's own unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from contactqp.condensation import condense
+from contactqp.condensed_attempt import Meter
+from contactqp.errors import NotConverged, Unsupported
+from contactqp.existence import refuse_conflict
+from contactqp.iteration import iterated
+from contactqp.methods import Method, Settings
+from contactqp.problem import ContactProblem
+from contactqp.solution import Candidate, Final, Work
+
+
+class EnforcedAttempt:
+    """The method's candidate as it came: textbook systems in the numbers of the problem, nothing condensed or polished.
+
+    Raises
+    ------
+    Unsupported
+        Two tangential directions a contact, or bodies too large to factorise.
+    NoEquilibrium
+        The constraints conflict.
+    NotConverged, InvalidProblem
+        As the method.
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        method: Method,
+        solve_friction: Callable[[ContactProblem, Settings], Candidate],
+        settings: Settings,
+    ) -> None:
+        if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+            raise Unsupported(
+                f"{method.name}: two tangential rows a contact; its systems of stick and slip are those of the plane"
+            )
+        if iterated(problem):
+            raise Unsupported(f"{method.name}: a body this large is not factorised, and its systems of friction are")
+        self._problem, self._method, self._meter = problem, method, Meter(problem)
+        with self._meter.running():
+            try:
+                self.candidate = solve_friction(problem, settings)
+            except NotConverged:
+                self.refuse_conflict()
+                raise
+
+    def final(self, polished: bool) -> Final:
+        """The answer that is to be certified: the candidate."""
+        del polished
+        found = self.candidate
+        return Final(
+            found.displacement,
+            found.normal_force,
+            found.tie_force,
+            friction_force=found.friction_force,
+            # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
+            contact_status=None if self._method.exact else found.contact_status,
+        )
+
+    @property
+    def expanded(self) -> Candidate:
+        """The candidate in the unknowns of the problem."""
+        return self.candidate
+
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from."""
+        return self.candidate
+
+    def counting(self) -> object:
+        """A context whose work counts as this attempt's."""
+        return self._meter.running()
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far."""
+        return replace(self._meter.read(self.candidate.iterations, corrections), retained=self._problem.dimension)
+
+    def refuse_conflict(self) -> None:
+        """Raise NoEquilibrium if the constraints conflict."""
+        refuse_conflict(self._problem, condense(self._problem))
