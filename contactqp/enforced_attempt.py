@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from contactqp.condensation import condense
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.condensation import condense, unknown_scale
 from contactqp.condensed_attempt import Meter
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.existence import refuse_conflict
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings
-from contactqp.problem import ContactProblem
+from contactqp.polishing import INVISIBLE
+from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Final, Work
 
 
@@ -50,17 +54,12 @@ class EnforcedAttempt:
                 raise
 
     def final(self, polished: bool) -> Final:
-        """The answer that is to be certified: the candidate."""
+        """The answer that is to be certified: the candidate, without what its refinement has left of zeros."""
         del polished
-        found = self.candidate
-        return Final(
-            found.displacement,
-            found.normal_force,
-            found.tie_force,
-            friction_force=found.friction_force,
-            # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
-            contact_status=None if self._method.exact else found.contact_status,
-        )
+        u, normal, friction, tie = _without_noise(self._problem, self.candidate)
+        # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
+        status = None if self._method.exact else self.candidate.contact_status
+        return Final(u, normal, tie, friction_force=friction[:, None], contact_status=status)
 
     @property
     def expanded(self) -> Candidate:
@@ -83,3 +82,21 @@ class EnforcedAttempt:
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium if the constraints conflict."""
         refuse_conflict(self._problem, condense(self._problem))
+
+
+def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, Vector, Vector, Vector]:
+    """Displacement, normal, friction and tie forces, zero where they are no more than what refinement leaves of it.
+
+    All are compared as square roots of energy: forces by the rows that they act along.
+    """
+    D = unknown_scale(problem)
+    friction = np.zeros(problem.contacts) if found.friction_force is None else found.friction_force[:, 0]
+    values = (found.displacement, found.normal_force, friction, found.tie_force)
+    rows = (problem.normal, sp.csr_array(problem.tangent), problem.tie)
+    units = (1.0 / D, *(np.sqrt(row.power(2) @ D**2) for row in rows))
+    sizes = [abs(value) * unit for value, unit in zip(values, units, strict=True)]
+    largest = max(np.max(size, initial=0.0) for size in (*sizes, abs(problem.load) * D))
+    u, normal, friction, tie = (
+        np.where(size < INVISIBLE * largest, 0.0, value) for value, size in zip(values, sizes, strict=True)
+    )
+    return u, normal, friction, tie

@@ -107,7 +107,8 @@ def without_contact_springs(problem: ContactProblem, solution: Solution) -> Solu
 def sliders(
     problem: ContactProblem, solution: Solution, penalty: ArrayLike, tangential_penalty: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Where the sliders of a penalised solution are: E_T u - l_T / beta_T, (m, d-1) [length].
+    """Where the sliders of a penalised solution are: E_T u - l_T / beta_T, or where they stick at their origin,
+    (m, d-1) [length].
 
     They are the next step's slip origin. A slider whose contact is open hangs on a spring without force, E_T u.
 
@@ -120,7 +121,8 @@ def sliders(
         raise InvalidProblem(f"{NAME}: expected a problem with tangential rows, got {problem!r}")
     _, tangential = _stiffnesses(problem.contacts, penalty, tangential_penalty)
     moved = (problem.tangent @ solution.displacement).reshape(problem.slip_origin.shape)
-    return np.asarray(moved - solution.friction_force / tangential[:, None])
+    stuck = solution.contact_status[:, None] == "stick"
+    return np.where(stuck, problem.slip_origin, moved - solution.friction_force / tangential[:, None])
 
 
 def _stiffnesses(contacts: int, penalty: Any, tangential_penalty: Any) -> tuple[Vector, Vector]:
