@@ -37,6 +37,7 @@ from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
 from contactqp.statuses import Status
+from contactqp.violations import lengths_that_meet, ratio
 
 NAME = "augmented-lagrangian"
 
@@ -183,14 +184,14 @@ def _relative_change(old: Vector, new: Vector) -> float:
 
 
 def _violation(problem: ContactProblem, displacement: Vector, force: Vector) -> float:
-    """Worst penetration, or gap under force, relative to |E_N||u| + |g|."""
+    """Worst penetration, or gap under force, relative to the lengths that meet at the contact, |E_N||u| + |g|."""
     gap = problem.gap - problem.normal @ displacement
     wrong = np.where(force > 0, np.abs(gap), np.maximum(-gap, 0.0))
-    return _worst(wrong, abs(problem.normal) @ np.abs(displacement) + np.abs(problem.gap))
+    return _worst(wrong, lengths_that_meet(problem, problem.normal, problem.gap, displacement))
 
 
 def _worst(wrong: Vector, lengths: Vector) -> float:
-    return float(np.max(wrong / np.where(lengths > 0, lengths, 1.0), initial=0.0))
+    return float(np.max(ratio(wrong, lengths), initial=0.0))
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
@@ -261,7 +262,7 @@ def _uzawa_frictional(problem: ContactProblem, settings: Settings, beta: tuple[V
         wrong = np.select([named == "stick", named == "slip"], [np.abs(slip), against], 0.0)
         wrong = np.where(coefficients(problem) > 0, wrong, 0.0)
         normal = _violation(problem, u, np.maximum(step.normal_force, 0.0))
-        return max(normal, _worst(wrong, abs(tangent) @ np.abs(u) + np.abs(origin)))
+        return max(normal, _worst(wrong, lengths_that_meet(problem, tangent, origin, u)))
 
     warm, force = settings.warm_start, np.zeros(2 * m)
     if warm is not None:

@@ -319,6 +319,16 @@ def test_uzawa_arrives_or_says_that_it_does_not() -> None:
     np.testing.assert_allclose(rates, 0.5, rtol=0.05)
 
 
+@pytest.mark.parametrize("pull", PULLS)
+def test_uzawa_where_contacts_rest_at_zero(pull: str) -> None:
+    """Gaps of zero: a penetration relative to itself is 1 until it is the rounding of the displacements."""
+    force, origin, moved, friction, status = PULLS[pull]
+    solution = cq.solve(two_masses(force, origin), "augmented-lagrangian", update="uzawa")
+    np.testing.assert_allclose(solution.displacement, [*moved, 0.0, 0.0], 1e-9, atol=1e-16)
+    np.testing.assert_allclose(solution.friction_force[:, 0], friction, 1e-9, atol=1e-9)
+    assert " ".join(solution.contact_status) == status
+
+
 def test_what_is_no_answer_has_a_history_and_names() -> None:
     problem = two_masses(12.0).replace(contact_names=["big", "small"])
     with pytest.raises(cq.NotConverged, match="stopped after 1 iterations, while small still changed") as stopped:

@@ -241,6 +241,16 @@ def test_uzawa_converges_at_the_rate_of_theory() -> None:
     np.testing.assert_allclose(rates[10:20], 0.5, rtol=1e-3)
 
 
+def test_uzawa_ends_where_gaps_are_zero() -> None:
+    """Two weights joined by a spring rest on the floor: what is left of their penetration is all that they move."""
+    K = [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]]
+    resting = ContactProblem(K, [0.5, -3.0, -1.0], [[0.0, -1, 0], [0.0, 0, -1]], [0.0, 0.0])
+    candidate = solve_augmented_lagrangian(resting, Settings(options={"update": "uzawa"}))
+    assert candidate.claimed, candidate.status
+    require_near("forces", candidate.normal_force, [2.75, 1.0], 1e-9)
+    require_near("displacement", candidate.displacement, [0.25, 0.0, 0.0], 1e-12)
+
+
 def test_uzawa_stopped_early_claims_nothing() -> None:
     candidate = solve_augmented_lagrangian(TWO_BARS, Settings(max_iter=3, options={"update": "uzawa"}))
     assert not candidate.claimed
