@@ -111,10 +111,14 @@ def attempt_friction(
     if _in_space(problem) or algorithm not in (None, "tresca", "newton"):
         convex = algorithm is None and method.name != DEFAULT_METHOD
         return _on_contacts(problem, method, settings, "aclm" if convex else algorithm)
-    if algorithm == "newton":
-        return _by_newton(problem, settings)
-    if algorithm == "tresca":
-        return _by_tresca(problem, method, settings)
+    try:
+        if algorithm == "newton":
+            return _by_newton(problem, settings)
+        if algorithm == "tresca":
+            return _by_tresca(problem, method, settings)
+    except NotConverged:
+        refuse_conflict(problem, condense(problem))
+        raise
     return _by_any(problem, method, settings)
 
 

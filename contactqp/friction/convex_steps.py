@@ -177,7 +177,10 @@ class ConvexSteps:
         inner = ContactProblem(stiffness=np.zeros((1, 1)), load=[0.0], normal=np.zeros((0, 1)), gap=[]).transformed(
             stiffness, load, abs(load), rows["normal"], gap, rows["tie"], ties
         )
-        condense(inner)
+        try:
+            condense(inner)
+        except InvalidProblem as error:
+            raise NotConverged(f"{self._method.name}: delassus, of which printing left few digits: {error}") from error
         if self._method.scale:
             twin, scaling = nondimensional(inner)
             candidate = scaling.unscale(self._method.solve(twin, self._settings))

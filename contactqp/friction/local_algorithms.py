@@ -31,9 +31,7 @@ class Algorithm:
 
 def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
     del steps
-    while True:
-        start = newton(form, start)
-        yield start
+    yield newton(form, start)
 
 
 def _with_steps(

@@ -64,10 +64,12 @@ def test_the_forces_that_a_problem_was_made_from(algorithm: str | None, dimensio
 def test_without_newtons_finish_an_algorithm_gets_there_itself(algorithm: str) -> None:
     if algorithm == "newton":
         pytest.skip("it is the finish")
+    # An interior point knows forces to the square root of its gap.
+    tolerance = 1e-5 if algorithm in ("aclm", "tresca") else 1e-8
     for seed in range(3):
         problem, r, _ = made(seed)
-        found = cq.solve(problem, method=method_of(algorithm), algorithm=algorithm, polish=False, tolerance=1e-6)
-        assert np.allclose(found.force, r, atol=1e-5)
+        found = cq.solve(problem, method=method_of(algorithm), algorithm=algorithm, polish=False, tolerance=tolerance)
+        assert np.allclose(found.force, r, atol=20 * tolerance)
         assert found.iterations > 1
 
 

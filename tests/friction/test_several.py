@@ -93,10 +93,11 @@ def test_walls_that_conflict_are_named() -> None:
 
 def test_what_is_not_there_says_so() -> None:
     twin = pad(1.0)
-    with pytest.raises(cq.InvalidProblem, match="tresca, enumeration"):
-        cq.solve(twin, algorithm="newton")
+    with pytest.raises(cq.InvalidProblem, match="tresca, aclm, newton, nsgs, admm, enumeration"):
+        cq.solve(twin, algorithm="lemke")
+    space = cq.ContactProblem(np.eye(3), np.ones(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential"):
-        cq.solve(cq.ContactProblem(np.eye(3), np.ones(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3))
+        cq.solve(space, algorithm="enumeration")
     with pytest.raises(cq.Unsupported, match="singular stiffness"):
         cq.solve(twin, "projected-gauss-seidel")
     with pytest.raises(cq.InvalidProblem, match="without it"):
