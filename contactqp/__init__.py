@@ -35,6 +35,14 @@ if TYPE_CHECKING:
     from contactqp.errors import SceneError as SceneError
     from contactqp.errors import SeveralEquilibria as SeveralEquilibria
     from contactqp.errors import Unsupported as Unsupported
+    from contactqp.exchange.fclib import read_fclib as read_fclib
+    from contactqp.exchange.fclib import read_fclib_guesses as read_fclib_guesses
+    from contactqp.exchange.fclib import read_fclib_solution as read_fclib_solution
+    from contactqp.exchange.fclib_writing import write_fclib as write_fclib
+    from contactqp.exchange.global_problem import GlobalProblem as GlobalProblem
+    from contactqp.exchange.local_form import local_form_of as local_form_of
+    from contactqp.exchange.problem_files import read_problem as read_problem
+    from contactqp.exchange.siconos_text import read_siconos as read_siconos
     from contactqp.local_certificate import LocalCertificate as LocalCertificate
     from contactqp.local_certificate import certify_local as certify_local
     from contactqp.local_problem import LocalProblem as LocalProblem
@@ -61,6 +69,7 @@ _HOME = {
     "ContactProblem": "problem",
     "ContactQPError": "errors",
     "Cylinder": "elements.round_obstacle",
+    "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "LocalCertificate": "local_certificate",
@@ -88,13 +97,20 @@ _HOME = {
     "existence_margin": "local_solving",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",
+    "local_form_of": "exchange.local_form",
     "methods": "methods",
     "pair": "elements.pairing",
     "pair_mortar": "elements.mortar",
     "pair_node_to_segment": "elements.node_to_segment",
     "pair_scalar": "elements.scalar_pairing",
+    "read_fclib": "exchange.fclib",
+    "read_fclib_guesses": "exchange.fclib",
+    "read_fclib_solution": "exchange.fclib",
+    "read_problem": "exchange.problem_files",
+    "read_siconos": "exchange.siconos_text",
     "run": "scene.running",
     "solve": "solving",
+    "write_fclib": "exchange.fclib_writing",
 }
 __all__ = ["__version__", *sorted(_HOME)]
 

@@ -67,6 +67,7 @@ LAYERS = (
     "pictures",
     "analysis",
     "scene",
+    "exchange",
     "study",
     "cli",
 )
@@ -98,7 +99,20 @@ def test_the_certificate_imports_no_method() -> None:
     assert _run(code) == "[]"
 
 
-OPTIONAL = ("cvxpy", "osqp", "clarabel", "qpsolvers", "matplotlib", "skfem", "piqp", "daqp", "highspy", "scs", "pyamg")
+OPTIONAL = (
+    "cvxpy",
+    "osqp",
+    "clarabel",
+    "qpsolvers",
+    "matplotlib",
+    "skfem",
+    "piqp",
+    "daqp",
+    "highspy",
+    "scs",
+    "pyamg",
+    "h5py",
+)
 
 
 def test_importing_the_package_imports_nothing_optional() -> None:

@@ -1,0 +1,140 @@
+"""An HDF5 file, read with every surprise refused in one line: file, dataset, what was expected, what came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import BackendMissing
+from contactqp.exchange.matrix_storage import StoredMatrix, matrix_of
+from contactqp.exchange.refusal import Path, check_finite, read_bytes, wrong
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# Where the signature may stand: a user block of 512 bytes or a power of two times that may come before it.
+SIGNATURE_PLACES = (0, 512, 1024, 2048)
+EXPECTED = "an FCLIB file (HDF5)"
+
+
+def is_hdf5(data: bytes) -> bool:
+    """Whether these first bytes of a file are HDF5's."""
+    return any(data[place:].startswith(SIGNATURE) for place in SIGNATURE_PLACES)
+
+
+def h5py_module() -> Any:
+    """h5py, imported when it is first needed.
+
+    Raises
+    ------
+    BackendMissing
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise BackendMissing(f"FCLIB's files need h5py ({error}): pip install 'contactqp[exchange]'") from None
+    return h5py
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Hdf5File]:
+    """The file, open for reading.
+
+    Raises
+    ------
+    BackendMissing
+        h5py is not installed.
+    InvalidProblem
+        No such file, or it is no HDF5.
+    """
+    head = read_bytes(path, EXPECTED, max(SIGNATURE_PLACES) + len(SIGNATURE))
+    if not is_hdf5(head):
+        raise wrong(path, "content", EXPECTED, "an empty file" if not head else "something else")
+    h5py = h5py_module()
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise wrong(path, "content", EXPECTED, f"a damaged one ({_one_line(error)})") from None
+    with file:
+        yield Hdf5File(path, file)
+
+
+class Hdf5File:
+    """Groups and datasets by their full names."""
+
+    def __init__(self, path: Path, file: Any) -> None:
+        self.path = path
+        self._file = file
+
+    def has(self, name: str) -> bool:
+        try:
+            return name in self._file
+        except (OSError, RuntimeError, ValueError) as error:
+            raise wrong(self.path, name, "a group", f"damaged data ({_one_line(error)})") from None
+
+    def top(self) -> list[str]:
+        return sorted(str(name) for name in self._file)
+
+    def integer(self, name: str) -> int:
+        values = self.integers(name)
+        if len(values) != 1:
+            raise wrong(self.path, name, "one integer", f"{len(values)}")
+        return int(values[0])
+
+    def integers(self, name: str) -> NDArray[np.int64]:
+        values = self._values(name)
+        if values.dtype.kind not in "iu" or values.ndim > 1:
+            raise wrong(self.path, name, "a list of integers", f"{values.dtype} of shape {values.shape}")
+        return values.reshape(-1).astype(np.int64)
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """A list of numbers of any length, finite or not."""
+        values = self._values(name)
+        if values.dtype.kind not in "fiu" or values.ndim > 1:
+            raise wrong(self.path, name, "a list of numbers", f"{values.dtype} of shape {values.shape}")
+        return values.reshape(-1).astype(float)
+
+    def vector(self, name: str, size: int, why: str, *, finite: bool = True) -> NDArray[np.float64]:
+        """(size,) numbers; `why` says where the size comes from."""
+        values = self.numbers(name)
+        if len(values) != size:
+            raise wrong(self.path, name, f"{size} numbers ({why})", len(values))
+        if finite:
+            check_finite(self.path, name, values)
+        return values
+
+    def shape(self, name: str) -> tuple[int, int]:
+        """(m, n) of a matrix."""
+        return self.integer(f"{name}/m"), self.integer(f"{name}/n")
+
+    def matrix(self, name: str, shape: tuple[int, int], why: str) -> Any:
+        """A matrix of this shape in CSR form; `why` says where the shape comes from."""
+        if self.shape(name) != shape:
+            raise wrong(self.path, f"{name}/m, {name}/n", f"{shape} ({why})", self.shape(name))
+        stored = StoredMatrix(
+            nzmax=self.integer(f"{name}/nzmax"),
+            m=shape[0],
+            n=shape[1],
+            nz=self.integer(f"{name}/nz"),
+            p=self.integers(f"{name}/p"),
+            i=self.integers(f"{name}/i"),
+            x=self.numbers(f"{name}/x"),
+        )
+        return matrix_of(stored, self.path, name)
+
+    def _values(self, name: str) -> NDArray[Any]:
+        if not self.has(name):
+            raise wrong(self.path, name, "this dataset", "none of that name")
+        try:
+            dataset = self._file[name]
+            if not hasattr(dataset, "shape"):
+                raise wrong(self.path, name, "a dataset", "a group")
+            return np.asarray(dataset[()])
+        except (OSError, RuntimeError, KeyError, TypeError) as error:
+            raise wrong(self.path, name, "numbers", f"damaged data ({_one_line(error)})") from None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

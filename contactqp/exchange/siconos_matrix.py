@@ -1,0 +1,197 @@
+"""Matrices in Siconos's text: dense, sparse blocks, and the dumps of CSparse.
+
+storage  size0  size1      and then, by storage,
+0   size0 size1, and the values column by column
+1   number of blocks, block rows, block columns; the last row of each block row, the last column of each block
+    column; the lengths of two lists: the first block of each block row, the block column of each block; then for
+    each block its number and its values column by column
+2   1 (triplets) or 2 (columns), and what CSparse prints, with the six digits it prints
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import Unsupported
+from contactqp.exchange.refusal import wrong
+from contactqp.exchange.siconos_numbers import Words, as_integers, as_numbers
+
+DENSE, BLOCKS, SPARSE = 0, 1, 2
+TRIPLETS, COLUMNS, ROWS = 1, 2, 3
+
+
+def read_matrix(words: Words, name: str, shape: tuple[int, int] | None = None) -> Any:
+    """The next matrix in CSR form, of this shape if one is given.
+
+    Raises
+    ------
+    InvalidProblem
+        The text ends, sizes do not agree, an index is out of range, a value is no finite number.
+    Unsupported
+        A storage that is none of these.
+    """
+    storage = words.integer(f"{name}, storage")
+    if storage not in (DENSE, BLOCKS, SPARSE):
+        raise words.unexpected(f"{name}, storage", "0 (dense), 1 (sparse blocks) or 2 (sparse)")
+    size = (words.size(f"{name}, rows"), words.size(f"{name}, columns"))
+    if shape is not None and size != shape:
+        raise wrong(words.path, f"{name}, size", f"{shape}", size)
+    read = {DENSE: _read_dense, BLOCKS: _read_blocks, SPARSE: _read_dump}[storage]
+    return read(words, name, size)
+
+
+def _read_dense(words: Words, name: str, size: tuple[int, int]) -> Any:
+    _same_size(words, name, size, tuple(int(v) for v in words.integers(2, f"{name}, size")))
+    values = words.numbers(size[0] * size[1], name)
+    return sp.csr_array(values.reshape(size[1], size[0]).T)
+
+
+def _same_size(words: Words, name: str, size: tuple[int, int], again: tuple[int, ...]) -> None:
+    if again != size:
+        raise wrong(words.path, f"{name}, size when it is stated again", f"{size}", again)
+
+
+def _read_blocks(words: Words, name: str, size: tuple[int, int]) -> Any:
+    count, block_rows, block_columns = (int(v) for v in words.integers(3, f"{name}, numbers of blocks"))
+    if min(count, block_rows, block_columns) < 0:
+        raise wrong(words.path, f"{name}, numbers of blocks", "sizes", (count, block_rows, block_columns))
+    ends = (
+        _ends(words, f"{name}, block rows", block_rows, size[0]),
+        _ends(words, f"{name}, block columns", block_columns, size[1]),
+    )
+    pointers, filled = (int(v) for v in words.integers(2, f"{name}, lengths of the block lists"))
+    if not 0 <= pointers <= block_rows + 1 or filled != count:
+        expected = f"at most {block_rows + 1} and {count}"
+        raise wrong(words.path, f"{name}, lengths of the block lists", expected, f"{pointers} and {filled}")
+    first = words.integers(pointers, f"{name}, first block of each block row")
+    if (pointers and (first[0] != 0 or np.any(np.diff(first) < 0))) or (first[-1] if pointers else 0) != count:
+        expected = f"indices that begin at 0, never go back and end at {count}"
+        raise wrong(words.path, f"{name}, first block of each block row", expected, first[:9].tolist())
+    column = words.integers(filled, f"{name}, block columns")
+    if np.any((column < 0) | (column >= block_columns)):
+        worst = int(column[np.argmax((column < 0) | (column >= block_columns))])
+        raise wrong(words.path, f"{name}, block columns", f"indices from 0 to {block_columns - 1}", worst)
+    row = np.repeat(np.arange(max(pointers - 1, 0)), np.diff(first)) if pointers else np.zeros(0, dtype=int)
+    return _placed_blocks(words, name, size, ends, row, column)
+
+
+def _ends(words: Words, what: str, count: int, size: int) -> NDArray[np.int64]:
+    """(count + 1,) where blocks begin and end."""
+    last = words.integers(count, what)
+    ends = np.concatenate([[0], last])
+    if np.any(np.diff(ends) < 0) or ends[-1] != size:
+        raise wrong(words.path, what, f"ends that never go back and reach {size}", last[-9:].tolist())
+    return ends
+
+
+def _placed_blocks(
+    words: Words,
+    name: str,
+    size: tuple[int, int],
+    ends: tuple[NDArray[np.int64], NDArray[np.int64]],
+    row: NDArray[Any],
+    column: NDArray[np.int64],
+) -> Any:
+    rows, columns, values = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
+    for place, (i, j) in enumerate(zip(row, column, strict=True)):
+        if words.integer(f"{name}, number of a block") != place:
+            raise words.unexpected(f"{name}, number of a block", f"{place}")
+        tall, wide = int(ends[0][i + 1] - ends[0][i]), int(ends[1][j + 1] - ends[1][j])
+        values.append(words.numbers(tall * wide, f"{name}, block {place}"))
+        rows.append(np.tile(np.arange(tall), wide) + ends[0][i])
+        columns.append(np.repeat(np.arange(wide), tall) + ends[1][j])
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sp.csr_array(sp.coo_array(entries, shape=size))
+
+
+def _read_dump(words: Words, name: str, size: tuple[int, int]) -> Any:
+    origin = words.integer(f"{name}, origin")
+    if origin == ROWS:
+        raise Unsupported(f"{words.path}: {name}: a dump of compressed rows (origin 3) is not supported")
+    if origin not in (TRIPLETS, COLUMNS):
+        raise words.unexpected(f"{name}, origin", "1 (triplets) or 2 (columns)")
+    words.literal("CSparse", what=f"{name}, dump")
+    while words.peek() is not None and not _is_size(str(words.peek())) and words.peek() != "triplet:":
+        words.words(1, name)  # version, date and author
+    if origin == TRIPLETS:
+        words.literal("triplet:", what=f"{name}, dump")
+    count = _dump_header(words, name, size)
+    if origin == TRIPLETS:
+        row, column, values = _dumped_triplets(words, name, count)
+    else:
+        row, column, values = _dumped_columns(words, name, size[1], count)
+    for what, index, most in (("row", row, size[0]), ("column", column, size[1])):
+        if np.any((index < 0) | (index >= most)):
+            worst = int(index[np.argmax((index < 0) | (index >= most))])
+            raise wrong(words.path, f"{name}, {what}", f"indices from 0 to {most - 1}", worst)
+    return sp.csr_array(sp.coo_array((values, (row, column)), shape=size))
+
+
+def _is_size(word: str) -> bool:
+    return re.fullmatch(r"\d+-by-\d+,", word) is not None
+
+
+def _dump_header(words: Words, name: str, size: tuple[int, int]) -> int:
+    """``m-by-n, nzmax: N nnz: K`` and, for columns, ``, 1-norm: X``: the number of entries K."""
+    (stated,) = words.words(1, f"{name}, dump")
+    if not _is_size(stated):
+        raise words.unexpected(f"{name}, dump", "a size, like 3-by-3,")
+    _same_size(words, name, size, tuple(int(part) for part in stated[:-1].split("-by-")))
+    words.literal("nzmax:", what=f"{name}, dump")
+    words.integer(f"{name}, nzmax")
+    words.literal("nnz:", what=f"{name}, dump")
+    (number,) = words.words(1, f"{name}, nnz")
+    count = int(as_integers(words, [number.rstrip(",")], f"{name}, nnz", words.place - 1)[0])
+    if count < 0:
+        raise words.unexpected(f"{name}, nnz", "a number of entries")
+    if number.endswith(","):
+        words.literal("1-norm:", what=f"{name}, dump")
+        words.words(1, f"{name}, 1-norm")
+    return count
+
+
+Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+
+
+def _dumped_triplets(words: Words, name: str, count: int) -> Entries:
+    """``i j : x`` each."""
+    first = words.place
+    taken = words.words(4 * count, f"{name}, {count} entries")
+    _colons(words, taken[2::4], name, first + 2, 4)
+    row = as_integers(words, taken[0::4], f"{name}, row", first, 4)
+    column = as_integers(words, taken[1::4], f"{name}, column", first + 1, 4)
+    return row, column, as_numbers(words, taken[3::4], f"{name}, values", first + 3, 4)
+
+
+def _dumped_columns(words: Words, name: str, width: int, count: int) -> Entries:
+    """``col j : locations a to b`` and then ``i : x`` for each entry of the column."""
+    rows, columns, values = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
+    read = 0
+    for j in range(width):
+        what = f"{name}, column {j}"
+        words.literal("col", str(j), ":", "locations", str(read), "to", what=what)
+        last = words.integer(what)
+        if not read - 1 <= last < count:
+            raise words.unexpected(what, f"a last location from {read - 1} to {count - 1}")
+        here = last + 1 - read
+        first = words.place
+        taken = words.words(3 * here, what)
+        _colons(words, taken[1::3], name, first + 1, 3)
+        rows.append(as_integers(words, taken[0::3], what, first, 3))
+        values.append(as_numbers(words, taken[2::3], what, first + 2, 3))
+        columns.append(np.full(here, j))
+        read = last + 1
+    if read != count:
+        raise wrong(words.path, name, f"{count} entries", read)
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+
+def _colons(words: Words, taken: list[str], name: str, first: int, step: int) -> None:
+    bad = next((k for k, word in enumerate(taken) if word != ":"), None)
+    if bad is not None:
+        raise words.unexpected(f"{name}, dump", "':'", first + bad * step)
