@@ -46,6 +46,9 @@ def run_command(
 ) -> None:
     """Solve each CASE (a file, or a folder of them) and compare with what it expects.
 
+    A CASE may also be a problem of frictional contact in a file of FCLIB (HDF5) or Siconos (text): it is solved, and
+    what is said of it is its certificate.
+
     Without --method: by active-set, and by every method that the case itself says something about.
 
     --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
@@ -55,8 +58,10 @@ def run_command(
     from contactqp.scene.judging import Failure, Judgement, judge_all
     from contactqp.scene.loading import load_scene
     from contactqp.scene.printing import judgement_data, print_judgements
+    from contactqp.study.friction_files import outcome_data, run_files, split_files
 
-    scenes = [load_scene(file) for file in case_files(cases)]
+    named, foreign = split_files(cases)
+    scenes = [load_scene(file) for file in case_files(named)]
     knobs = read_knobs(penalty, perturbation, options)
     files = None
     if plot is not None or vtu is not None:
@@ -72,9 +77,41 @@ def run_command(
             print_judgements(console, [outcome for outcome in found if isinstance(outcome, Judgement)])
         for file in files.write(found) if files is not None else ():
             click.echo(f"written: {file}", err=as_json)
+    solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=sys.stderr.isatty())
+    for message in (outcome.failure for outcome in solved if outcome.failure is not None):
+        _complain(message)
     if as_json:
-        _print_json([judgement_data(outcome) for outcome in outcomes])
-    sys.exit(0 if all(outcome.met for outcome in outcomes) else NOT_MET)
+        _print_json([judgement_data(outcome) for outcome in outcomes] + [outcome_data(outcome) for outcome in solved])
+    elif solved:
+        from contactqp.study.friction_printing import print_outcomes
+
+        print_outcomes(console, solved)
+    met = all(outcome.met for outcome in outcomes) and all(outcome.passed for outcome in solved)
+    sys.exit(0 if met else NOT_MET)
+
+
+@command.command("check")
+@click.argument("problem")
+@click.argument("candidate")
+@click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def check_command(problem: str, candidate: str, tolerance: float, as_json: bool) -> None:
+    """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
+
+    PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
+    contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.
+
+    Or PROBLEM is a case file, and CANDIDATE a JSON file with displacement, normal_force, and friction_force and
+    tie_force where the case has them, by name or as lists: what `contactqp run CASE --json` prints is one.
+    """
+    from contactqp.study.checking import check_answer, print_check
+
+    verdict = check_answer(problem, candidate, tolerance)
+    if as_json:
+        _print_json(verdict.data())
+    else:
+        print_check(_console(), verdict)
+    sys.exit(0 if verdict.passed else NOT_MET)
 
 
 @command.command("explain")

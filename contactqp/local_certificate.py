@@ -90,6 +90,12 @@ def certify_local(
     )
 
 
+def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> dict[str, Vector]:
+    """(m,) each figure of `LocalCertificate` for every contact, the joints left out; of finite forces."""
+    measured = _Measured(problem, *_read(problem, force, joint_force))
+    return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
+
+
 def normalised_error(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> float:
     """|r - P_K(r - u - mu |u_T| e_N)| / |q| of the problem scaled so that max |W| = 1 and |q| = sqrt(d m).
 

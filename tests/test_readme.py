@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.cli import main
 from contactqp.scene.judging import judge_all
 
 README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
@@ -57,6 +58,20 @@ def test_the_example_of_a_body_meets_what_it_expects(tmp_path: pathlib.Path) -> 
     (judgement,) = judge_all(cq.load_scene(case))
     assert len(judgement.expectations) == 1
     assert judgement.met
+
+
+def test_the_example_of_files_writes_reads_and_judges(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(_block("python", 2), "README.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert "[[2.69230769 2.15384615]]" in printed
+    assert "passed" in printed
+    with pytest.raises(SystemExit) as exit_:
+        main(["check", "sliding.hdf5", "flipped.npy"])
+    assert exit_.value.code == 1
+    assert "WRONG" in capsys.readouterr().out
 
 
 def test_the_method_table_names_methods_that_exist() -> None:

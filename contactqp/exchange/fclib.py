@@ -36,6 +36,12 @@ class StoredAnswer:
     velocity: NDArray[np.float64] | None = None  # (m, d) u
     motion: NDArray[np.float64] | None = None  # (n,) v, in the global form
 
+    @property
+    def finite(self) -> bool:
+        """Whether every force is a number."""
+        joint = self.joint_force
+        return bool(np.all(np.isfinite(self.force)) and (joint is None or np.all(np.isfinite(joint))))
+
 
 def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
     """The problem in an FCLIB file.
@@ -163,10 +169,21 @@ def _read_global(file: Hdf5File) -> GlobalProblem:
         return GlobalProblem(matrix=M, directions=H, load=f, offset=w, friction=mu, dimension=d, **joints)
 
 
+def read_solution_for(path: Path, contacts: int, dimension: int) -> StoredAnswer:
+    """What is stored under /solution, of a problem of this size that stands elsewhere."""
+    with opened(path) as file:
+        if not file.has("solution"):
+            raise wrong(path, "solution", "a stored solution", "none")
+        return _sized_answer(file, "solution", contacts, dimension)
+
+
 def _answer(file: Hdf5File, group: str) -> StoredAnswer:
     form = _form(file)
-    d, m = _dimension(file, form), len(_friction(file, form))
-    why = f"{d} for each of the {m} contacts of mu"
+    return _sized_answer(file, group, len(_friction(file, form)), _dimension(file, form))
+
+
+def _sized_answer(file: Hdf5File, group: str, m: int, d: int) -> StoredAnswer:
+    why = f"{d} for each of {m} contacts"
     r = file.vector(f"{group}/r", d * m, why, finite=False).reshape(m, d)
     u, v, joint = None, None, None
     if file.has(f"{group}/u"):

@@ -56,7 +56,7 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except InvalidProblem as error:
-        raise InvalidProblem(f"{path}: {error}") from None
+        raise type(error)(f"{path}: {error}") from None
 
 
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:

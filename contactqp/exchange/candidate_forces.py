@@ -1,0 +1,151 @@
+"""Somebody's forces from a file: FCLIB's /solution, NumPy's .npy, JSON, CSV or plain numbers, told apart by content.
+
+    .npy    an array (m, d) or flat
+    JSON    the same as lists, or {"force": ..., "joint_force": ..., "velocity": ..., "motion": ...}
+    CSV     d columns, a row for each contact; a first line of names is stepped over, and where the first of them is
+            "contact" that column names the contacts, which may then stand in any order
+    text    m d numbers; what follows # is a comment
+
+r is the force on the body, in the order (N, T1, T2) contact by contact. NaN is read: it is for the certificate to fail.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.exchange.fclib import StoredAnswer, read_solution_for
+from contactqp.exchange.hdf5_file import is_hdf5
+from contactqp.exchange.refusal import Path, read_bytes, wrong
+from contactqp.local_problem import LocalProblem
+
+EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"
+NUMPY = b"\x93NUMPY"
+KEYS = ("force", "joint_force", "velocity", "motion")
+
+
+def read_candidate_forces(path: Path, problem: LocalProblem) -> StoredAnswer:
+    """Forces (m, d) for a problem, and what else the file holds; nothing of it is believed.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, or not m d numbers.
+    BackendMissing
+        An HDF5 file, and h5py is not installed.
+    """
+    data = read_bytes(path, EXPECTED)
+    if is_hdf5(data):
+        return read_solution_for(path, problem.contacts, problem.dimension)
+    if data.startswith(NUMPY):
+        return StoredAnswer(_forces(path, _array(path, data), problem))
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise wrong(path, "content", EXPECTED, f"the byte 0x{data[error.start]:02x}") from None
+    if text.lstrip()[:1] in ("[", "{"):
+        return _from_json(path, text, problem)
+    separator = next((mark for mark in (";", ",") if mark in text), None)
+    values = _plain(path, text) if separator is None else _table(path, text, separator, problem)
+    return StoredAnswer(_forces(path, values, problem))
+
+
+def _forces(path: Path, values: Any, problem: LocalProblem, place: str = "force") -> NDArray[np.float64]:
+    shape = (problem.contacts, problem.dimension)
+    array = _numbers(path, values, place)
+    if array.shape not in (shape, (shape[0] * shape[1],)):
+        raise wrong(path, place, f"shape {shape} or ({shape[0] * shape[1]},)", array.shape)
+    return array.reshape(shape)
+
+
+def _numbers(path: Path, values: Any, place: str) -> NDArray[np.float64]:
+    try:
+        raw = np.asarray(values)
+        if raw.dtype.kind not in "fiu":
+            raise TypeError(f"{raw.dtype}")
+        return raw.astype(float)
+    except (TypeError, ValueError) as error:
+        raise wrong(path, place, "real numbers", " ".join(str(error).split())) from None
+
+
+def _array(path: Path, data: bytes) -> Any:
+    try:
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise wrong(path, "content", "an array of numbers", " ".join(str(error).split())) from None
+
+
+def _from_json(path: Path, text: str, problem: LocalProblem) -> StoredAnswer:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise wrong(path, "content", "JSON", " ".join(str(error).split())) from None
+    if not isinstance(data, dict):
+        return StoredAnswer(_forces(path, data, problem))
+    unknown = sorted(set(data) - set(KEYS))
+    if unknown or "force" not in data:
+        raise wrong(path, "keys", f"'force' and at most {', '.join(KEYS[1:])}", unknown or sorted(data))
+    velocity, joint, motion = (data.get(key) for key in ("velocity", "joint_force", "motion"))
+    return StoredAnswer(
+        force=_forces(path, data["force"], problem),
+        joint_force=None if joint is None else _numbers(path, joint, "joint_force"),
+        velocity=None if velocity is None else _forces(path, velocity, problem, "velocity"),
+        motion=None if motion is None else _numbers(path, motion, "motion"),
+    )
+
+
+def _plain(path: Path, text: str) -> NDArray[np.float64]:
+    words = [word for line in text.splitlines() for word in line.partition("#")[0].split()]
+    return np.array([_number(path, word, "force") for word in words])
+
+
+def _number(path: Path, word: str, place: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise wrong(path, place, "a number", repr(word[:40])) from None
+
+
+def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDArray[np.float64]:
+    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
+    rows = [row for row in rows if any(row)]
+    header = rows.pop(0) if rows and not _is_number(rows[0][-1]) else []
+    named = bool(header) and header[0].lower() == "contact"
+    width = problem.dimension + named
+    for k, row in enumerate(rows):
+        if len(row) != width:
+            raise wrong(path, f"row {k + 1}", f"{width} cells", len(row))
+    values = np.array([[_number(path, cell, f"row {k + 1}") for cell in row[named:]] for k, row in enumerate(rows)])
+    return values[_order(path, [row[0] for row in rows], problem)] if named else values
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:
+    """Where each contact stands, by its name or its number."""
+    place: dict[str, int] = {}
+    for k, name in enumerate(names):
+        if name in place:
+            raise wrong(path, "contact", "every contact once", f"{name!r} twice")
+        place[name] = k
+    found = []
+    for i in range(problem.contacts):
+        called = [name for name in (problem.contact_name(i), str(i)) if name in place]
+        if not called:
+            raise wrong(path, "contact", f"a row of {problem.contact_name(i)!r}", "none of that name or number")
+        found.append(place[called[0]])
+    if len(found) != len(names):
+        extra = next(name for k, name in enumerate(names) if k not in found)
+        raise wrong(path, "contact", f"the {problem.contacts} contacts of the problem", repr(extra))
+    return found

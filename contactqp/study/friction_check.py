@@ -1,0 +1,177 @@
+"""Somebody else's forces for a file's problem, judged: what is wrong, at which contacts, and what is right there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.exchange.candidate_forces import read_candidate_forces
+from contactqp.exchange.fclib import StoredAnswer
+from contactqp.exchange.local_form import SingularMatrix, local_form_of
+from contactqp.exchange.problem_files import read_problem
+from contactqp.exchange.refusal import naming
+from contactqp.local_certificate import LocalCertificate, certify_local, contact_figures
+from contactqp.local_problem import LocalProblem
+from contactqp.local_solution import LocalSolution
+from contactqp.solving import solve
+from contactqp.study.friction_files import figures, finite
+
+# A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
+OTHER_VELOCITY = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class WorstContact:
+    """One contact whose forces break the law."""
+
+    name: str
+    index: int
+    figure: str  # the figure that is broken most
+    size: float  # as the certificate measures it
+    force: NDArray[np.float64]  # (d,) as given
+    velocity: NDArray[np.float64]  # (d,) W r + q of all the given forces
+    right_force: NDArray[np.float64] | None  # (d,) of our solution
+    right_velocity: NDArray[np.float64] | None
+
+    def data(self) -> dict[str, Any]:
+        return {
+            "contact": self.name,
+            "figure": self.figure,
+            "size": finite(self.size),
+            "force": _list(self.force),
+            "velocity": _list(self.velocity),
+            "right_force": None if self.right_force is None else _list(self.right_force),
+            "right_velocity": None if self.right_velocity is None else _list(self.right_velocity),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ForcesVerdict:
+    """What is said of a candidate."""
+
+    problem_file: str
+    candidate_file: str
+    problem: LocalProblem
+    certificate: LocalCertificate
+    worst: tuple[WorstContact, ...]  # worst first; all that are beyond the tolerance
+    right: LocalSolution | None  # looked for where the candidate is wrong
+    why_not: str | None  # why there is no solution to set beside it
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        return self.certificate.passed
+
+    def data(self) -> dict[str, Any]:
+        """All that is known, for JSON."""
+        certificate = self.certificate
+        return {
+            "problem": self.problem_file,
+            "candidate": self.candidate_file,
+            "contacts": self.problem.contacts,
+            "right": self.passed,
+            "tolerance": certificate.tolerance,
+            "certificate": {name: finite(value) for name, value in figures(certificate).items()},
+            "failures": list(certificate.failures),
+            "notes": [*self.notes, *certificate.notes],
+            "worst": [one.data() for one in self.worst],
+            "right_values": None if self.right is None else {"method": self.right.method},
+            "no_right_values": self.why_not,
+        }
+
+
+def check_forces(problem_file: str, candidate_file: str, tolerance: float = 1e-9) -> ForcesVerdict:
+    """Judge a file of forces against a file's problem, by the law and W as given and nothing else.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported, BackendMissing
+        Of either file; M is singular, so that forces alone do not say how the bodies move.
+    """
+    with naming(problem_file):
+        try:
+            problem = local_form_of(read_problem(problem_file))
+        except SingularMatrix as error:
+            raise InvalidProblem(f"{error}, and forces alone cannot be judged") from None
+    given = read_candidate_forces(candidate_file, problem)
+    with naming(candidate_file):
+        certificate = certify_local(problem, given.force, given.joint_force, tolerance=tolerance)
+    right, why_not = (None, None) if certificate.passed else _right(problem, tolerance)
+    return ForcesVerdict(
+        problem_file=problem_file,
+        candidate_file=candidate_file,
+        problem=problem,
+        certificate=certificate,
+        worst=_worst(problem, given, certificate, right),
+        right=right,
+        why_not=why_not,
+        notes=_notes(problem, given),
+    )
+
+
+def _right(problem: LocalProblem, tolerance: float) -> tuple[LocalSolution | None, str | None]:
+    try:
+        return solve(problem, tolerance=min(tolerance, 1e-9)), None
+    except ContactQPError as error:
+        return None, str(error)
+
+
+def _worst(
+    problem: LocalProblem, given: StoredAnswer, certificate: LocalCertificate, right: LocalSolution | None
+) -> tuple[WorstContact, ...]:
+    if not given.finite:
+        bad = np.flatnonzero(~np.all(np.isfinite(given.force), axis=1))
+        velocity = np.full_like(given.force, np.nan)
+        return tuple(_contact(problem, int(i), "not finite", np.inf, given.force, velocity, right) for i in bad)
+    measures = contact_figures(problem, given.force, given.joint_force)
+    names, table = list(measures), np.array(list(measures.values()))
+    largest = np.max(table, axis=0, initial=0.0)
+    beyond = np.flatnonzero(largest > certificate.tolerance)
+    order = beyond[np.argsort(-largest[beyond], kind="stable")]
+    velocity = problem.velocity(given.force, given.joint_force)
+    return tuple(
+        _contact(problem, int(i), names[int(np.argmax(table[:, i]))], largest[i], given.force, velocity, right)
+        for i in order
+    )
+
+
+def _contact(
+    problem: LocalProblem,
+    i: int,
+    figure: str,
+    size: float,
+    force: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    right: LocalSolution | None,
+) -> WorstContact:
+    return WorstContact(
+        name=problem.contact_name(i),
+        index=i,
+        figure=figure.replace("_", " "),
+        size=float(size),
+        force=force[i],
+        velocity=velocity[i],
+        right_force=None if right is None else right.force[i],
+        right_velocity=None if right is None else right.velocity[i],
+    )
+
+
+def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
+    notes = []
+    if not np.any(given.force) and problem.contacts:
+        notes.append("all forces in the file are zero")
+    if given.velocity is not None and given.finite:
+        velocity = problem.velocity(given.force, given.joint_force)
+        size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(problem.offset)))
+        apart = float(np.linalg.norm(velocity - given.velocity))
+        if not apart <= OTHER_VELOCITY * size:
+            notes.append(f"the velocities in the file are not those of its forces: |u - (W r + q)| = {apart:.3g}")
+    return tuple(notes)
+
+
+def _list(values: NDArray[np.float64]) -> list[float | None]:
+    return [finite(float(value)) for value in values]

@@ -1,0 +1,173 @@
+"""Files of frictional contact, solved: one outcome a file and method, with what its certificate says."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from contactqp.certificate import Certificate
+from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.exchange.local_form import SingularMatrix, local_form_of
+from contactqp.exchange.problem_files import is_problem_file, read_problem
+from contactqp.exchange.refusal import naming
+from contactqp.local_certificate import LocalCertificate
+from contactqp.local_problem import LocalProblem
+from contactqp.local_solution import LocalSolution
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+from contactqp.solving import solve
+
+SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")
+LOCAL_FIGURES = (*SHARED_FIGURES, "joints", "natural_map", "siconos_error")
+BODY_FIGURES = ("equilibrium", "balance", *SHARED_FIGURES, "tie")
+DEFAULT_METHOD = "active-set"
+
+
+@dataclass(frozen=True, eq=False)
+class FileOutcome:
+    """What one method made of one file."""
+
+    file: str
+    problem: LocalProblem | ContactProblem  # as solved: in local form wherever there is one
+    solution: LocalSolution | Solution | None  # also one that the certificate refuses
+    failure: str | None  # why there is no answer
+    seconds: float  # of solving
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        return self.failure is None and self.solution is not None and self.solution.certificate.passed
+
+    @property
+    def dimension(self) -> int:
+        if isinstance(self.problem, LocalProblem):
+            return self.problem.dimension
+        origin = self.problem.slip_origin
+        return 1 + (origin.shape[1] if origin is not None else 0)
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """How many contacts are open, sticking, slipping, ..."""
+        if self.solution is None:
+            return {}
+        found = [str(status) for status in self.solution.contact_status]
+        return {status: found.count(status) for status in sorted(set(found))}
+
+
+def split_files(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Case files (and folders of them), and files of other codes."""
+    foreign = [argument for argument in arguments if is_problem_file(argument)]
+    return [argument for argument in arguments if argument not in foreign], foreign
+
+
+def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
+    """A file's problem in local form; with its bodies where nothing but contact holds them, so that M is singular."""
+    problem = read_problem(file)
+    try:
+        with naming(file):
+            return local_form_of(problem)
+    except SingularMatrix:
+        if isinstance(problem, ContactProblem):
+            return problem
+        raise
+
+
+def run_files(
+    files: Sequence[str],
+    methods: Sequence[str],
+    knobs: Mapping[str, Any],
+    *,
+    drawn: bool = False,
+    progress: bool = False,
+) -> list[FileOutcome]:
+    """Every file by every method, by our own where none is named; `progress` shows a bar on stderr.
+
+    Raises
+    ------
+    InvalidProblem
+        A picture was asked for, or a stiffness with a unit: these files have no geometry and no units.
+    """
+    if files and drawn:
+        raise InvalidProblem(f"{files[0]}: --plot and --vtu need a case file, this file has no geometry")
+    stiffness = next((name for name in ("penalty", "perturbation") if files and name in knobs), None)
+    if stiffness is not None:
+        raise InvalidProblem(f"{files[0]}: --{stiffness} needs a case file, this file has no units")
+    if not files:
+        return []
+    from rich.console import Console
+    from rich.progress import track
+
+    trials = [(file, method) for file in files for method in methods or (DEFAULT_METHOD,)]
+    shown = track(trials, "solving", console=Console(stderr=True), transient=True, disable=not progress)
+    return [run_file(file, method, knobs) for file, method in shown]
+
+
+def run_file(file: str, method: str | None = None, options: Mapping[str, Any] | None = None) -> FileOutcome:
+    """Solve a file's problem.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported, BackendMissing
+        The file, the method or its options are no good. That a method finds no answer is an outcome.
+    """
+    problem, chosen = solvable_form(file), dict(options or {})
+    began = time.perf_counter()
+    solution: LocalSolution | Solution | None
+    try:
+        with naming(file):
+            solution, failure = solve(problem, method or DEFAULT_METHOD, **chosen), None
+    except (NotConverged, NotCertified) as error:
+        solution, failure = error.solution, f"{file}: {error}"
+    except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
+        solution, failure = None, f"{file}: {error}"
+    return FileOutcome(file, problem, solution, failure, time.perf_counter() - began, chosen)
+
+
+def figures(certificate: LocalCertificate | Certificate) -> dict[str, float]:
+    """The certificate's figures by name."""
+    names = LOCAL_FIGURES if isinstance(certificate, LocalCertificate) else BODY_FIGURES
+    return {name: float(getattr(certificate, name)) for name in names}
+
+
+def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
+    """All that is known of one outcome, for JSON."""
+    solution, problem = outcome.solution, outcome.problem
+    data: dict[str, Any] = {
+        "file": outcome.file,
+        "form": "local" if isinstance(problem, LocalProblem) else "bodies",
+        "dimension": outcome.dimension,
+        "contacts": problem.contacts,
+        "asymmetry": problem.asymmetry,
+        "met": outcome.passed,
+        "seconds": outcome.seconds,
+    }
+    if outcome.failure is not None:
+        data["failure"] = outcome.failure
+    if solution is not None:
+        certificate = solution.certificate
+        data |= {
+            "method": solution.method,
+            "statuses": outcome.statuses,
+            "certificate": {
+                "passed": bool(certificate.passed),
+                "failures": list(certificate.failures),
+                **{name: finite(value) for name, value in figures(certificate).items()},
+            },
+        }
+    if isinstance(solution, LocalSolution):
+        data |= {
+            "iterations": solution.iterations,
+            "force": solution.force.tolist(),
+            "velocity": solution.velocity.tolist(),
+            "joint_force": solution.joint_force.tolist(),
+        }
+    return data
+
+
+def finite(value: float) -> float | None:
+    """JSON has no numbers that are not finite."""
+    return float(value) if math.isfinite(value) else None
