@@ -108,6 +108,19 @@ def test_no_answer_is_exit_1_in_one_line(capsys, sliding):
     assert not data["met"]
 
 
+def test_walls_that_close_on_a_block_have_no_answer_and_none_is_invented(capsys, tmp_path):
+    """Forces so large that the closing velocity is lost in their rounding are no answer."""
+    walls = np.array([[1, 0, -1, 0], [0, 1, 0, 1], [-1, 0, 1, 0], [0, 1, 0, 1.0]])
+    file = tmp_path / "jammed.dat"
+    file.write_text(f"2\n2\n{dense_text(walls)}-0.1 0 -0.1 0\n0.3 0.3\n")
+    code, out, err = run(capsys, "run", file)
+    assert code == 1
+    assert "jammed.dat" in err
+    assert "REFUSED" in out
+    (tmp_path / "huge.txt").write_text("8e15 0 8e15 0")
+    assert run(capsys, "check", file, tmp_path / "huge.txt")[0] == 1
+
+
 def test_bad_files_and_options_without_meaning_are_exit_2(capsys, tmp_path, sliding):
     short = tmp_path / "short.dat"
     short.write_text(SLIDING[:-8])
