@@ -52,6 +52,10 @@ if TYPE_CHECKING:
     from contactqp.multiplicity import equilibria as equilibria
     from contactqp.problem import ContactProblem as ContactProblem
     from contactqp.problem import Units as Units
+    from contactqp.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
+    from contactqp.published_errors import fclib_merit_1 as fclib_merit_1
+    from contactqp.published_errors import siconos_global_error as siconos_global_error
+    from contactqp.published_errors import siconos_local_error as siconos_local_error
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
     from contactqp.scene.schema import Scene as Scene
@@ -90,11 +94,13 @@ _HOME = {
     "Surface": "elements.surface",
     "Units": "problem",
     "Unsupported": "errors",
+    "acary_bremond_huber_error": "published_errors",
     "certify": "certificate",
     "certify_local": "local_certificate",
     "compare": "study.comparison",
     "equilibria": "multiplicity",
     "existence_margin": "local_solving",
+    "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",
     "local_form_of": "exchange.local_form",
@@ -109,6 +115,8 @@ _HOME = {
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos_text",
     "run": "scene.running",
+    "siconos_global_error": "published_errors",
+    "siconos_local_error": "published_errors",
     "solve": "solving",
     "write_fclib": "exchange.fclib_writing",
 }

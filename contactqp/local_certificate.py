@@ -16,6 +16,7 @@ from contactqp.coulomb_cone import directions, lengths, natural_map
 from contactqp.errors import InvalidProblem
 from contactqp.local_problem import LocalProblem
 from contactqp.problem_data import Vector
+from contactqp.published_errors import siconos_local_error
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
 
@@ -25,7 +26,7 @@ class LocalCertificate:
     """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
 
     natural_map: float  # |r - P_K(r - u - mu |u_T| e_N)| / |q|, where max |W| = 1 and |q| = sqrt(d m)
-    siconos_error: float  # the same numerator / max(|q|, |r|, |u|), W and q as given
+    siconos_error: float  # `published_errors.siconos_local_error`, W and q as given
     penetration: float  # (-u_N)+ as a velocity
     tension: float  # (-r_N)+ as a force
     complementarity: float  # min(u_N, r_N), each in its own measure
@@ -74,7 +75,10 @@ def certify_local(
         return _not_finite(problem, tolerance)
     measured = _Measured(problem, r, joint)
     figures = {name: float(np.max(getattr(measured, name), initial=0.0)) for name in FIGURES}
-    errors = {"natural_map": normalised_error(problem, r, joint), "siconos_error": siconos_error(problem, r, joint)}
+    errors = {
+        "natural_map": normalised_error(problem, r, joint),
+        "siconos_error": siconos_local_error(problem, r, joint),
+    }
     failures = [measured.failure(name, tolerance) for name in FIGURES if figures[name] > tolerance]
     if errors["natural_map"] > tolerance:
         failures.append(f"natural map: {errors['natural_map']:.3g} of |q| (tolerance {tolerance:g})")
@@ -108,14 +112,6 @@ def normalised_error(problem: LocalProblem, force: NDArray[np.float64], joint_fo
     velocity = problem.velocity(force, joint_force) / size
     residual = natural_map(force * (largest / size), velocity, problem.friction)
     return float(np.linalg.norm(residual) / np.sqrt(max(len(problem.offset), 1)))
-
-
-def siconos_error(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector | None = None) -> float:
-    """The error of Siconos's `fc3d_compute_error`: |r - P_K(r - u - mu |u_T| e_N)| / max(|q|, |r|, |u|)."""
-    velocity = problem.velocity(force, joint_force)
-    scale = max(float(np.linalg.norm(part)) for part in (problem.offset, force, velocity))
-    residual = float(np.linalg.norm(natural_map(force, velocity, problem.friction)))
-    return residual / scale if scale > 0 else residual
 
 
 class _Measured:

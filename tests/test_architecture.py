@@ -22,6 +22,7 @@ LAYERS = (
     "extended",
     "local_problem",
     "coulomb_cone",
+    "published_errors",
     "local_certificate",
     "local_solution",
     "factorization",
