@@ -12,9 +12,10 @@ from contactqp.balance import balance
 from contactqp.bounds import Bounds, bounds
 from contactqp.candidates import believed_candidates, bounds_among
 from contactqp.condensation import Condensation, condense
+from contactqp.coulomb_residual import IMPLIED, coulomb_residual
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import RigidMotions
-from contactqp.failures import failed_bounds, failed_figures, not_finite_parts, notes
+from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import (
@@ -46,6 +47,9 @@ class Certificate:
     cone: float
     slip_direction: float
     tie: float
+    natural_map: (
+        float | None
+    )  # contact and friction as one equation (`contactqp.coulomb_residual`); None without friction
     energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
     force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
     force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]
@@ -121,11 +125,14 @@ def certify(
     found = violations(problem, answer, left)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
+    law = coulomb_residual(problem, answer, found)
     failures = list(failed_figures(problem, answer, found, figures, tolerance))
+    failures += failed_law(problem, law, IMPLIED * tolerance)
     failures += failed_bounds(problem, answer, known, error_tolerance)
     grazing = _grazing(problem, answer, found, known, tolerance)
     return Certificate(
         **figures,
+        natural_map=None if law is None else float(np.max(law, initial=0.0)),
         energy_error=known.energy_error,
         force_error=known.force_error,
         force_bound=known.force_bound,
@@ -236,6 +243,7 @@ def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
         **figures,
+        natural_map=float("inf") if problem.frictional else None,
         energy_error=None,
         force_error=None,
         force_bound=None,

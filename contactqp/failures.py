@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.bounds import Bounds
-from contactqp.problem import ContactProblem
+from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import FIGURES, Answer, Violations
 
 
@@ -66,6 +66,15 @@ def failed_figures(
             yield said(name, text, "sizes that meet there")
         else:
             yield said(name, f"tie {i} is not met", "lengths that meet there")
+
+
+def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Iterator[str]:
+    if law is not None and not np.all(law <= limit):
+        i = int(np.argmax(law))
+        yield (
+            f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
+            f"of the sizes that meet there (tolerance {limit:g})"
+        )
 
 
 def failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:

@@ -161,6 +161,16 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     return np.asarray(length)
 
 
+def tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
+    """|L| (m,) of the tangential rows of each contact [length]; a row at rest adds none where another one moves."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.full(problem.contacts, np.inf)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement)
+    meeting = meeting.reshape(problem.slip_origin.shape)
+    finite = np.where(np.isfinite(meeting), meeting, 0.0)
+    return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
+
+
 def _largest_of_bodies(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     """The largest size (n,) of an unknown on the bodies that each row touches."""
     body = bodies(problem)
@@ -219,8 +229,7 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
     bound = problem.friction * np.maximum(answer.normal_force, 0.0)
     beyond = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     wrong = force - bound[:, None] * directions(slip)
-    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), answer.displacement)
-    slip_measure = ratio(slipped, lengths(meeting.reshape(force.shape)))
+    slip_measure = ratio(slipped, tangential_lengths(problem, answer.displacement))
     return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
 
 

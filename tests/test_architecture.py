@@ -41,6 +41,7 @@ LAYERS = (
     "range_space",
     "saddle",
     "violations",
+    "coulomb_residual",
     "balance",
     "polishing",
     "energy_norm",

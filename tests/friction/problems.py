@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -86,3 +88,58 @@ def random_problem(rng: np.random.Generator) -> cq.ContactProblem:
         tie=rng.normal(size=(k, n)) if k else None,
         tie_value=0.1 * rng.normal(size=k) if k else None,
     )
+
+
+@dataclass(frozen=True)
+class Known:
+    """A frictional problem that was made around its answer."""
+
+    problem: cq.ContactProblem
+    displacement: np.ndarray
+    normal_force: np.ndarray
+    friction_force: np.ndarray
+    tie_force: np.ndarray
+
+    def answer(self) -> dict[str, np.ndarray]:
+        return dict(
+            displacement=self.displacement,
+            normal_force=self.normal_force,
+            friction_force=self.friction_force,
+            tie_force=self.tie_force,
+        )
+
+
+def known_answer(rng: np.random.Generator, dimension: int, stiff: float = 0.0, m: int | None = None) -> Known:
+    """Contacts of all states at random, in the plane or in space; unknowns are scaled by up to 10^(+-stiff)."""
+    m = int(rng.integers(1, 5)) if m is None else m
+    t = dimension - 1
+    n = dimension * m + int(rng.integers(0, 4))
+    k = int(rng.integers(0, 2))
+    shape = rng.normal(size=(n, n if rng.random() < 0.7 else n - 1))
+    scale = 10.0 ** rng.uniform(-stiff, stiff, n)
+    K = shape @ shape.T * np.outer(scale, scale)
+    K = (K + K.T) / 2
+    normal, tangent, tie = (rng.normal(size=(rows, n)) * scale for rows in (m, t * m, k))
+    mu = rng.choice([0.0, 0.2, 0.7, 5.0], size=m)
+    u = rng.normal(size=n) / scale
+    state = rng.choice(["open", "stick", "slip", "grazing"], size=m)
+    pressed = np.where(np.isin(state, ["stick", "slip"]), rng.uniform(0.5, 2.0, m), 0.0)
+    direction = rng.normal(size=(m, t))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    part = np.where(state == "slip", 1.0, rng.uniform(0.0, 0.9, m))
+    rubbed = (mu * pressed * part)[:, None] * direction
+    slip = np.where(state == "stick", 0.0, rng.uniform(0.1, 1.0, m))[:, None] * direction
+    gap = normal @ u + np.where(state == "open", rng.uniform(0.1, 1.0, m), 0.0)
+    nu = rng.normal(size=k)
+    problem = cq.ContactProblem(
+        stiffness=K,
+        load=K @ u + normal.T @ pressed + tangent.T @ rubbed.ravel() + tie.T @ nu,
+        normal=normal,
+        gap=gap,
+        tangent=tangent,
+        friction=mu,
+        slip_origin=(tangent @ u).reshape(m, t) - slip,
+        tie=tie if k else None,
+        tie_value=tie @ u if k else None,
+    )
+    return Known(problem, u, pressed, rubbed, nu)

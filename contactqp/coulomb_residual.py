@@ -1,0 +1,98 @@
+"""Signorini's and Coulomb's law as one equation, measured at every contact of an answer.
+
+At contact i let r = (l_N, -l_T) be the force on the body and u = (g - E_N u, E_T u - slip_origin). The law is
+
+    n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
+
+(De Saxce and Feng 1998; `contactqp.coulomb_cone`). With rho_i = phi_i / L_i, phi_i the larger of the forces that meet
+along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
+dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
+
+Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
+slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
+twice the move of r and once that of u + mu |u_T| e_N.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.coulomb_cone import natural_map
+from contactqp.problem import ContactProblem, Vector
+from contactqp.violations import Answer, Violations, lengths_that_meet, tangential_lengths
+
+# The other figures imply this one up to this factor.
+IMPLIED = 4.0
+# Tangential rows, each scaled by the forces that meet, whose angle has a smaller squared sine than this are parallel.
+PARALLEL = 1e-14
+
+
+def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
+    """|n_i| / (phi_i (1 + mu_i)) (m,), or None without friction.
+
+    A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
+    friction within the bound would do in that direction.
+    """
+    if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
+        return None
+    u, friction = answer.displacement, answer.friction_force
+    width = problem.slip_origin.shape[1]
+    across, felt = _tangential_force(problem, found.meeting, width)
+    phi = np.maximum(_normal_force(problem, found.meeting), np.where(felt, across, 0.0))
+    L_N = lengths_that_meet(problem, problem.normal, problem.gap, u)
+    L_T = np.where(felt, tangential_lengths(problem, u), np.inf)
+    L = np.maximum(np.where(np.isfinite(L_N), L_N, 0.0), np.where(np.isfinite(L_T), L_T, 0.0))
+    slip = (problem.tangent @ u).reshape(problem.slip_origin.shape) - problem.slip_origin
+    # What lies at rest to rounding (an infinite length) has no gap and no slip.
+    gap = np.where(np.isfinite(L_N), found.gap, 0.0)
+    slip = np.where(np.isfinite(L_T)[:, None], slip, 0.0)
+    rubbed = np.zeros_like(slip) if friction is None else np.where(felt[:, None], friction, 0.0)
+    force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
+    velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
+    mu = np.where(felt, problem.friction, 0.0)
+    return np.asarray(np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu))
+
+
+def _normal_force(problem: ContactProblem, meeting: Vector) -> Vector:
+    """(m,) the largest l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
+    entries = _entries(problem.normal, meeting, np.arange(problem.contacts))
+    return _inverse(np.asarray(abs(entries).max(axis=1).toarray()).ravel())
+
+
+def _tangential_force(problem: ContactProblem, meeting: Vector, width: int) -> tuple[Vector, NDArray[np.bool_]]:
+    """(m,) at least the largest |l_T| whose own measure is one, and whether every direction of it is felt.
+
+    max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
+    """
+    m = problem.contacts
+    entries = _entries(problem.tangent, meeting, np.arange(width * m) // width)
+    rows = [entries[k::width] for k in range(width)]
+    count = np.diff(sp.csr_matrix(sum(abs(row) for row in rows)).indptr)
+    own = [np.asarray(row.multiply(row).sum(axis=1)).ravel() for row in rows]
+    if width == 1:
+        return np.sqrt(count) * _inverse(np.sqrt(own[0])), own[0] > 0
+    shared = np.asarray(rows[0].multiply(rows[1]).sum(axis=1)).ravel()
+    product = own[0] * own[1]
+    sine = 1.0 - np.divide(shared**2, product, out=np.ones(m), where=product > 0)
+    felt = sine > PARALLEL
+    largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
+    smallest = np.divide(product * sine, largest, out=np.zeros(m), where=felt)
+    return np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
+
+
+def _entries(rows: object, meeting: Vector, contact: NDArray[np.intp]) -> sp.csr_matrix:
+    """E_ij / F_j; where no force meets, and so none acts, as much as the largest of the contact."""
+    entries = sp.coo_matrix(rows)
+    data, of = entries.data, contact[entries.row]
+    F = meeting[entries.col]
+    scaled = np.divide(data, F, out=np.zeros_like(data), where=F > 0)
+    largest = np.zeros(int(contact[-1]) + 1 if len(contact) else 0)
+    np.maximum.at(largest, of, abs(scaled))
+    idle = np.where(largest > 0, largest, 1.0)[of] * np.sign(data)
+    return sp.csr_matrix((np.where(F > 0, scaled, idle), (entries.row, entries.col)), shape=entries.shape)
+
+
+def _inverse(size: Vector) -> Vector:
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
