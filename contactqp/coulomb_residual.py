@@ -15,13 +15,15 @@ twice the move of r and once that of u + mu |u_T| e_N.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import natural_map
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, Violations, lengths_that_meet, tangential_lengths
+from contactqp.violations import Answer, Violations
 
 # The other figures imply this one up to this factor.
 IMPLIED = 4.0
@@ -37,16 +39,14 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     """
     if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         return None
-    u, friction = answer.displacement, answer.friction_force
-    width = problem.slip_origin.shape[1]
-    across, felt = _tangential_force(problem, found.meeting, width)
+    origin, friction = problem.slip_origin, answer.friction_force
+    across, felt = _tangential_force(problem, found.meeting)
     phi = np.maximum(_normal_force(problem, found.meeting), np.where(felt, across, 0.0))
-    L_N = lengths_that_meet(problem, problem.normal, problem.gap, u)
-    L_T = np.where(felt, tangential_lengths(problem, u), np.inf)
+    # What is at rest to rounding (an infinite length) has no gap and no slip.
+    L_N, L_T = found.lengths, np.where(felt, found.tangential_lengths, np.inf)
     L = np.maximum(np.where(np.isfinite(L_N), L_N, 0.0), np.where(np.isfinite(L_T), L_T, 0.0))
-    slip = (problem.tangent @ u).reshape(problem.slip_origin.shape) - problem.slip_origin
-    # What lies at rest to rounding (an infinite length) has no gap and no slip.
     gap = np.where(np.isfinite(L_N), found.gap, 0.0)
+    slip = (problem.tangent @ answer.displacement).reshape(origin.shape) - origin
     slip = np.where(np.isfinite(L_T)[:, None], slip, 0.0)
     rubbed = np.zeros_like(slip) if friction is None else np.where(felt[:, None], friction, 0.0)
     force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
@@ -55,43 +55,77 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     return np.asarray(np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu))
 
 
+@dataclass(frozen=True, eq=False)
+class _Entries:
+    """The entries of the w rows of every contact, at every unknown that one of them touches."""
+
+    contact: NDArray[np.intp]  # (z,)
+    unknown: NDArray[np.intp]  # (z,)
+    values: NDArray[np.float64]  # (w, z)
+    contacts: int
+
+    def over(self, meeting: Vector) -> NDArray[np.float64]:
+        """E_ij / F_j (w, z); where no force meets, and so none acts, as much as the contact's largest."""
+        F = meeting[self.unknown]
+        scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
+        if not np.all(F > 0):
+            largest = self.largest(scaled)
+            idle = np.where(largest > 0, largest, 1.0)[self.contact] * np.sign(self.values)
+            scaled = np.where(F > 0, scaled, idle)
+        return scaled
+
+    def largest(self, values: NDArray[np.float64]) -> Vector:
+        """The largest size (m,) of values (w, z), contact by contact."""
+        found = np.zeros(self.contacts)
+        np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
+        return found
+
+    def sums(self, values: NDArray[np.float64]) -> Vector:
+        """Sums (m,) of (z,) values, contact by contact."""
+        return np.asarray(np.bincount(self.contact, weights=values, minlength=self.contacts), dtype=float)
+
+
 def _normal_force(problem: ContactProblem, meeting: Vector) -> Vector:
-    """(m,) the largest l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
-    entries = _entries(problem.normal, meeting, np.arange(problem.contacts))
-    return _inverse(np.asarray(abs(entries).max(axis=1).toarray()).ravel())
+    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
+    entries = _entries(problem, "normal")
+    return _inverse(entries.largest(entries.over(meeting)))
 
 
-def _tangential_force(problem: ContactProblem, meeting: Vector, width: int) -> tuple[Vector, NDArray[np.bool_]]:
+def _tangential_force(problem: ContactProblem, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
     """(m,) at least the largest |l_T| whose own measure is one, and whether every direction of it is felt.
 
     max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
     """
-    m = problem.contacts
-    entries = _entries(problem.tangent, meeting, np.arange(width * m) // width)
-    rows = [entries[k::width] for k in range(width)]
-    count = np.diff(sp.csr_matrix(sum(abs(row) for row in rows)).indptr)
-    own = [np.asarray(row.multiply(row).sum(axis=1)).ravel() for row in rows]
-    if width == 1:
-        return np.sqrt(count) * _inverse(np.sqrt(own[0])), own[0] > 0
-    shared = np.asarray(rows[0].multiply(rows[1]).sum(axis=1)).ravel()
-    product = own[0] * own[1]
-    sine = 1.0 - np.divide(shared**2, product, out=np.ones(m), where=product > 0)
+    entries = _entries(problem, "tangent")
+    scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
+    unit = _inverse(entries.largest(scaled))  # so that squares are doubles
+    scaled = scaled * unit[entries.contact]
+    own = [entries.sums(row * row) for row in scaled]
+    if len(own) == 1:
+        return unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), own[0] > 0
+    shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
+    sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
     felt = sine > PARALLEL
     largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
-    smallest = np.divide(product * sine, largest, out=np.zeros(m), where=felt)
-    return np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
+    smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
+    return unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
 
 
-def _entries(rows: object, meeting: Vector, contact: NDArray[np.intp]) -> sp.csr_matrix:
-    """E_ij / F_j; where no force meets, and so none acts, as much as the largest of the contact."""
-    entries = sp.coo_matrix(rows)
-    data, of = entries.data, contact[entries.row]
-    F = meeting[entries.col]
-    scaled = np.divide(data, F, out=np.zeros_like(data), where=F > 0)
-    largest = np.zeros(int(contact[-1]) + 1 if len(contact) else 0)
-    np.maximum.at(largest, of, abs(scaled))
-    idle = np.where(largest > 0, largest, 1.0)[of] * np.sign(data)
-    return sp.csr_matrix((np.where(F > 0, scaled, idle), (entries.row, entries.col)), shape=entries.shape)
+def _entries(problem: ContactProblem, name: str) -> _Entries:
+    """Those of `normal` or `tangent`, laid out once for the rows."""
+    key = f"entries_of_{name}"
+    if key not in problem._shared:
+        rows, m = sp.csr_matrix(getattr(problem, name)), problem.contacts
+        width = rows.shape[0] // m if m else 1
+        pattern = sp.csr_matrix(sum(abs(rows[k::width]) for k in range(width)))
+        pattern.sum_duplicates()
+        contact = np.repeat(np.arange(m), np.diff(pattern.indptr))
+        values = np.zeros((width, pattern.nnz))
+        if pattern.nnz:
+            values[:] = [np.asarray(rows[k::width][contact, pattern.indices]).ravel() for k in range(width)]
+        problem._shared[key] = _Entries(contact, pattern.indices.astype(np.intp), values, m)
+    entries: _Entries = problem._shared[key]
+    return entries
 
 
 def _inverse(size: Vector) -> Vector:

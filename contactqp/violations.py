@@ -52,6 +52,8 @@ class Violations:
     slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
     tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
     slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
+    lengths: Vector  # (m,) L of the normal rows, infinite where they are at rest [length]
+    tangential_lengths: Vector  # (m,) that of the tangential rows
     gap: Vector  # (m,) g - E_N u [length]
     gap_measure: Vector  # (m,) |gap| / L
     force_measure: Vector  # (m,) |l_N| as a force
@@ -105,9 +107,10 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
     """Every figure of an answer with these residuals."""
     residual, gap, tie_error = left.force.double(), left.gap.double(), abs(left.tie.double())
     F = forces_that_meet(problem, answer)
-    gap_measure = ratio(abs(gap), lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement))
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    gap_measure, tangential = ratio(abs(gap), length), tangential_lengths(problem, answer.displacement)
     push = force_measure(problem.normal, answer.normal_force, F)
-    cone, direction, slip_measure = _friction(problem, answer, F)
+    cone, direction, slip_measure = _friction(problem, answer, F, tangential)
     return Violations(
         equilibrium=ratio(abs(residual), F),
         residual=residual,
@@ -118,6 +121,8 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
         slip_direction=direction,
         tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement)),
         slip_measure=slip_measure,
+        lengths=length,
+        tangential_lengths=tangential,
         gap=gap,
         gap_measure=gap_measure,
         force_measure=push,
@@ -213,7 +218,7 @@ def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
     return measure
 
 
-def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vector, Vector, Vector]:
+def _friction(problem: ContactProblem, answer: Answer, F: Vector, length: Vector) -> tuple[Vector, Vector, Vector]:
     """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, and the slip."""
     none = np.zeros(problem.contacts)
     if (
@@ -229,7 +234,7 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector) -> tuple[Vecto
     bound = problem.friction * np.maximum(answer.normal_force, 0.0)
     beyond = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     wrong = force - bound[:, None] * directions(slip)
-    slip_measure = ratio(slipped, tangential_lengths(problem, answer.displacement))
+    slip_measure = ratio(slipped, length)
     return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
 
 
