@@ -18,6 +18,7 @@ from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
+from contactqp.uniqueness import UNKNOWN, uniqueness
 from contactqp.violations import (
     FIGURES,
     Answer,
@@ -57,6 +58,8 @@ class Certificate:
     grazing: tuple[int, ...]  # contacts whose gap and force both vanish
     failures: tuple[str, ...]  # what failed, where, by how much
     notes: tuple[str, ...]
+    uniqueness: tuple[str, ...]  # with friction: "several answers", "several answers possible", "forces not unique"
+    contraction: float | None  # of Tresca's fixed point around this answer; from 1 on it cycles without damping
     tolerance: float
     error_tolerance: float
     passed: bool
@@ -121,8 +124,9 @@ def certify(
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
     with problem.lock:
-        left, known, rigid = _residuals_and_bounds(problem, answer, factorization)
-    found = violations(problem, answer, left)
+        left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
+        found = violations(problem, answer, left)
+        others = uniqueness(problem, answer, found, condensation, tolerance)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
     law = coulomb_residual(problem, answer, found)
@@ -139,7 +143,9 @@ def certify(
         reasons=known.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
         failures=tuple(failures),
-        notes=notes(problem, grazing, known),
+        notes=(*notes(problem, grazing, known), *others.notes),
+        uniqueness=others.findings,
+        contraction=others.contraction,
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
@@ -150,17 +156,20 @@ def certify(
 
 def _residuals_and_bounds(
     problem: ContactProblem, answer: Answer, factorization: Condensation | None
-) -> tuple[Residuals, Bounds, RigidMotions]:
-    """What an answer leaves, how far from the truth that is, and the rigid motions of the bodies."""
+) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
+    """What an answer leaves, how far from the truth that is, the rigid motions of the bodies, and their condensation.
+
+    The last is None where not all contacts were condensed onto.
+    """
     if factorization is None and iterated(problem):
         left = plain_residuals(problem, answer)
         known = bounds(problem, answer, left, iteration(problem))
-        return left, known, RigidMotions(np.zeros((problem.dimension, 0)))  # one that floats is refused
+        return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
     left = residuals(problem, answer)
     if factorization is None and (candidates := believed_candidates(problem, answer)) is not None:
-        return left, *bounds_among(problem, answer, left, candidates)
+        return left, *bounds_among(problem, answer, left, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
-    return left, bounds(problem, answer, left, condensation), condensation.rigid
+    return left, bounds(problem, answer, left, condensation), condensation.rigid, condensation
 
 
 def _grazing(
@@ -251,6 +260,8 @@ def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error
         grazing=(),
         failures=tuple(not_finite_parts(problem, answer)),
         notes=(),
+        uniqueness=(UNKNOWN,) if problem.frictional else (),
+        contraction=None,
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=False,
