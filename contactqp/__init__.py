@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
-    from contactqp.critical_friction import CriticalFriction as CriticalFriction
-    from contactqp.critical_friction import critical_friction as critical_friction
+    from contactqp.critical_coefficients import CriticalFriction as CriticalFriction
+    from contactqp.critical_coefficients import critical_friction as critical_friction
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.obstacle import Plane as Plane
@@ -74,7 +74,7 @@ _HOME = {
     "Circle": "elements.round_obstacle",
     "ContactProblem": "problem",
     "ContactQPError": "errors",
-    "CriticalFriction": "critical_friction",
+    "CriticalFriction": "critical_coefficients",
     "Cylinder": "elements.round_obstacle",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
@@ -101,7 +101,7 @@ _HOME = {
     "certify": "certificate",
     "certify_local": "local_certificate",
     "compare": "study.comparison",
-    "critical_friction": "critical_friction",
+    "critical_friction": "critical_coefficients",
     "equilibria": "multiplicity",
     "existence_margin": "local_solving",
     "fclib_merit_1": "published_errors",

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.contact_compliance import contact_compliance
-from contactqp.critical_friction import OPEN, STICK, combinations, system_matrices
+from contactqp.critical_coefficients import OPEN, STICK, combinations, regular, system_matrices
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
 
-# 4^4 systems take a few milliseconds.
-MOST_COUNTED = 4
+# 4^5 systems take some ten milliseconds.
+MOST_COUNTED = 5
 # Singular values of this part of the largest are zero.
 DEPENDENT = 1e-11
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding.
@@ -32,27 +32,27 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     system = _Systems(problem, condensation)
     status = combinations(system.mu)
     matrices, right = system.assembled(status)
-    left, values, rotation = np.linalg.svd(matrices)
-    kept = values > DEPENDENT * values[:, :1]
-    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-    y = np.einsum("bji,bj->bi", rotation, inverse * np.einsum("bji,bj->bi", left, right))
-    missing = np.max(abs(np.einsum("bij,bj->bi", matrices, y) - right), axis=1, initial=0.0)
-    found: list[Vector] = []
-    for b in np.flatnonzero(missing <= DOUBTFUL * system.size):
-        free = rotation[b][~kept[b]]
-        room, change = system.signs(status[b])
-        holds = bool(np.all(room + change @ y[b] >= -DOUBTFUL * system.size))
-        if len(free) and not holds:
-            y[b], holds = _within(room, change, y[b], free, system.size)
-        if not holds:
+    singular = ~regular(matrices)
+    y = np.zeros_like(right)
+    y[~singular] = np.linalg.solve(matrices[~singular], right[~singular][:, :, None])[:, :, 0]
+    found = [system.moved(y[b]) for b in np.flatnonzero(~singular & system.holds(status, y))]
+    for b in np.flatnonzero(singular):
+        start, free = _least(matrices[b], right[b])
+        if np.max(abs(matrices[b] @ start - right[b]), initial=0.0) > DOUBTFUL * system.size:
             continue
-        if len(free) and system.moves(free):
-            return True
-        moved = system.moved(y[b])
-        if any(np.max(abs(moved - other), initial=0.0) > SAME * system.size for other in found):
-            return True
-        found.append(moved)
-    return False
+        member = _within(*system.signs(status[b]), start, free, system.size)
+        if member is not None:
+            if system.moves(free):
+                return True
+            found.append(system.moved(member))
+    return any(np.max(abs(one - found[0]), initial=0.0) > SAME * system.size for one in found[1:])
+
+
+def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
+    """The least solution that fits best, and the directions (k, q) that change nothing."""
+    left, values, rotation = np.linalg.svd(matrix)
+    kept = values > DEPENDENT * values[0]
+    return rotation[kept].T @ ((left.T @ right)[kept] / values[kept]), rotation[~kept]
 
 
 class _Systems:
@@ -86,6 +86,18 @@ class _Systems:
         right[:, 2 * m :] = self._held
         return matrices, right
 
+    def holds(self, status: NDArray[np.int8], y: Array) -> NDArray[np.bool_]:
+        """Which solutions (c, q) have the signs of their combination (c, m)."""
+        m, allowed = len(self.mu), DOUBTFUL * self.size
+        force = y[:, : 2 * m].reshape(len(y), m, 2)
+        room = self._room - (y @ self._slope.T).reshape(force.shape)
+        gap, slip = room[:, :, 0], -room[:, :, 1]
+        opened, stuck = status == OPEN, status == STICK
+        right = np.where(opened, gap >= -allowed, force[:, :, 0] >= -allowed)
+        right &= np.where(stuck, abs(force[:, :, 1]) <= self.mu * force[:, :, 0] + allowed, True)
+        right &= np.where(opened | stuck | (self.mu == 0), True, status * slip >= -allowed)
+        return np.asarray(np.all(right, axis=1))
+
     def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
         """Room and its slope in y: the signs hold where room + slope y >= 0."""
         m, unit = len(self.mu), np.eye(self._slope.shape[1])
@@ -107,19 +119,20 @@ class _Systems:
         return bool(np.max(abs(self._felt @ free.T), initial=0.0) > np.sqrt(DEPENDENT))
 
 
-def _within(room: Vector, change: Array, start: Vector, free: Array, size: float) -> tuple[Vector, bool]:
-    """Of the solutions start + free'c, one whose signs hold best, and whether they do."""
+def _within(room: Vector, change: Array, start: Vector, free: Array, size: float) -> Vector | None:
+    """Of the solutions start + free'c, one whose signs hold best, if they do."""
     from scipy.optimize import linprog
 
-    count = len(free)
-    answer = linprog(
-        np.append(np.zeros(count), -1.0),
-        A_ub=np.column_stack([-change @ free.T, np.ones(len(room))]),
-        b_ub=(room + change @ start) / size,
-        bounds=[(None, None)] * count + [(None, 1.0)],
-        method="highs",
-    )
-    if answer.x is None:
-        return start, False
-    y = np.asarray(start + size * free.T @ answer.x[:-1])
-    return y, bool(np.all(room + change @ y >= -DOUBTFUL * size))
+    y = start
+    if len(free):
+        answer = linprog(
+            np.append(np.zeros(len(free)), -1.0),
+            A_ub=np.column_stack([-change @ free.T, np.ones(len(room))]),
+            b_ub=(room + change @ start) / size,
+            bounds=[(None, None)] * len(free) + [(None, 1.0)],
+            method="highs",
+        )
+        if answer.x is None:
+            return None
+        y = np.asarray(start + size * free.T @ answer.x[:-1])
+    return y if np.all(room + change @ y >= -DOUBTFUL * size) else None

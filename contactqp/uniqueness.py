@@ -17,7 +17,7 @@ from contactqp.answer_count import MOST_COUNTED, several_answers
 from contactqp.condensation import Condensation
 from contactqp.contact_compliance import contact_compliance
 from contactqp.coulomb_cone import directions
-from contactqp.critical_friction import CriticalFriction, critical, too_many
+from contactqp.critical_coefficients import CriticalFriction, critical, too_many
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer, Violations
@@ -29,6 +29,10 @@ UNKNOWN = "not examined"
 
 # Singular values of rows of unit length, relative to the largest, beneath which they depend on each other.
 DEPENDENT = 1e-10
+# Pivots of their Gram matrix above this part of one say that they do not.
+INDEPENDENT = 1e-12
+# Linearising Tresca's fixed point takes a dense system of all closed contacts, at every answer.
+MOST_LINEARISED = 100
 # A contact takes part in a dependence with a share of at least this.
 SHARE = 1e-6
 
@@ -78,6 +82,9 @@ class _State:
         rubs = loaded & (problem.friction > 0)
         self.stuck = np.flatnonzero(rubs & (found.slip_measure <= tolerance))
         self.slides = np.flatnonzero(rubs & (found.slip_measure > tolerance))
+        # What touches without pressing and slips would rub as soon as it took its share.
+        moves = (problem.friction > 0) & (found.slip_measure > tolerance)
+        self.dragged = self.closed[moves[self.closed]]
         slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
         self.direction = directions(slip)
         self.slip = np.linalg.norm(slip, axis=1)
@@ -95,7 +102,8 @@ def _displacements(
             return None, None
         listed = "contactqp.equilibria lists them"
         return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, known)}); {listed}"
-    return POSSIBLE, f"friction: several answers may exist ({_reason(problem, known)})"
+    may = "may exist" if known.above.size else "are not excluded"
+    return POSSIBLE, f"friction: several answers {may} ({_reason(problem, known)})"
 
 
 def _reason(problem: ContactProblem, known: CriticalFriction) -> str:
@@ -120,23 +128,21 @@ def _forces(problem: ContactProblem, state: _State, condensation: Condensation) 
 
 def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Condensation) -> NDArray[np.intp]:
     """Closed contacts whose forces may change without moving anything."""
-    if condensation.tangent is None or problem.friction is None:
+    if condensation.tangent is None or problem.friction is None or _never_dependent(problem, condensation):
         return np.zeros(0, dtype=np.intp)
     scale, m = condensation.scale, problem.contacts
     tangent = (condensation.tangent.toarray() * scale).reshape(m, -1, len(scale))
     dragged = np.zeros((m, len(scale)))
-    dragged[state.slides] = problem.friction[state.slides, None] * np.einsum(
-        "ik,ikj->ij", state.direction[state.slides], tangent[state.slides]
-    )
+    at = state.dragged
+    dragged[at] = problem.friction[at, None] * np.einsum("ik,ikj->ij", state.direction[at], tangent[at])
     width = tangent.shape[1]
     held = tangent[state.stuck].reshape(-1, len(scale))
     of = np.concatenate([state.closed, np.repeat(state.stuck, width)])
     rows = np.vstack([condensation.normal[state.closed] * scale + dragged[state.closed], held])
     felt = np.any(rows != 0, axis=1)  # a tangent that is supported has no friction to speak of
-    ties = condensation.tie * scale
-    both = _unit(np.vstack([rows[felt], ties]))
+    both = _unit(np.vstack([rows[felt], condensation.tie * scale]))
     count = int(np.sum(felt))
-    if not count:
+    if not count or _independent(both):
         return np.zeros(0, dtype=np.intp)
     _, values, rotation = np.linalg.svd(both.T, full_matrices=len(both) > len(scale))
     values = np.concatenate([values, np.zeros(len(both) - len(values))])
@@ -145,37 +151,60 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
     return np.unique(of[felt][shares > SHARE])
 
 
+def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:
+    """Whether the rows of all contacts and ties are independent, whatever is closed; found out once."""
+    if "independent_rows" not in problem._shared:
+        tangent = np.zeros((0, len(condensation.scale)))
+        if condensation.tangent is not None:
+            tangent = condensation.tangent.toarray()
+        felt = tangent[np.any(tangent != 0, axis=1)]
+        rows = np.vstack([condensation.normal, felt, condensation.tie]) * condensation.scale
+        problem._shared["independent_rows"] = _independent(_unit(rows))
+    return bool(problem._shared["independent_rows"])
+
+
+def _independent(rows: Array) -> bool:
+    """Whether unit rows are independent beyond doubt; if not, they may be all the same."""
+    if len(rows) > rows.shape[1]:
+        return False
+    try:
+        factor = np.linalg.cholesky(rows @ rows.T)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.min(np.diag(factor) ** 2, initial=1.0) > INDEPENDENT)
+
+
 def _contraction(problem: ContactProblem, state: _State, condensation: Condensation) -> float | None:
     """Spectral radius of bounds mu l_N -> mu l_N of the next Tresca problem, linearised at the answer.
 
     Closed contacts stay closed, those that stick stick; where one slips, l_T = theta d, d = s/|s|, changes with theta
-    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds.
+    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None where more than 100 contacts are closed.
     """
-    if not state.slides.size or problem.friction is None:
-        return 0.0
+    if problem.friction is None or len(state.closed) > MOST_LINEARISED:
+        return None
     compliance = contact_compliance(problem, condensation)
-    m = problem.contacts
-    d = len(compliance.W) // m
-    flexible = np.hstack([compliance.W, compliance.V])
-    q = flexible.shape[1]
-    matrix, place = np.eye(q), np.arange(m * d).reshape(m, d)
-    normal = place[state.closed, 0]
-    matrix[normal] = flexible[normal]
-    held = place[state.stuck, 1:].ravel()
-    matrix[held] = flexible[held]
-    right = np.zeros((q, len(state.slides)))
-    for column, i in enumerate(state.slides):
-        across = np.eye(d - 1) - np.outer(state.direction[i], state.direction[i])
+    m, mu = problem.contacts, problem.friction
+    d, joints = len(compliance.W) // m, len(compliance.J)
+    place = np.arange(m * d).reshape(m, d)
+    sliding = place[state.slides, 1:]
+    used = np.concatenate([place[state.closed, 0], place[state.stuck, 1:].ravel(), sliding.ravel()])
+    n, first = len(used), len(used) - sliding.size
+    matrix = np.block([[compliance.W[np.ix_(used, used)], compliance.V[used]], [compliance.V[used].T, compliance.J]])
+    flexible, matrix[first:n] = matrix[first:n].copy(), np.eye(n + joints)[first:n]
+    right = np.zeros((n + joints, len(state.slides)))
+    for k, i in enumerate(state.slides):
+        own, direction = slice(k * (d - 1), (k + 1) * (d - 1)), state.direction[i]
         # In the units of the compliance: forces times sqrt(W_NN), lengths over it.
-        size = compliance.scale[i] ** 2 * problem.friction[i] * max(state.force[i], 0.0) / state.slip[i]
-        matrix[place[i, 1:]] += size * across @ flexible[place[i, 1:]]
-        right[place[i, 1:], column] = problem.friction[i] * state.direction[i]
-    matrix[m * d :] = np.hstack([compliance.V.T, compliance.J])
+        turned = compliance.scale[i] ** 2 * mu[i] * max(state.force[i], 0.0) / state.slip[i]
+        rows = slice(first + own.start, first + own.stop)
+        matrix[rows] += turned * (np.eye(d - 1) - np.outer(direction, direction)) @ flexible[own]
+        right[rows, k] = mu[i] * direction
     try:
         change = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:
         change = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    return float(np.max(abs(np.linalg.eigvals(change[place[state.slides, 0]])), initial=0.0))
+    pressed = change[np.searchsorted(state.closed, state.slides)]
+    return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0)) if len(pressed) else 0.0
 
 
 def _unit(rows: Array) -> Array:

@@ -43,7 +43,7 @@ LAYERS = (
     "violations",
     "coulomb_residual",
     "contact_compliance",
-    "critical_friction",
+    "critical_coefficients",
     "answer_count",
     "uniqueness",
     "balance",

@@ -177,9 +177,14 @@ def system_matrices(W: Array, mu: Vector, status: NDArray[np.int8]) -> Array:
     return matrices.reshape(len(status), 2 * m, 2 * m)
 
 
+def regular(matrices: Array) -> NDArray[np.bool_]:
+    """Which of (c, q, q) matrices have a determinant that is not zero among the lengths of their rows."""
+    _, size = np.linalg.slogdet(matrices)
+    lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
+    return np.asarray(size > lengths + np.log(SINGULAR))
+
+
 def _one_sign(W: Array, mu: Vector) -> bool:
     """Whether all determinants are positive, as those of W itself and of no contact at all are."""
     matrices = system_matrices(W, mu, combinations(mu))
-    sign, size = np.linalg.slogdet(matrices)
-    lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
-    return bool(np.all(sign > 0) and np.all(size > lengths + np.log(SINGULAR)))
+    return bool(np.all(np.linalg.slogdet(matrices)[0] > 0) and np.all(regular(matrices)))
