@@ -19,6 +19,8 @@ from contactqp.problem import ContactProblem, Vector
 
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5
+# Each system that leaves something free takes some linear programs.
+MOST_LOOSE = 30
 # Singular values of this part of the largest are zero.
 DEPENDENT = 1e-11
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding.
@@ -27,8 +29,8 @@ DOUBTFUL = 1e-9
 SAME = 1e-6
 
 
-def several_answers(problem: ContactProblem, condensation: Condensation) -> bool:
-    """Whether more than one answer is found, or a family of them."""
+def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
+    """Whether more than one answer is found, or a family of them; None where too many systems leave something free."""
     system = _Systems(problem, condensation)
     status = combinations(system.mu)
     matrices, right = system.assembled(status)
@@ -36,15 +38,19 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     y = np.zeros_like(right)
     y[~singular] = np.linalg.solve(matrices[~singular], right[~singular][:, :, None])[:, :, 0]
     found = [system.moved(y[b]) for b in np.flatnonzero(~singular & system.holds(status, y))]
+    loose = []
     for b in np.flatnonzero(singular):
-        start, free = _least(matrices[b], right[b])
-        if np.max(abs(matrices[b] @ start - right[b]), initial=0.0) > DOUBTFUL * system.size:
+        y[b], free = _least(matrices[b], right[b])
+        if np.max(abs(matrices[b] @ y[b] - right[b]), initial=0.0) > DOUBTFUL * system.size:
             continue
-        member = _within(*system.signs(status[b]), start, free, system.size)
-        if member is not None:
-            if system.moves(free):
-                return True
-            found.append(system.moved(member))
+        if len(free):
+            loose.append((b, y[b], free))
+        elif system.holds(status[b : b + 1], y[b : b + 1])[0]:
+            found.append(system.moved(y[b]))
+    if len(loose) > MOST_LOOSE:
+        return None
+    for b, start, free in loose:
+        found += _extremes(*system.signs(status[b]), start, free, system)
     return any(np.max(abs(one - found[0]), initial=0.0) > SAME * system.size for one in found[1:])
 
 
@@ -114,25 +120,29 @@ class _Systems:
         """How the contacts move by forces and joints."""
         return np.asarray(self._felt @ y)
 
-    def moves(self, free: Array) -> bool:
-        """Whether a free direction moves any contact."""
-        return bool(np.max(abs(self._felt @ free.T), initial=0.0) > np.sqrt(DEPENDENT))
+    def moving(self, free: Array) -> Array:
+        """What free directions (k, q) make of the contacts: rows (r, k) that they move at all."""
+        change = self._felt @ free.T
+        return np.asarray(change[np.any(abs(change) > np.sqrt(DEPENDENT), axis=1)])
 
 
-def _within(room: Vector, change: Array, start: Vector, free: Array, size: float) -> Vector | None:
-    """Of the solutions start + free'c, one whose signs hold best, if they do."""
+def _extremes(room: Vector, change: Array, start: Vector, free: Array, system: _Systems) -> list[Vector]:
+    """How the contacts move in those solutions start + free'c whose signs hold that lie furthest apart."""
     from scipy.optimize import linprog
 
-    y = start
-    if len(free):
-        answer = linprog(
-            np.append(np.zeros(len(free)), -1.0),
-            A_ub=np.column_stack([-change @ free.T, np.ones(len(room))]),
-            b_ub=(room + change @ start) / size,
-            bounds=[(None, None)] * len(free) + [(None, 1.0)],
-            method="highs",
-        )
+    size, allowed = system.size, DOUBTFUL * system.size
+    left, slope = room + change @ start, change @ free.T
+    idle = np.all(abs(slope) <= np.sqrt(DEPENDENT), axis=1)
+    if np.any(left[idle] < -allowed):
+        return []
+    moving = system.moving(free)
+    wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(free)))
+    found = []
+    for row in wanted:
+        # Beyond a thousand times the size of the data a family is a family.
+        bounds = [(-1e3, 1e3)] * len(free)
+        answer = linprog(-row, A_ub=-slope, b_ub=left / size + DOUBTFUL, bounds=bounds, method="highs")
         if answer.x is None:
-            return None
-        y = np.asarray(start + size * free.T @ answer.x[:-1])
-    return y if np.all(room + change @ y >= -DOUBTFUL * size) else None
+            return []
+        found.append(system.moved(start + size * free.T @ answer.x))
+    return found

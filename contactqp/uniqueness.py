@@ -98,10 +98,12 @@ def _displacements(
         return None, None
     flat = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
     if flat and problem.contacts <= MOST_COUNTED:
-        if not several_answers(problem, condensation):
+        several = several_answers(problem, condensation)
+        if several:
+            listed = "contactqp.equilibria lists them"
+            return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, known)}); {listed}"
+        if several is not None:
             return None, None
-        listed = "contactqp.equilibria lists them"
-        return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, known)}); {listed}"
     may = "may exist" if known.above.size else "are not excluded"
     return POSSIBLE, f"friction: several answers {may} ({_reason(problem, known)})"
 
