@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from contactqp.published_errors import fclib_merit_1 as fclib_merit_1
     from contactqp.published_errors import siconos_global_error as siconos_global_error
     from contactqp.published_errors import siconos_local_error as siconos_local_error
+    from contactqp.relaxation import AssociatedDifference as AssociatedDifference
+    from contactqp.relaxation import associated_difference as associated_difference
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
     from contactqp.scene.schema import Scene as Scene
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "AssociatedDifference": "relaxation",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
     "Certificate": "certificate",
@@ -98,6 +101,7 @@ _HOME = {
     "Units": "problem",
     "Unsupported": "errors",
     "acary_bremond_huber_error": "published_errors",
+    "associated_difference": "relaxation",
     "certify": "certificate",
     "certify_local": "local_certificate",
     "compare": "study.comparison",

@@ -38,6 +38,14 @@ class Certificate:
     `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
     (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
     and not only estimated, as those of bodies too large to factorise.
+
+    With friction, `natural_map` measures Signorini's and Coulomb's law as one equation. It enters the verdict with four
+    times the tolerance, up to which the other figures imply it: it refuses nothing that they pass.
+    `uniqueness` is empty where this is found to be the only answer, and enters no verdict: an answer among several is
+    right. "several answers": others exist at this load; "several answers possible": none of the tests excludes them
+    (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
+    unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
+    factor by which Tresca's fixed point changes the error of its bounds around this answer.
     """
 
     equilibrium: float  # componentwise backward error
@@ -58,8 +66,8 @@ class Certificate:
     grazing: tuple[int, ...]  # contacts whose gap and force both vanish
     failures: tuple[str, ...]  # what failed, where, by how much
     notes: tuple[str, ...]
-    uniqueness: tuple[str, ...]  # with friction: "several answers", "several answers possible", "forces not unique"
-    contraction: float | None  # of Tresca's fixed point around this answer; from 1 on it cycles without damping
+    uniqueness: tuple[str, ...]  # with friction, what speaks against this being the only answer
+    contraction: float | None  # from 1 on, Tresca's fixed point cycles without damping; None beyond 100 closed contacts
     tolerance: float
     error_tolerance: float
     passed: bool
@@ -88,6 +96,10 @@ def certify(
     factorization: Condensation | None = None,
 ) -> Certificate:
     """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
+
+    With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
+    slips. Another law's answer, such as that of the associated relaxation, is refused. No bound can be had, Coulomb's
+    law being no minimisation; instead the certificate says whether other answers exist, as far as that can be told.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
+from contactqp.associated_attempt import solve_associated
 from contactqp.condensation import condense
 from contactqp.condensed_attempt import Meter, described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
@@ -20,7 +21,7 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Work
 from contactqp.violations import Answer
 
-ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "admm", "enumeration")
+ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "admm", "enumeration", "associated")
 # Algorithms of convex steps.
 CONVEX = ("tresca", "aclm")
 DEFAULT_METHOD = "active-set"
@@ -28,6 +29,8 @@ DEFAULT_METHOD = "active-set"
 
 class FrictionAttempt:
     """One answer to a frictional problem, refined to the last digits by the algorithm that found it."""
+
+    exact = True  # whether the algorithm promises Coulomb's answer
 
     def __init__(
         self,
@@ -80,6 +83,12 @@ class FrictionAttempt:
         """Constraints that conflict get no answer this far."""
 
 
+class AssociatedAttempt(FrictionAttempt):
+    """The answer to the associated relaxation, which is Coulomb's only where nothing slides."""
+
+    exact = False
+
+
 def attempt_friction(
     problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None
 ) -> FrictionAttempt:
@@ -103,7 +112,9 @@ def attempt_friction(
     """
     if algorithm is not None and algorithm not in ALGORITHMS:
         raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
-    _refuse_unsupported(problem)
+    _refuse_iterated(problem)
+    if algorithm == "associated":
+        return _relaxed(problem, method, settings)
     if algorithm == "enumeration":
         return _only(problem)
     if algorithm is None or algorithm in CONVEX:
@@ -171,7 +182,7 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]
     Unsupported
         As `attempt_friction`.
     """
-    _refuse_unsupported(problem)
+    _refuse_iterated(problem)
     if _in_space(problem):
         raise Unsupported("enumeration: two tangential rows a contact; slip directions in space cannot be listed")
     meter = Meter(problem)
@@ -226,10 +237,17 @@ def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> F
     return FrictionAttempt(problem, found.answer, meter, f"tresca with {method.name}", found.changes)
 
 
+def _relaxed(problem: ContactProblem, method: Method, settings: Settings) -> AssociatedAttempt:
+    meter = Meter(problem)
+    with meter.running():
+        answer, name = solve_associated(problem, method, settings)
+    return AssociatedAttempt(problem, answer, meter, name)
+
+
 def _in_space(problem: ContactProblem) -> bool:
     return problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
 
 
-def _refuse_unsupported(problem: ContactProblem) -> None:
+def _refuse_iterated(problem: ContactProblem) -> None:
     if iterated(problem):
         raise Unsupported("friction: a body this large is not factorised, and Coulomb friction is not iterated on")

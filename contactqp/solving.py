@@ -69,12 +69,17 @@ def solve(
     warm_start : Solution, optional
         Of a problem with the same contacts.
     algorithm : str, optional
-        With friction: "tresca" (a fixed point on the friction bound, each step by `method`, `max_iter` steps;
-        `contactqp.friction.tresca`), "enumeration" (all combinations of open, stick and slip of at most eight contacts;
-        `method` is not used), or None: the former, and the latter where it fails. Either answer is solved to the last
-        digits on its combination, `polish` or not. Methods of kind "classical enforcement" take no algorithm: they have
-        systems of stick and slip of their own, of the problem as it is, uncondensed. Where there are several equilibria
-        one of them is returned, by enumeration alone none: `contactqp.equilibria` lists them.
+        With friction, for methods of kind other than "classical enforcement", which have systems of stick and slip of
+        their own. By steps of the convex `method`: "tresca" (friction bounds of the step before), "aclm" (shifted
+        cones: Acary, Cadoux, Lemarechal, Malick 2011); in space Clarabel, SCS and cvxpy take cones, others polygons of
+        `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and Curnier
+        1991), "nsgs" (nonsmooth Gauss-Seidel), "admm", "enumeration" (in the plane, at most eight contacts). All are
+        solved to the last digits on their combination of open, stick and slip, `polish` or not, and `max_iter` counts
+        their steps. None tries them one after another. Where there are several equilibria one of them is returned, by
+        enumeration alone none: `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria`
+        lists them. "associated" solves the convex relaxation in which sliding dilates
+        (`contactqp.friction.associated`): it is approximate by design, and its answer is returned although the
+        certificate refuses it wherever something slides.
     **options
         What the method names in its `options`: `penalty`, `tangential_penalty` and `perturbation` [force / length],
         `update`, `solver`.
@@ -174,7 +179,7 @@ def begin(
             attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
         elif problem.frictional:
             attempt = found = attempt_friction(problem, chosen, settings, algorithm)
-            chosen = replace(chosen, name=found.name)
+            chosen = replace(chosen, name=found.name, exact=found.exact)
         else:
             way = IteratedAttempt if iterated(problem) else CondensedAttempt
             attempt = way(problem, chosen, settings, condense)
