@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.contact_compliance import contact_compliance
-from contactqp.critical_coefficients import OPEN, STICK, combinations, regular, system_matrices
+from contactqp.critical_coefficients import DEPENDENT, OPEN, STICK, combinations, regular, system_matrices
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
 
@@ -21,8 +21,6 @@ from contactqp.problem import ContactProblem, Vector
 MOST_COUNTED = 5
 # Each system that leaves something free takes some linear programs.
 MOST_LOOSE = 30
-# Singular values of this part of the largest are zero.
-DEPENDENT = 1e-11
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding.
 DOUBTFUL = 1e-9
 # Answers that differ by less than this part of their size are one.

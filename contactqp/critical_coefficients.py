@@ -31,8 +31,10 @@ MOST_CONTACTS = 300
 MOST_UNKNOWNS = 2000
 # 4^6 determinants take a tenth of a second, once for a stiffness.
 MOST_COMBINED = 6
-# A determinant of this part of the product of its rows' lengths is zero.
+# A determinant of this part of the product of its rows' lengths may be zero.
 SINGULAR = 1e-12
+# Singular values of this part of the largest are zero.
+DEPENDENT = 1e-11
 
 OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 
@@ -178,7 +180,7 @@ def system_matrices(W: Array, mu: Vector, status: NDArray[np.int8]) -> Array:
 
 
 def regular(matrices: Array) -> NDArray[np.bool_]:
-    """Which of (c, q, q) matrices have a determinant that is not zero among the lengths of their rows."""
+    """Which of (c, q, q) matrices are regular beyond doubt: the determinant is no rounding of the rows' lengths."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
     return np.asarray(size > lengths + np.log(SINGULAR))
@@ -187,4 +189,8 @@ def regular(matrices: Array) -> NDArray[np.bool_]:
 def _one_sign(W: Array, mu: Vector) -> bool:
     """Whether all determinants are positive, as those of W itself and of no contact at all are."""
     matrices = system_matrices(W, mu, combinations(mu))
-    return bool(np.all(np.linalg.slogdet(matrices)[0] > 0) and np.all(regular(matrices)))
+    if np.any(np.linalg.slogdet(matrices)[0] <= 0):
+        return False
+    # A small determinant may be that of many small eigenvalues, and its sign still be known.
+    values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
+    return bool(np.all(values[:, -1] > DEPENDENT * values[:, 0]))
