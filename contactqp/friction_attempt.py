@@ -160,10 +160,14 @@ def _on_contacts(problem: ContactProblem, method: Method, settings: Settings, al
 
 
 def attempt_on(
-    problem: ContactProblem, system: ForceSystem, lengths: Lengths, found: CombinationAnswer, combinations: int
+    problem: ContactProblem,
+    system: ForceSystem,
+    lengths: Lengths,
+    found: CombinationAnswer,
+    combinations: int,
+    meter: Meter,
 ) -> FrictionAttempt:
     """The answer of a combination that was found on the contact unknowns, refined; nobody has seen its signs."""
-    meter = Meter(problem)
     with meter.running():
         answer = refined(problem, condense(problem), system, lengths, found)
     return FrictionAttempt(problem, answer, meter, "newton", iterations=combinations)

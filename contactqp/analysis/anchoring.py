@@ -107,10 +107,12 @@ def _first_touch(
         low, high = _furthest(low, fraction, solve)
         if high is None:
             return None
-    same_side = 0
+    same_side, last_over = 0, None
     for _ in range(MOST_LOADS):
-        at = _secant(low, high) if same_side < 2 else (low.fraction + high.fraction) / 2
-        if not low.fraction < at < high.fraction or high.fraction - low.fraction <= JUMP:
+        at = _secant(low, high) if same_side < 2 else 0.0
+        if not low.fraction < at < high.fraction:
+            at = (low.fraction + high.fraction) / 2
+        if high.fraction - low.fraction <= JUMP:
             return high
         here = solve(at)
         if here is None:
@@ -119,8 +121,8 @@ def _first_touch(
         if not np.any(here.overlap) and np.any(here.touching & held):
             return here
         over = bool(np.any(here.overlap))
-        same_side = same_side + 1 if (over and same_side >= 0) else 1
-        low, high = (low, here) if over else (here, high)
+        same_side = same_side + 1 if over == last_over else 0
+        last_over, (low, high) = over, (low, here) if over else (here, high)
     return high
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from contactqp.analysis.anchoring import Mask, State
 from contactqp.blas_threads import one_blas_thread
 from contactqp.condensation import condense
+from contactqp.condensed_attempt import Meter
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
@@ -21,6 +22,7 @@ from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving import Begun, solve
+from contactqp.violations import own_compliance
 
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
@@ -51,6 +53,7 @@ class LightStep:
     found: CombinationAnswer
     combinations: int
     seconds: float
+    meter: Meter
 
     def finish(self) -> Solution:
         """Refine, expand and certify.
@@ -62,7 +65,7 @@ class LightStep:
         """
         started = time.perf_counter()
         with self.problem.lock, one_blas_thread(self.problem):
-            attempt = attempt_on(self.problem, self.system, self.lengths, self.found, self.combinations)
+            attempt = attempt_on(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
         method = replace(find("active-set"), name=attempt.name)
         spent = self.seconds + time.perf_counter() - started
         return Begun(self.problem, method, attempt, True, spent).finish()
@@ -88,7 +91,9 @@ class PlaneStepper:
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem = problem
         self._otherwise = SolveStepper(problem, method, options)
-        self._way = condense(problem)
+        self._meter = Meter(problem)  # of the step to come: the first one pays for the factorisation
+        with self._meter.running():
+            self._way = condense(problem)
         self._system = ForceSystem(problem, self._way)
         self._status: Status = np.where(problem.gap > 0, OPEN, STICK).astype(np.int8)
 
@@ -109,12 +114,12 @@ class PlaneStepper:
         except NotConverged:
             return self._otherwise.solve(fraction, origin, held_open)
         spent = time.perf_counter() - started
-        step = LightStep(problem, self._system, lengths, found, combinations, spent)
+        step = LightStep(problem, self._system, lengths, found, combinations, spent, self._meter)
         return self._state(step, fraction, origin, held_open)
 
     def accept(self, state: State) -> None:
         """The next solve starts from the combination of this state."""
-        step = state.step
+        step, self._meter = state.step, Meter(self._problem)
         if isinstance(step, LightStep):
             self._status = step.found.status
         else:
@@ -125,8 +130,8 @@ class PlaneStepper:
         rows, found = self._system.rows, step.found
         status, gap = found.status, found.gap * rows.normal_length
         m = len(status)
-        length = step.lengths.target[:m]
-        rounding = TOUCHING * float(np.max(abs(length - found.gap), initial=np.max(abs(length), initial=0.0)))
+        lengths = (step.lengths.free[: 2 * m], step.lengths.target[: 2 * m], found.gap, found.slip)
+        rounding = TOUCHING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
         position = origin[:, 0] + found.slip * rows.tangent_length
         pushes = found.normal > TOUCHING * step.lengths.size
         return State(
@@ -192,7 +197,9 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
         raise ValueError("a path with friction of a problem without tangential rows")
     u = solution.displacement
     gap = problem.gap - problem.normal @ u
-    rounding = TOUCHING * (abs(problem.normal) @ abs(u) + abs(problem.gap))
+    largest = float(np.max(np.sqrt(problem.diagonal) * abs(u), initial=0.0))
+    nearby = np.sqrt(own_compliance(problem, problem.normal)) * largest
+    rounding = TOUCHING * (abs(problem.normal) @ abs(u) + abs(problem.gap) + nearby)
     pushes = solution.normal_force > 0
     return State(
         fraction=fraction,

@@ -71,8 +71,6 @@ def test_redundant_contacts_close_without_end() -> None:
 def test_what_cannot_be_followed_is_refused() -> None:
     with pytest.raises(cq.Unsupported, match="approximate"):
         cq.follow_path(truss(), [[60.0, -100.0]], events="exact", method="penalty", penalty=1e6)
-    with pytest.raises(cq.Unsupported, match="friction"):
-        cq.follow_path(truss(tangent=[[1.0, 0.0]], friction=0.3), [[60.0, -100.0]])
     with pytest.raises(cq.InvalidProblem, match="steps"):
         cq.follow_path(truss(), [[60.0, -100.0]], steps=0)
     with pytest.raises(cq.InvalidProblem, match="events"):

@@ -1,0 +1,195 @@
+"""Load paths with Coulomb friction in steps: history, anchors, events, dissipation."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from tests.analysis.friction_paths import ORDERS, WEIGHTS, jenkins, pulled, rolling_block, truss_from_rest
+from tests.friction.problems import TOUCH, rough_truss, two_masses
+
+CLOSING = 458394666339 / 639328600000
+COUNTS = (1, 2, 7, 40)
+
+
+@pytest.mark.parametrize("steps", COUNTS)
+@pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}, {"algorithm": "newton"}, {"method": "clarabel"}])
+def test_example_2_18_by_every_step_count(steps: int, options: dict[str, str]) -> None:
+    history = cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], steps=steps, **options)
+    assert len(history) == steps + 1
+    np.testing.assert_allclose(history[-1].displacement[0], 30058 / 30933965, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].normal_force[0], 180933933661 / 6186793000, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].friction_force[0, 0], 0.3 * 180933933661 / 6186793000, rtol=1e-12)
+    shown = next(time for time in history.times if time > CLOSING)
+    assert [(event.kind, event.time, event.name) for event in history.events] == [
+        ("closed", shown, "floor"),
+        ("slip", shown, "floor"),
+    ]
+
+
+@pytest.mark.parametrize("steps", COUNTS)
+@pytest.mark.parametrize("options", [{}, {"algorithm": "tresca"}])
+def test_example_2_17_sticks_where_it_touched(steps: int, options: dict[str, str]) -> None:
+    """Anchored at the end of the step it would stand at 0.74779 mm after one step, 0.81467 mm after ten."""
+    history = cq.follow_path(truss_from_rest(0.8), [[60.0, -100.0]], steps=steps, **options)
+    np.testing.assert_allclose(history[-1].displacement[0], TOUCH, rtol=1e-14)
+    np.testing.assert_allclose(history[-1].normal_force[0], 180933933661 / 6393286000, rtol=1e-12)
+    assert history[-1].contact_status.tolist() == ["stick"]
+    assert [event.kind for event in history.events] == ["closed"]
+
+
+def test_a_wrong_anchor_is_refused() -> None:
+    right = cq.follow_path(truss_from_rest(0.8), [[60.0, -100.0]], steps=1)[-1]
+    without_event = cq.solve(rough_truss(0.8, 0.0))
+    assert abs(without_event.displacement[0] - TOUCH) > 8e-5
+    forces = (right.displacement, right.normal_force, right.friction_force)
+    assert cq.certify(right.problem, *forces).passed
+    moved = right.problem.replace(slip_origin=without_event.displacement[:1])
+    assert not cq.certify(moved, *forces).passed
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_the_order_of_loads_decides_the_state(name: str) -> None:
+    loads, moved, force, ratio = ORDERS[name]
+    history = cq.follow_path(truss_from_rest(0.3), loads, steps=7)
+    np.testing.assert_allclose(history[-1].displacement[0], moved, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].normal_force[0], force, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].friction_force[0, 0], ratio * force, rtol=1e-12, atol=1e-12)
+
+
+def test_example_2_19_loaded_and_unloaded_in_steps() -> None:
+    corners = [WEIGHTS, pulled(12.0), WEIGHTS]
+    history = cq.follow_path(two_masses(0.0), corners, steps=16)
+    np.testing.assert_allclose(history[-1].displacement, [4.6425e-3, 7.095e-3, 0, 0], rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(history[-1].friction_force[:, 0], [-2.19, -2.4525], rtol=1e-12)
+    np.testing.assert_allclose(history.energies[-1].dissipated, 0.074972925, rtol=1e-12)
+    np.testing.assert_allclose(history.energies[-1].elastic, 0.01378378125, rtol=1e-12)
+    slips = [(event.contact, event.time) for event in history.events if event.kind == "slip"]
+    assert slips == [(1, 1 + 4 / 16), (0, 1 + 10 / 16), (1, 2 + 7 / 16)]
+
+
+@pytest.mark.parametrize("steps", COUNTS)
+def test_normal_first_or_tangential_first(steps: int) -> None:
+    """K = [[2, -1/2], [-1/2, 2]] in (n, t): pressed first it sticks at 0, pushed first where it comes down, at 1/8."""
+    problem = cq.ContactProblem(
+        stiffness=[[2.0, -0.5], [-0.5, 2.0]],
+        load=[0.0, 0.0],
+        normal=[[-1.0, 0.0]],
+        gap=[0.0],
+        tangent=[[0.0, 1.0]],
+        friction=0.3,
+    )
+    for loads in ([[-1.0, 0.25]], [[-1.0, 0.0], [-1.0, 0.25]]):
+        stuck = cq.follow_path(problem, loads, steps=steps)[-1]
+        np.testing.assert_allclose(stuck.displacement, 0.0, atol=1e-15)
+        np.testing.assert_allclose([stuck.normal_force[0], stuck.friction_force[0, 0]], [1.0, 0.25], rtol=1e-12)
+    other = cq.follow_path(problem, [[0.0, 0.25], [-1.0, 0.25]], steps=steps)[-1]
+    np.testing.assert_allclose(other.displacement, [0.0, 0.125], atol=1e-15)
+    np.testing.assert_allclose([other.normal_force[0], other.friction_force[0, 0]], [0.9375, 0.0], atol=1e-14)
+
+
+@pytest.mark.parametrize("events", [None, "exact"])
+def test_energy_of_a_jenkins_loop(events: str | None) -> None:
+    """k = 2, mu N = 0.3, amplitude 0.5: a loop costs 4 mu N (D - mu N / k) = 0.42."""
+    problem, loads = jenkins(stiffness=2.0, friction=0.3, amplitude=0.5, loops=2)
+    history = cq.follow_path(problem, loads, steps=10 if events is None else None, events=events)
+    at = {time: energies for time, energies in zip(history.times.tolist(), history.energies, strict=True)}
+    for start, end in ((2.0, 4.0), (4.0, 6.0)):
+        np.testing.assert_allclose(at[end].dissipated - at[start].dissipated, 0.42, rtol=1e-12)
+        np.testing.assert_allclose(at[end].elastic, at[start].elastic, rtol=1e-12)
+        if events:
+            np.testing.assert_allclose(at[end].work - at[start].work, 0.42, rtol=1e-12)
+
+
+@pytest.mark.parametrize("options", [{"steps": 3}, {"steps": 50}, {"events": "exact"}, {"steps": 3, "method": "osqp"}])
+def test_a_contact_that_closes_again_elsewhere(options: dict[str, object]) -> None:
+    """It sticks where it came down; lifted, its anchor is gone; then it comes down and sticks somewhere else."""
+    K11, K12, K22 = Fraction(59803), Fraction(68831, 10), Fraction(77443)
+    gap = Fraction(1, 1000)
+    # On the way from (60, 0) to (20, -100) the node touches where u_z = -gap: f = (60 - 40 t, -100 t).
+    touch = Fraction(60 * K12 - K11 * K22 * gap + K12**2 * gap) / (40 * K12 - 100 * K11)
+    again = (60 - 40 * touch + K12 * gap) / K11
+    loads = [[60.0, -100.0], [60.0, 0.0], [20.0, -100.0]]
+    history = cq.follow_path(truss_from_rest(5.0), loads, **options)
+    down, up, down_again = (next(s for s, t in zip(history, history.times, strict=True) if t == c) for c in (1, 2, 3))
+    np.testing.assert_allclose(down.displacement[0], TOUCH, rtol=1e-13)
+    assert up.contact_status.tolist() == ["open"]
+    np.testing.assert_allclose(down_again.displacement[0], float(again), rtol=1e-12)
+    assert down_again.contact_status.tolist() == ["stick"]
+    kinds = [event.kind for event in history.events]
+    assert [kind for kind in kinds if kind != "slip"] == ["closed", "opened", "closed"]
+
+
+def test_contacts_closed_at_the_start_are_anchored_where_the_caller_says() -> None:
+    """Two masses whose springs hold nothing back at d = (0, 0), anchored 1 mm further on: friction pulls them there."""
+    history = cq.follow_path(two_masses(0.0, (1e-3, 1e-3)), [WEIGHTS], steps=1)
+    np.testing.assert_allclose(history[-1].problem.slip_origin[:, 0], 1e-3)
+    np.testing.assert_allclose(history[-1].displacement[:2], 1e-3, rtol=1e-12)
+    with pytest.raises(cq.Unsupported, match="jump"):
+        cq.follow_path(two_masses(0.0, (1e-3, 1e-3)), [WEIGHTS], events="exact")
+
+
+def test_what_falls_freely_is_anchored_where_the_step_began() -> None:
+    above = two_masses(0.0).replace(gap=[1e-3, 2e-3])
+    history = cq.follow_path(above, [WEIGHTS, pulled(12.0), WEIGHTS], steps=4)
+    np.testing.assert_allclose(history[-1].displacement, [4.6425e-3, 7.095e-3, -1e-3, -2e-3], rtol=1e-12)
+    with pytest.raises(cq.NoEquilibrium, match="t = 0"):
+        cq.follow_path(above, [WEIGHTS], events="exact")
+
+
+def test_steps_wait_until_they_are_looked_at_and_share_one_factorisation() -> None:
+    problem, loads = rolling_block(0.3)
+    history = cq.follow_path(problem, loads, steps=5)
+    assert not any(isinstance(step, cq.Solution) for step in history._solutions._steps)
+    assert history[3].certificate.passed
+    assert sum(isinstance(step, cq.Solution) for step in history._solutions._steps) == 1
+    assert sum(solution.work.factorisations for solution in history) == 1
+    assert all(solution.method == "newton" for solution in history)
+
+
+def test_a_body_by_newton_and_by_tresca() -> None:
+    """The quick way on the contact unknowns and `solve` step by step are the same path."""
+    problem, loads = rolling_block(0.3)
+    quick = cq.follow_path(problem, loads, steps=4)
+    slow = cq.follow_path(problem, loads, steps=4, algorithm="tresca")
+    scale = np.max(abs(quick.displacements))
+    np.testing.assert_allclose(quick.displacements, slow.displacements, atol=1e-10 * scale)
+    assert quick.events == slow.events
+    assert {event.kind for event in quick.events} >= {"closed", "slip"}
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.2, 0.4])
+def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) -> None:
+    problem, loads = rolling_block(friction)
+    press, push = loads
+    cycle = [press, push, press, 2 * press - push, press]
+    energies = cq.follow_path(problem, cycle, steps=12).energies
+    dissipated = np.array([one.dissipated for one in energies])
+    assert np.all(np.diff(dissipated) >= 0)
+    assert dissipated[-1] > 0
+    # Between the first and the last visit to `press`.
+    first, last = energies[12], energies[-1]
+    given = last.work - first.work - (last.elastic - first.elastic)
+    assert given > 0
+
+
+def test_no_equilibrium_is_told_at_its_load() -> None:
+    """The second pad has nothing but friction: 0.25 x 9.81 N = 2.4525 N; in ten steps of 1 N, at the third."""
+    loose = two_masses(0.0).replace(stiffness=np.zeros((4, 4)))
+    with pytest.raises(cq.NoEquilibrium, match=r"t = 1\.3"):
+        cq.follow_path(loose, [WEIGHTS, pulled(10.0)], steps=10)
+    with pytest.raises(cq.NoEquilibrium, match=r"t = 1\.24525: .*contact 1"):
+        cq.follow_path(loose, [WEIGHTS, pulled(10.0)], events="exact")
+
+
+def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
+    with pytest.raises(cq.Unsupported, match="exact convex method"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="penalty", penalty=1e6)
+    with pytest.raises(cq.InvalidProblem, match="warm_start"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], warm_start=cq.solve(rough_truss()))
+    space = cq.ContactProblem(np.eye(3), np.zeros(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
+    with pytest.raises(cq.Unsupported, match="two tangential rows"):
+        cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
