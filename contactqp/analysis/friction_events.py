@@ -18,8 +18,8 @@ from contactqp.condensation import condense
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.factorization import Array
 from contactqp.friction.force_system import ForceSystem
-from contactqp.friction.newton import combination_of
-from contactqp.friction.states import OPEN, STICK, Status, answer_in
+from contactqp.friction.newton import combination_of, without_idle_friction
+from contactqp.friction.states import OPEN, STICK, Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.violations import Answer
@@ -85,7 +85,7 @@ class ExactPath:
             standing = self._standing(hit)
             at = f"at t = {number + fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)
-            events += _decided(self._problem, standing.status, status, fraction)
+            events += self._decided(standing.status, status, fraction)
             rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
             self._go_on_in(status)
             following, hit = self._next(standing, rate)
@@ -100,7 +100,23 @@ class ExactPath:
     def at(self, load: Vector, segment: Segment) -> Answer:
         """The answer to a load within a segment, to the last digits."""
         problem = self._problem.replace(load=load, slip_origin=segment.anchor)
-        return answer_in(problem, self._way, self.system.rows, segment.status, self.answer)
+        answer = answer_in(problem, self._way, self.system.rows, segment.status, self.answer)
+        if not holds(problem.replace(slip_origin=self._position(answer)), answer):
+            # An answer that is zero is not reached from one that is not.
+            answer = answer_in(problem, self._way, self.system.rows, segment.status, _nothing(problem))
+        return without_idle_friction(self.system, answer)
+
+    def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
+        """What happened to each contact; one that closes slipping does both at once."""
+        events: list[Event] = []
+        for i in np.flatnonzero(before != now).tolist():
+            kinds: list[str] = []
+            if (before[i] == OPEN) != (now[i] == OPEN):
+                kinds.append("opened" if now[i] == OPEN else "closed")
+            if now[i] != OPEN and self.system.coefficient[i] > 0 and (now[i] != STICK or before[i] != OPEN):
+                kinds.append("stick" if now[i] == STICK else "slip")
+            events += [Event(kind, i, time, self._problem.contact_name(i)) for kind in kinds]
+        return events
 
     def _go_on_in(self, status: Status) -> None:
         """Contacts that stick now and did not are anchored where they are."""
@@ -115,8 +131,8 @@ class ExactPath:
         closed, stuck = self.status != OPEN, self.status == STICK
         null = np.where(closed, zero[1], zero[0])
         edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
-        smooth = (self.system.rows.coefficient <= 0) | ~self.system.rows.slides
-        edge = np.where(stuck, edge, np.where(closed & ~smooth, self.status, 0))
+        rubs = self.system.coefficient > 0
+        edge = np.where(stuck, edge, np.where(closed & rubs, self.status, 0))
         return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
 
     def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
@@ -136,7 +152,7 @@ class ExactPath:
         gap = (0.0 if rates else problem.gap) - problem.normal @ answer.displacement
         normal = answer.normal_force * rows.normal_length
         friction = self._friction(answer) * rows.tangent_length
-        bound = rows.coefficient * normal
+        bound = self.system.coefficient * normal
         closed, stuck = self.status != OPEN, self.status == STICK
         value = np.array([gap / rows.normal_length, normal, bound - friction, bound + friction])
         return _Margins(value, np.array([~closed, closed, stuck, stuck]))
@@ -162,26 +178,12 @@ class ExactPath:
         length = abs(self.anchor) + abs(origin[:, 0])
         # A contact that carries a force at the start has slipped to where it is.
         off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
-        if np.any(off & (self.system.rows.coefficient > 0)):
+        if np.any(off & (self.system.coefficient > 0)):
             i = int(np.argmax(off))
             raise Unsupported(
                 f"follow_path(events='exact'): {self._problem.contact_name(i)} is closed at the start, at E_T u = "
                 f"{self.anchor[i]:.6g}, and slip_origin anchors it at {origin[i, 0]:.6g}: it would jump; give steps"
             )
-
-
-def _decided(problem: ContactProblem, before: Status, now: Status, time: float) -> list[Event]:
-    """What happened to each contact; one that closes slipping does both at once."""
-    events: list[Event] = []
-    smooth = np.zeros(len(now), dtype=bool) if problem.friction is None else problem.friction <= 0
-    for i in np.flatnonzero(before != now).tolist():
-        kinds: list[str] = []
-        if (before[i] == OPEN) != (now[i] == OPEN):
-            kinds.append("opened" if now[i] == OPEN else "closed")
-        if now[i] != OPEN and not smooth[i] and (now[i] != STICK or before[i] != OPEN):
-            kinds.append("stick" if now[i] == STICK else "slip")
-        events += [Event(kind, i, time, problem.contact_name(i)) for kind in kinds]
-    return events
 
 
 def _nothing(problem: ContactProblem) -> Answer:

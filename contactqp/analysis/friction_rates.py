@@ -100,7 +100,7 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
 def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
     choices: list[tuple[int, ...]] = []
     for i in standing.undecided.tolist():
-        smooth = system.rows.coefficient[i] <= 0 or not system.rows.slides[i]
+        smooth = system.coefficient[i] <= 0
         if not standing.null[i]:
             choices.append((STICK, int(standing.edge[i])))
         else:
@@ -117,7 +117,7 @@ def _combinations(standing: Standing, choices: list[tuple[int, ...]]) -> Iterato
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
     """(m,) by how much rates fail; -inf where there is no choice."""
-    coefficient, e = system.rows.coefficient, standing.edge
+    coefficient, e = system.coefficient, standing.edge
     at_null = answer.worst(coefficient)
     at_edge = np.where(
         answer.status == STICK, e * answer.friction - coefficient * answer.normal, -e * answer.slip.astype(float)
@@ -153,7 +153,7 @@ def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | 
         if _holds(system, rates, standing, answer):
             return status
         e = standing.edge
-        trial = e * (answer.friction + system.resistance[m:] * answer.slip) - system.rows.coefficient * answer.normal
+        trial = e * (answer.friction + system.resistance[m:] * answer.slip) - system.coefficient * answer.normal
         at_edge = np.where(trial > 0, e, STICK)
         undecided = np.where(standing.null, suggested(system, answer), np.where(e != 0, at_edge, standing.status))
         status = system.plain(undecided.astype(np.int8))

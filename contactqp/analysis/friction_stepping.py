@@ -16,7 +16,7 @@ from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.newton import combination_of, search
-from contactqp.friction.states import OPEN, SLIP_ON, STICK, Status
+from contactqp.friction.states import OPEN, STICK, Status
 from contactqp.friction_attempt import attempt_on
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -139,7 +139,7 @@ class PlaneStepper:
             gap=gap,
             position=position[:, None],
             pushes=pushes,
-            slides=pushes & (abs(status) == SLIP_ON) & (rows.coefficient > 0),
+            slides=pushes & (abs(found.slip) > rounding) & (self._system.coefficient > 0),
             touching=(status != OPEN) | (abs(found.gap) <= rounding),
             overlap=held_open & (found.gap < -rounding),
             step=step,

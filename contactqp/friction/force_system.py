@@ -70,6 +70,8 @@ class ForceSystem:
     Attributes
     ----------
     rows : FrictionalRows
+    coefficient : (m,) array
+        mu in scaled forces, 0 where a contact cannot slide at all.
     slope : (2m + k, 2m + k + q) array
         R x = R S^+ f + slope (l, a).
     """
@@ -77,6 +79,7 @@ class ForceSystem:
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
         self.rows = rows = FrictionalRows(problem, condensation)
         self.contacts, R = problem.contacts, rows.all_rows
+        self.coefficient = np.where(rows.slides, rows.coefficient, 0.0)
         self._from_load = R @ rows.compliance
         self.slope = np.hstack([-self._from_load @ R.T, R @ rows.motions])
         motions = rows.motions.shape[1]
@@ -97,8 +100,7 @@ class ForceSystem:
 
     def plain(self, status: Status) -> Status:
         """A combination in which what has no friction slips on where it is closed: either way says the same."""
-        smooth = (self.rows.coefficient <= 0) | ~self.rows.slides
-        return np.where(smooth & (status != OPEN), SLIP_ON, status).astype(np.int8)
+        return np.where((self.coefficient <= 0) & (status != OPEN), SLIP_ON, status).astype(np.int8)
 
     def solve(self, status: Status, lengths: Lengths) -> CombinationAnswer:
         """The answer of a combination; where it leaves forces or motions free, the least one that fits best."""
@@ -141,7 +143,7 @@ class ForceSystem:
         elif i < m or status[i - m] == STICK:
             row = self.slope[i]
         else:
-            row[i], row[i - m] = 1.0, -status[i - m] * self.rows.coefficient[i - m]
+            row[i], row[i - m] = 1.0, -status[i - m] * self.coefficient[i - m]
         return row
 
     def matrix(self, status: Status) -> Array:
@@ -151,7 +153,7 @@ class ForceSystem:
         free, loose = np.flatnonzero(status == OPEN), np.flatnonzero(status != STICK)
         matrix[free], matrix[m + loose] = 0.0, 0.0
         matrix[free, free], matrix[m + loose, m + loose] = 1.0, 1.0
-        matrix[m + loose, loose] = -status[loose] * self.rows.coefficient[loose]
+        matrix[m + loose, loose] = -status[loose] * self.coefficient[loose]
         return matrix
 
     def _factorise(self, status: Status) -> None:
@@ -180,7 +182,7 @@ class ForceSystem:
         m, product = self.contacts, self.slope @ y
         normal, friction = y[:m], y[m : 2 * m]
         product[:m] = np.where(status == OPEN, normal, product[:m])
-        sliding = friction - np.where(status == STICK, 0, status) * self.rows.coefficient * normal
+        sliding = friction - np.where(status == STICK, 0, status) * self.coefficient * normal
         product[m : 2 * m] = np.where(status == STICK, product[m : 2 * m], sliding)
         return np.concatenate([product, self._balance @ y])
 
@@ -189,7 +191,7 @@ class ForceSystem:
         off = moved - lengths.target
         closed, k = status != OPEN, len(moved) - 2 * m
         normal = np.where(closed, y[:m], 0.0)
-        bound = self.rows.coefficient * normal
+        bound = self.coefficient * normal
         friction = np.where(status == STICK, y[m : 2 * m], status * bound)
         gap, slip = np.where(closed, 0.0, -off[:m]), np.where(status == STICK, 0.0, off[m : 2 * m])
         return CombinationAnswer(status, normal, friction, y[2 * m : 2 * m + k], y[2 * m + k :], gap, slip, left)

@@ -12,7 +12,7 @@ step or two. Where combinations come back, one contact at a time is changed, the
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,14 @@ from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Leng
 from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Solution
-from contactqp.violations import Answer
+from contactqp.violations import Answer, lengths_that_meet, ratio
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.
 ROUNDING = 1e-13
 # Where combinations come back: refinement, which judges each contact in its own measure, has the last word.
 DOUBTFUL = 1e-11
+# A slip of this part of the lengths that meet is none.
+STILL = 1e-12
 # Suggestions in a row, and changes of one contact each for every contact, before it is given up.
 MAX_STEPS = 60
 CHANGES_A_CONTACT = 4
@@ -79,7 +81,15 @@ def refined(
     """The answer of a combination to the last digits; nothing is said of whether its signs hold."""
     _, inner = condensation.reduce_load(problem.load)
     expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
-    return answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
+    answer = answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
+    return without_idle_friction(system, answer)
+
+
+def without_idle_friction(system: ForceSystem, answer: Answer) -> Answer:
+    """A contact that cannot slide has no friction: its tangential row is zero, and any friction would do."""
+    if answer.friction_force is None or np.all(system.rows.slides):
+        return answer
+    return replace(answer, friction_force=np.where(system.rows.slides[:, None], answer.friction_force, 0.0))
 
 
 def search(
@@ -108,7 +118,7 @@ def search(
         seen.add(status.tobytes())
         found = system.solve(status, lengths)
         steps, left = steps + 1, left - 1
-        wrong = found.worst(system.rows.coefficient)
+        wrong = found.worst(system.coefficient)
         if held_open is not None:
             wrong = np.where(held_open, -np.inf, wrong)
         size = max(lengths.size, float(np.max(found.normal, initial=0.0)))
@@ -138,11 +148,11 @@ def search(
 
 def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
     """The combination that the projections make of an answer."""
-    m, rows = system.contacts, system.rows
+    m = system.contacts
     push = found.normal - system.resistance[:m] * found.gap
     trial = found.friction + system.resistance[m:] * found.slip
     sliding = np.where(trial > 0, SLIP_ON, SLIP_BACK)
-    status = np.where(abs(trial) <= rows.coefficient * push, STICK, sliding)
+    status = np.where(abs(trial) <= system.coefficient * push, STICK, sliding)
     return system.plain(np.where(push > 0, status, OPEN).astype(np.int8))
 
 
@@ -150,9 +160,9 @@ def combination_of(problem: ContactProblem, candidate: Candidate | Solution) -> 
     """What the forces and slips of an answer say: closed where it pushes, slipping where E_T u has left the origin."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("combination of a problem without friction")
-    moved = problem.tangent @ candidate.displacement
-    slip = moved - problem.slip_origin.ravel()
-    still = abs(slip) <= 1e-12 * np.maximum(abs(moved), abs(problem.slip_origin.ravel()))
+    origin, u = problem.slip_origin.ravel(), candidate.displacement
+    slip = problem.tangent @ u - origin
+    still = ratio(abs(slip), lengths_that_meet(problem, problem.tangent, origin, u)) <= STILL
     status = np.where(still, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
     return np.where(candidate.normal_force > 0, status, OPEN).astype(np.int8)
 

@@ -1,0 +1,226 @@
+"""Load paths with Coulomb friction, every event found exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis import friction_rates
+from tests.analysis.friction_paths import ORDERS, WEIGHTS, pulled, rolling_block, truss_from_rest
+from tests.friction.problems import TOUCH, one_contact, two_masses
+
+CLOSING = 458394666339 / 639328600000
+KLARBRING = [[1.0, 2.0], [2.0, 5.0]]  # compliance (n, t): above mu = 1/2 rates may have none or several answers
+
+
+def events(history: cq.History) -> list[tuple[str, int]]:
+    return [(event.kind, event.contact) for event in history.events]
+
+
+def balance(history: cq.History) -> float:
+    """Work that is neither stored nor dissipated, relative to the work done."""
+    first, last = history.energies[0], history.energies[-1]
+    missing = last.work - (last.elastic - first.elastic) - last.dissipated
+    return abs(missing) / max(abs(one.work) for one in history.energies)
+
+
+@pytest.mark.parametrize("steps", [None, 1, 2, 7, 40])
+def test_example_2_18_closes_and_slips_at_once(steps: int | None) -> None:
+    history = cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], events="exact", steps=steps)
+    assert events(history) == [("closed", 0), ("slip", 0)]
+    assert [event.time for event in history.events] == pytest.approx([CLOSING] * 2, rel=1e-14)
+    np.testing.assert_allclose(history[-1].displacement[0], 30058 / 30933965, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].normal_force[0], 180933933661 / 6186793000, rtol=1e-12)
+    assert all(solution.certificate.passed for solution in history)
+    assert len(history) == 2 + (steps or 1)
+    assert balance(history) < 1e-14
+
+
+def test_example_2_17_sticks_where_it_touched() -> None:
+    history = cq.follow_path(truss_from_rest(0.8), [[60.0, -100.0]], events="exact")
+    assert events(history) == [("closed", 0)]
+    np.testing.assert_allclose(history[-1].displacement[0], TOUCH, rtol=1e-15)
+    assert history.energies[-1].dissipated == 0.0
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_the_order_of_loads_decides_the_state(name: str) -> None:
+    loads, moved, force, ratio = ORDERS[name]
+    history = cq.follow_path(truss_from_rest(0.3), loads, events="exact")
+    np.testing.assert_allclose(history[-1].displacement[0], moved, rtol=1e-13)
+    np.testing.assert_allclose(history[-1].normal_force[0], force, rtol=1e-13)
+    np.testing.assert_allclose(history[-1].friction_force[0, 0], ratio * force, rtol=1e-12, atol=1e-12)
+    assert balance(history) < 1e-13
+
+
+def test_example_2_19_loaded_and_unloaded() -> None:
+    """mu m2 g = 2.4525 N and mu (m1 + m2) g = 7.3575 N of 12 N; pushed back the second mass slides at 7.095 N."""
+    history = cq.follow_path(two_masses(0.0), [WEIGHTS, pulled(12.0), WEIGHTS], events="exact")
+    assert events(history) == [
+        ("closed", 0),
+        ("closed", 1),
+        ("slip", 1),
+        ("slip", 0),
+        ("stick", 0),
+        ("stick", 1),
+        ("slip", 1),
+    ]
+    # Mass 2 slides back at 12 - 2 x 2.4525 N.
+    wanted = [0.0, 0.0, 1 + 2.4525 / 12, 1 + 7.3575 / 12, 2.0, 2.0, 2 + 4.905 / 12]
+    np.testing.assert_allclose([event.time for event in history.events], wanted, rtol=1e-14)
+    np.testing.assert_allclose(history[-1].displacement, [4.6425e-3, 7.095e-3, 0, 0], rtol=1e-13, atol=1e-16)
+    energies = history.energies[-1]
+    np.testing.assert_allclose(
+        [energies.work, energies.dissipated, energies.elastic], [0.08875670625, 0.074972925, 0.01378378125], rtol=1e-13
+    )
+
+
+def test_a_snap_is_told_at_its_load() -> None:
+    """K_tt + mu K_nt < 0 at mu = 0.8: pressed by 1 and pulled by 0.8 the contact can neither stick nor slide on."""
+    pressed_and_pulled = [[-1.0, 0.0], [-1.0, 2.0]]
+    stable = cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.4), pressed_and_pulled, events="exact")
+    assert events(stable) == [("closed", 0), ("slip", 0), ("opened", 0)]
+    np.testing.assert_allclose([event.time for event in stable.events], [0.0, 1.2, 1.25], rtol=1e-14, atol=1e-15)
+    with pytest.raises(cq.NoEquilibrium, match=r"t = 1\.4: no continuation.*contact 0"):
+        cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.8), pressed_and_pulled, events="exact")
+
+
+def test_several_continuations_are_told_at_their_load() -> None:
+    """At the edge of the cone, unloaded, with K_tt + mu K_nt < 0: it may stick or slip on; from rest three ways."""
+    problem = one_contact(KLARBRING, [0.0, 0.0], 0.8)
+    with pytest.raises(cq.SeveralEquilibria, match=r"t = 2: .*contact 0 stick; contact 0 slip on"):
+        cq.follow_path(problem, [[-1.0, 0.0], [-1.0, 0.8], [-1.0, 0.0]], events="exact")
+    with pytest.raises(cq.SeveralEquilibria, match=r"t = 0: .*open; .*stick; .*slip on"):
+        cq.follow_path(problem, [[-1.0, 0.65]], events="exact")
+    back = cq.follow_path(
+        one_contact(KLARBRING, [0.0, 0.0], 0.4), [[-1.0, 0.0], [-1.0, 0.4], [-1.0, 0.0]], events="exact"
+    )
+    assert events(back) == [("closed", 0)]
+
+
+def test_at_the_critical_friction_there_is_a_continuum_or_nothing() -> None:
+    problem = one_contact(KLARBRING, [0.0, 0.0], 0.5)
+    with pytest.raises(cq.SeveralEquilibria, match="t = 0"):
+        cq.follow_path(problem, [[-1.0, 0.5]], events="exact")
+    with pytest.raises(cq.NoEquilibrium, match="t = 2"):
+        cq.follow_path(problem, [[-1.0, 0.0], [-1.0, 0.5], [-1.0, 0.6]], events="exact")
+
+
+def test_contacts_that_change_together() -> None:
+    """Two equal sliders, not coupled: both close, slip, stick and slip back at once."""
+    one = one_contact([[1.0, 0.2], [0.2, 1.0]], [0.0, 0.0], 0.3)
+    both = cq.ContactProblem(
+        stiffness=np.kron(np.eye(2), one.stiffness),
+        load=np.zeros(4),
+        normal=np.kron(np.eye(2), one.normal.toarray()),
+        gap=[0.1, 0.1],
+        tangent=np.kron(np.eye(2), one.tangent.toarray()),
+        friction=0.3,
+    )
+    loads = [np.tile(load, 2) for load in ([-1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0])]
+    history = cq.follow_path(both, loads, events="exact")
+    kinds = [kind for kind, _ in events(history)]
+    assert kinds[::2] == kinds[1::2] == ["closed", "slip", "stick", "slip"]
+    times = [event.time for event in history.events]
+    np.testing.assert_allclose(times[::2], times[1::2], rtol=1e-13)
+    assert balance(history) < 1e-13
+
+
+def test_redundant_contacts_and_contacts_without_friction() -> None:
+    twice = truss_from_rest(0.3).replace(load=[0.0, 0.0])
+    twice = cq.ContactProblem(
+        stiffness=twice.stiffness,
+        load=twice.load,
+        normal=[[0.0, -1.0]] * 2,
+        gap=[1e-3] * 2,
+        tangent=[[1.0, 0.0]] * 2,
+        friction=0.3,
+    )
+    history = cq.follow_path(twice, [[60.0, -100.0]], events="exact")
+    np.testing.assert_allclose(history[-1].displacement[0], 30058 / 30933965, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].normal_force.sum(), 180933933661 / 6186793000, rtol=1e-12)
+    half = cq.follow_path(two_masses(0.0).replace(friction=[0.25, 0.0]), [WEIGHTS, pulled(12.0)], events="exact")
+    assert events(half) == [("closed", 0), ("closed", 1), ("slip", 0)]
+    assert half.events[-1].time == pytest.approx(1 + 4.905 / 12, rel=1e-14)
+
+
+def random_body(seed: int) -> tuple[cq.ContactProblem, list[np.ndarray]]:
+    """One to four coupled contacts, some with gaps, mu below what their coupling makes critical; a closed cycle."""
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(1, 5))
+    n = 2 * m + 2
+    shape = 0.3 * rng.normal(size=(n, n))
+    problem = cq.ContactProblem(
+        stiffness=shape @ shape.T + np.diag(rng.uniform(1, 3, n)),
+        load=np.zeros(n),
+        normal=-np.eye(2 * m, n)[::2],
+        gap=rng.uniform(0, 0.3, m) * (rng.random(m) < 0.7),
+        tangent=np.eye(2 * m, n)[1::2],
+        friction=rng.uniform(0.05, 0.6, m),
+    )
+    corners = [1.5 * rng.normal(size=n) for _ in range(3)]
+    return problem, [*corners, corners[0], np.zeros(n)]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_cycles_of_random_bodies_balance_their_energy(seed: int) -> None:
+    problem, loads = random_body(seed)
+    history = cq.follow_path(problem, loads, events="exact")
+    dissipated = np.array([one.dissipated for one in history.energies])
+    assert np.all(np.diff(dissipated) >= 0)
+    assert balance(history) < 1e-12
+    assert all(solution.certificate.passed for solution in history)
+    assert history.energies[-1].work > -1e-12 * max(one.work for one in history.energies)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_many_steps_come_to_the_same(seed: int) -> None:
+    problem, loads = random_body(seed)
+    exact = cq.follow_path(problem, loads, events="exact")
+    at_corner = {time: solution for time, solution in zip(exact.times.tolist(), exact, strict=True)}
+    errors = []
+    for count in (25, 400):
+        steps = cq.follow_path(problem, loads, steps=count)
+        off = [steps[count * leg].displacement - at_corner[float(leg)].displacement for leg in range(1, len(loads) + 1)]
+        errors.append(np.max(np.abs(off)) / np.max(np.abs(exact.displacements)))
+    assert errors[1] < 5e-3
+    assert errors[1] < 0.3 * errors[0] + 1e-12
+
+
+def test_steps_leave_work_unexplained_where_exact_events_do_not() -> None:
+    """The balance is a check that can fail: five steps a leg miss the kinks."""
+    problem, loads = random_body(1)
+    assert balance(cq.follow_path(problem, loads, steps=5)) > 1e-3
+    assert balance(cq.follow_path(problem, loads, events="exact")) < 1e-12
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.4])
+def test_a_block_pressed_and_pushed(friction: float) -> None:
+    problem, loads = rolling_block(friction)
+    exact = cq.follow_path(problem, [*loads, loads[0]], events="exact")
+    assert balance(exact) < 1e-11
+    assert {event.kind for event in exact.events} >= {"closed", "slip", "stick"}
+    steps = cq.follow_path(problem, [*loads, loads[0]], steps=200)
+    size = np.max(abs(exact[-1].displacement))
+    np.testing.assert_allclose(steps[-1].displacement, exact[-1].displacement, atol=2e-3 * size)
+    first = {}
+    for event in exact.events:
+        first.setdefault((event.kind, event.contact), event.time)
+    for event in steps.events:
+        if event.kind == "closed" and event.time < 1:
+            assert -0.01 < event.time - first[event.kind, event.contact] < 0.01
+
+
+def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, loads = rolling_block(0.2, (8, 3))
+    monkeypatch.setattr(friction_rates, "ALL_TRIED", 4096)
+    every = cq.follow_path(problem, loads, events="exact")
+    monkeypatch.setattr(friction_rates, "ALL_TRIED", 0)
+    quick = cq.follow_path(problem, loads, events="exact")
+    assert events(every) == events(quick)
+    np.testing.assert_allclose(quick[-1].displacement, every[-1].displacement, rtol=1e-9, atol=1e-15)
+    monkeypatch.setattr(friction_rates, "QUICK_STEPS", 0)
+    monkeypatch.setattr(friction_rates, "MOST_TRIED", 0)
+    with pytest.raises(cq.NotConverged, match="undecided"):
+        cq.follow_path(problem, loads, events="exact")
