@@ -36,9 +36,28 @@ STEADY = 1e-12
 class Segment:
     """A part of a leg on which all is linear."""
 
-    end: float  # fraction of the leg
+    start: float  # fraction of the leg
+    end: float
     status: Status  # (m,)
     anchor: Vector  # (m,) E_T u of those that stick [length]
+    answer: Answer  # at its start
+    rate: Answer  # for the whole leg
+
+    def near(self, fraction: float) -> Answer:
+        """The answer at a fraction, to what doubles add up to.
+
+        Where contacts are redundant, it says which of many forces go on from those at the start.
+        """
+        part, one, rate = fraction - self.start, self.answer, self.rate
+        friction = None
+        if one.friction_force is not None and rate.friction_force is not None:
+            friction = one.friction_force + part * rate.friction_force
+        return Answer(
+            one.displacement + part * rate.displacement,
+            one.normal_force + part * rate.normal_force,
+            friction,
+            one.tie_force + part * rate.tie_force,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +108,19 @@ class ExactPath:
             rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
             self._go_on_in(status)
             following, hit = self._next(standing, rate)
-            fraction = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
-            segments.append(Segment(fraction, status, self.anchor))
+            reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
+            segments.append(Segment(fraction, reached, status, self.anchor, self.answer, rate))
+            fraction = reached
             load = end if fraction == 1 else start + fraction * (end - start)
-            self.answer = self.at(load, segments[-1])
+            self.answer = self.at(load, fraction, segments[-1])
             if fraction == 1:
                 return events, segments
         raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
 
-    def at(self, load: Vector, segment: Segment) -> Answer:
-        """The answer to a load within a segment, to the last digits."""
+    def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
+        """The answer to the load at a fraction of the leg, within a segment, to the last digits."""
         problem = self._problem.replace(load=load, slip_origin=segment.anchor)
-        answer = answer_in(problem, self._way, self.system.rows, segment.status, self.answer)
+        answer = answer_in(problem, self._way, self.system.rows, segment.status, segment.near(fraction))
         if not holds(problem.replace(slip_origin=self._position(answer)), answer):
             # An answer that is zero is not reached from one that is not.
             answer = answer_in(problem, self._way, self.system.rows, segment.status, _nothing(problem))

@@ -59,7 +59,7 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
         for fraction in fractions:
             segment = next(segment for segment in segments if fraction <= segment.end)
             load = end if fraction == 1 else start + fraction * (end - start)
-            instants.add(path, problem.replace(load=load), segment)
+            instants.add(path, problem.replace(load=load), fraction, segment)
             times.append(leg + fraction)
     return History(instants, times, lambda: events, linear=True)
 
@@ -71,9 +71,9 @@ class _Instants(Sequence[Solution]):
         self._solutions: list[Solution | Begun] = [first]
         self._displacement = first.displacement
 
-    def add(self, path: ExactPath, problem: ContactProblem, segment: Segment) -> None:
+    def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segment: Segment) -> None:
         """The answer to the problem's load in a segment; its slip counts from the instant before."""
-        answer = path.at(problem.load, segment)
+        answer = path.at(problem.load, fraction, segment)
         before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else segment.anchor
         origin = np.where(segment.status == STICK, segment.anchor, before)
         attempt = attempt_with(problem.replace(slip_origin=origin), answer, "exact events")

@@ -65,12 +65,21 @@ class History(Sequence[Solution]):
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """The changes of contact state, in the order of their times."""
+        """The changes of contact state, in the order of their times.
+
+        "closed" and "opened" say that l_N > 0 begins and ends; "slip" that s = E_T u - slip_origin leaves zero, at a
+        contact that stuck or that closes; "stick" that a contact that slipped does so no more.
+        """
         return tuple(self._find_events())
 
     @cached_property
     def energies(self) -> tuple[Energies, ...]:
-        """Of every instant."""
+        """Of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
+
+        Friction does l_T . s at every contact, s = E_T u - slip_origin the slip of a step: with l_T at its end in
+        steps, with the mean of both ends between exact events. l_T is what the body does to the obstacle, along its
+        own slip, and l_T . s is never negative.
+        """
         return tuple(_static_energies(self._solutions, self._linear))
 
     def __len__(self) -> int:

@@ -36,6 +36,14 @@ def follow_path(
     The load goes from zero to `loads[0]` while the pseudo-time t goes from 0 to 1, on to `loads[1]` until t = 2, and
     so on; `problem.load` is not used.
 
+    With Coulomb friction the path has a history. The slip of step k + 1 is
+
+        s = E_T u - o,   o = E_T u of step k;   o = E_T u where the gap g - E_N u vanishes, for a contact that closes,
+
+    at the fraction of the step at which it closes, so that where a contact sticks does not depend on the steps. The
+    problem of every solution carries o as its `slip_origin`, and `Solution.slip` is s. A contact that opens loses its
+    anchor; one that is closed at the start (gap 0) is anchored at `problem.slip_origin`.
+
     Parameters
     ----------
     loads : sequence of (n,) arrays [force]
@@ -44,31 +52,49 @@ def follow_path(
         Equal steps a leg, 100 by default; with ``events="exact"`` none but the events and the corners by default.
     events : None or "exact"
         None reports a change of state at the first step that shows it. "exact" finds its time exactly: between
-        changes the displacement is linear in the load.
+        changes the displacement is linear in the load. With friction in the plane a contact closes or opens where its
+        gap or its force vanishes, and slips where |l_T| = mu l_N; whether it slips on, and what follows where several
+        change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_rates`).
     method, **options
-        As in `solve`.
+        As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
+        stick and slip (`contactqp.friction.newton`) unless `algorithm` names another; `method` is the convex method of
+        the fixed point that it falls back to.
 
     Returns
     -------
     History
-        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event. Where all contacts are
-        condensed onto, a step runs the method on the contact unknowns; it is polished, expanded and certified when it
-        is looked at, and refused then if it must be. Very many contacts, and bodies that are not factorised, are
-        solved step by step at once.
+        The start and every step (``steps=40`` gives 41 solutions on one leg), and every event; a contact that closes
+        and slips at once has two. Where all contacts are condensed onto, a step runs on the contact unknowns; it is
+        polished, expanded and certified when it is looked at, and refused then if it must be. Very many contacts,
+        bodies that are not factorised, and friction with two tangential directions are solved step by step at once.
 
     Raises
     ------
     Unsupported
-        Friction (not in this version); exact events with a method that is approximate by design, or where the motion
-        jumps.
+        Exact events with a method that is approximate by design, where the motion jumps, or with friction and two
+        tangential directions a contact; friction that `solve` does not support.
     NoEquilibrium
-        At the first load that nothing holds.
+        At the first load that nothing holds. With friction and exact events also where no rates continue the path, a
+        snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it.
+    SeveralEquilibria
+        With friction and exact events, several rates continue the path, above a critical coefficient. They are told
+        apart where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
+        follow one.
+    NotConverged, NotCertified
+        As `solve`.
 
     Examples
     --------
     >>> wall = ContactProblem(stiffness=[[157500.0]], load=[0.0], normal=[[1.0]], gap=[1e-3])
     >>> follow_path(wall, loads=[[300.0]], events="exact").events
     (Event(kind='closed', contact=0, time=0.525, name='contact 0'),)
+
+    A slider on a spring, pressed by 1 N and then pulled: it slips when the spring's end pulls with 0.3 N.
+
+    >>> slider = ContactProblem([[2.0, 0.0], [0.0, 0.0]], [0.0, 0.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction=0.3)
+    >>> history = follow_path(slider, loads=[[0.0, -1.0], [1.0, -1.0]], events="exact")
+    >>> [(event.kind, event.time) for event in history.events], round(history.energies[-1].dissipated, 12)
+    ([('closed', 0.0), ('slip', 1.3)], 0.105)
     """
     corners = _corners(problem, loads)
     if events not in (None, "exact"):

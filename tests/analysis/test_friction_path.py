@@ -176,6 +176,19 @@ def test_friction_takes_energy_and_a_closed_cycle_gives_none(friction: float) ->
     assert given > 0
 
 
+@pytest.mark.parametrize("steps", [1, 3, 8])
+def test_where_all_contacts_stick_steps_are_exact(steps: int) -> None:
+    """mu = 100: nothing slips, each of many contacts sticks where it closed, and no step count moves them."""
+    problem, loads = rolling_block(100.0)
+    exact = cq.follow_path(problem, loads, events="exact")[-1]
+    history = cq.follow_path(problem, loads, steps=steps)
+    assert np.count_nonzero(history[-1].normal_force) > 8
+    size = np.max(abs(exact.displacement))
+    np.testing.assert_allclose(history[-1].displacement, exact.displacement, atol=1e-12 * size)
+    force = np.max(exact.normal_force)
+    np.testing.assert_allclose(history[-1].friction_force, exact.friction_force, atol=1e-10 * force)
+
+
 def test_no_equilibrium_is_told_at_its_load() -> None:
     """The second pad has nothing but friction: 0.25 x 9.81 N = 2.4525 N; in ten steps of 1 N, at the third."""
     loose = two_masses(0.0).replace(stiffness=np.zeros((4, 4)))
