@@ -28,6 +28,8 @@ from contactqp.violations import own_compliance
 TOUCHING = 1e-12
 # Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
 WIDENED = 1e3
+# Displacements that differ by this part of the largest are one.
+SAME = 1e-8
 
 
 class Stepper(Protocol):
@@ -39,8 +41,8 @@ class Stepper(Protocol):
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
 
-    def accept(self, state: State) -> None:
-        """The next solve starts from this state."""
+    def accept(self, state: State) -> State:
+        """The state as a step of the path; the next solve starts from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +119,18 @@ class PlaneStepper:
         step = LightStep(problem, self._system, lengths, found, combinations, spent, self._meter)
         return self._state(step, fraction, origin, held_open)
 
-    def accept(self, state: State) -> None:
-        """The next solve starts from the combination of this state."""
-        step, self._meter = state.step, Meter(self._problem)
+    def accept(self, state: State) -> State:
+        """The state as a step of the path; the next solve starts from its combination."""
+        self._meter = Meter(self._problem)
+        if not isinstance(state.step, LightStep):
+            state = self._otherwise.accept(state)
+        step = state.step
         if isinstance(step, LightStep):
             self._status = step.found.status
         else:
             solution = step.finish()
             self._status = combination_of(solution.problem, solution)
+        return state
 
     def _state(self, step: LightStep, fraction: float, origin: Array, held_open: Mask) -> State:
         rows, found = self._system.rows, step.found
@@ -161,22 +167,31 @@ class SolveStepper:
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
-        if np.any(held_open):
-            shown = _widened(problem, held_open)
-            solution = self._solved(shown)
-            if np.any(solution.normal_force[held_open] > 0):
-                raise NoEquilibrium("a contact that is held open closes")
-            state = _state_of(problem, solution, fraction, held_open)
-            if np.any(state.overlap):
-                return state
-        return _state_of(problem, self._solved(problem), fraction, held_open)
+        solution = self._solved(_widened(problem, held_open), self._before)
+        if np.any(solution.normal_force[held_open] > 0):
+            raise NoEquilibrium("a contact that is held open closes")
+        return _state_of(problem, solution, fraction, held_open)
 
-    def accept(self, state: State) -> None:
-        """The next solve starts from this solution."""
-        self._before = state.step.finish()
+    def accept(self, state: State) -> State:
+        """The state as a step of the path, its gaps as they are; the next solve starts from it.
 
-    def _solved(self, problem: ContactProblem) -> Solution:
-        return solve(problem, self._method, warm_start=self._before, **self._options)
+        Raises
+        ------
+        NotConverged
+            Contacts that do not reach their obstacle make a difference: there are several equilibria.
+        """
+        self._before = found = state.step.finish()
+        gap = self._problem.gap
+        if np.array_equal(found.problem.gap, gap):
+            return state
+        self._before = solution = self._solved(found.problem.replace(gap=gap), found)
+        size = np.max(abs(found.displacement), initial=0.0)
+        if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME * size:
+            raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
+        return replace(state, step=SolvedStep(solution))
+
+    def _solved(self, problem: ContactProblem, start: Solution | None) -> Solution:
+        return solve(problem, self._method, warm_start=start, **self._options)
 
 
 def _between(start: Vector, end: Vector, fraction: float) -> Vector:

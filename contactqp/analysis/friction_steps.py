@@ -66,6 +66,7 @@ class FrictionSteps(Sequence[Solution]):
         try:
             with one_blas_thread(self._problem):
                 state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
+                self._keep(state, Anchors(state.position, state.touching))
         except (NoEquilibrium, SeveralEquilibria) as error:
             raise type(error)(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
         except NotConverged as error:
@@ -74,11 +75,9 @@ class FrictionSteps(Sequence[Solution]):
         except NotCertified as error:
             message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
             raise NotCertified(message, error.solution) from error
-        self._keep(state, Anchors(state.position, state.touching))
 
     def _keep(self, state: State, anchors: Anchors) -> None:
-        self._stepper.accept(state)
-        self._before = state
+        self._before = state = self._stepper.accept(state)
         self._anchors = anchors
         self._steps.append(state.step)
         self._states.append((state.pushes, state.slides))

@@ -224,3 +224,20 @@ def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.
     monkeypatch.setattr(friction_rates, "MOST_TRIED", 0)
     with pytest.raises(cq.NotConverged, match="undecided"):
         cq.follow_path(problem, loads, events="exact")
+
+
+def test_forces_that_are_not_unique_go_on_from_where_they_are() -> None:
+    """Two unknowns held by a tie, a floor and friction: what carries what is open, and follows the load steadily."""
+    problem = cq.ContactProblem(
+        stiffness=[[2.0, 0.3], [0.3, 1.5]],
+        load=[0.0, 0.0],
+        normal=[[0.0, -1.0]],
+        gap=[0.1],
+        tangent=[[1.0, 0.0]],
+        friction=0.7,
+        tie=[[1.0, 0.4]],
+    )
+    history = cq.follow_path(problem, [[0.3, -1.0], [-0.2, -0.6], [0.4, 0.5]], events="exact")
+    assert all(solution.certificate.passed for solution in history)
+    assert history.events[0].kind == "closed"
+    assert balance(history) < 1e-13
