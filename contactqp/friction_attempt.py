@@ -11,7 +11,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.existence import refuse_conflict
 from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.friction.free_motion import at_rest, free_motions
+from contactqp.friction.free_motion import at_rest, free_motions, without_noise
 from contactqp.friction.newton import refined, solve_newton
 from contactqp.friction.on_contacts import solve_on_contacts
 from contactqp.friction.tresca import solve_tresca
@@ -52,7 +52,7 @@ class FrictionAttempt:
         """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         del polished
         free = free_motions(self._problem, condense(self._problem), self._answer)
-        answer = at_rest(self._problem, self._answer, free)
+        answer = without_noise(self._problem, at_rest(self._problem, self._answer, free))
         return Final(
             answer.displacement,
             answer.normal_force,

@@ -1,4 +1,4 @@
-"""Rigid motions that no contact, no friction and no tie of an answer resists, put to rest."""
+"""Rigid motions that no contact, no friction and no tie of an answer resists, put to rest; forces that are noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.factorization import Array
 from contactqp.friction.states import holds
 from contactqp.problem import ContactProblem
-from contactqp.violations import Answer
+from contactqp.violations import Answer, force_measure, forces_that_meet
+
+# A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
+NOISE = 1e-15
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
@@ -41,3 +44,14 @@ def at_rest(problem: ContactProblem, answer: Answer, free: Array) -> Answer:
     u = answer.displacement
     resting = replace(answer, displacement=u - free @ (free.T @ u))
     return resting if holds(problem, resting) else answer
+
+
+def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
+    """The answer without contact forces that are beneath the rounding of the stiffness, where it holds without them."""
+    force = answer.normal_force
+    heard = force_measure(problem.normal, force, forces_that_meet(problem, answer)) > NOISE
+    if np.all(heard | (force == 0)) or answer.friction_force is None:
+        return answer
+    friction = np.where(heard[:, None], answer.friction_force, 0.0)
+    quiet = replace(answer, normal_force=np.where(heard, force, 0.0), friction_force=friction)
+    return quiet if holds(problem, quiet) else answer
