@@ -6,7 +6,7 @@
 A plane block with 200 contacts along its lower side is pressed and then pushed sideways, on a flat floor (all contacts
 touch from the start) and on a paraboloid (they close one by one, each anchored where it does), in 200 steps by
 `follow_path`. One process; fresh problems; with and without friction in turn, medians of several rounds; the
-factorisation and the first solution belong to the path. `looked at` adds the refinement and the certificate of every
+condensation belongs to the path, `a step` is without it. `looked at` adds the refinement and the certificate of every
 tenth solution. Exit code 1 where friction costs five times the path without, or takes a second factorisation.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks.price_of_contact import fresh
+from contactqp.condensation import condense
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
@@ -42,6 +43,8 @@ class Price:
     contacts: int
     smooth: float
     rough: float
+    smooth_step: float  # one, without the condensation
+    rough_step: float
     smooth_looked: float
     rough_looked: float
     events: int
@@ -75,12 +78,33 @@ def price(name: str, steps: int, rounds: int) -> Price:
     times = []
     history = _walked(smooth, loads, 2)[0]
     for _ in range(rounds):
+        first = [_condensed(problem) for problem in (smooth, rough)]
         history, *plain = _walked(smooth, loads, steps)
         history, *with_friction = _walked(rough, loads, steps)
-        times.append((*plain, *with_friction))
+        times.append((*plain, *with_friction, *first))
     work = sum(solution.work.factorisations for solution in history[::10])
-    one, one_looked, other, other_looked = (float(value) for value in np.median(times, axis=0))
-    return Price(rough.dimension, rough.contacts, one, other, one_looked, other_looked, len(history.events), work)
+    one, one_looked, other, other_looked, first_one, first_other = (float(value) for value in np.median(times, axis=0))
+    return Price(
+        unknowns=rough.dimension,
+        contacts=rough.contacts,
+        smooth=one,
+        rough=other,
+        smooth_step=(one - first_one) / steps,
+        rough_step=(other - first_other) / steps,
+        smooth_looked=one_looked,
+        rough_looked=other_looked,
+        events=len(history.events),
+        factorisations=work,
+    )
+
+
+def _condensed(problem: cq.ContactProblem) -> float:
+    """Seconds of a fresh condensation."""
+    problem = fresh(problem)
+    gc.collect()
+    started = time.perf_counter()
+    condense(problem)
+    return time.perf_counter() - started
 
 
 def _walked(problem: cq.ContactProblem, loads: list[np.ndarray], steps: int) -> tuple[cq.History, float, float]:
@@ -106,8 +130,9 @@ def main(arguments: list[str] | None = None) -> int:
         met &= found.met
         print(
             f"{name}: {found.unknowns} unknowns, {found.contacts} contacts, {chosen.steps} steps, {found.events} "
-            f"events: without friction {found.smooth:.2f} s, with {found.rough / found.smooth:.2f} of it (looked at: "
-            f"{found.rough_looked / found.smooth_looked:.2f}); {found.factorisations} factorisation(s): "
+            f"events: without friction {found.smooth:.2f} s, with {found.rough / found.smooth:.2f} of it, looked at "
+            f"{found.rough_looked / found.smooth_looked:.2f}; a step {1e3 * found.smooth_step:.2f} and "
+            f"{1e3 * found.rough_step:.2f} ms; {found.factorisations} factorisation(s): "
             f"{'met' if found.met else 'MISSED'}",
             flush=True,
         )

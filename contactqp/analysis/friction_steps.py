@@ -16,9 +16,14 @@ from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.iteration import iterated
-from contactqp.methods import find
+from contactqp.methods import Settings, find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
+from contactqp.solving_arguments import refuse_arguments, refuse_unsupported
+
+# Of `solve`, and what they are if nobody says.
+DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
+ARGUMENTS = tuple(DEFAULTS)
 
 
 class FrictionSteps(Sequence[Solution]):
@@ -114,9 +119,14 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
         raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
     if "warm_start" in options:
         raise InvalidProblem("warm_start: a path starts each step from the one before")
+    known = {name: options[name] for name in ARGUMENTS if name in options}
+    refuse_arguments(**(DEFAULTS | known))
+    others = {name: value for name, value in options.items() if name not in (*ARGUMENTS, "algorithm")}
+    refuse_unsupported(problem, chosen, Settings(options=others), options.get("algorithm"))
+    limited = options.get("max_iter") is not None or options.get("time_limit") is not None
     in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
     whole = iterated(problem) or first_candidates(problem) is not None
-    if in_plane and not whole and options.get("algorithm") in (None, "newton"):
+    if in_plane and not whole and not limited and options.get("algorithm") in (None, "newton"):
         return PlaneStepper(problem, method, {**options, "algorithm": None})
     return SolveStepper(problem, method, options)
 

@@ -241,3 +241,29 @@ def test_forces_that_are_not_unique_go_on_from_where_they_are() -> None:
     assert all(solution.certificate.passed for solution in history)
     assert history.events[0].kind == "closed"
     assert balance(history) < 1e-13
+
+
+@pytest.mark.parametrize("options", [{"steps": 9}, {"events": "exact"}])
+def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object]) -> None:
+    """u = d v unknown by unknown, forces times F, lengths times L, the rows of contact i times r_i."""
+    rng = np.random.default_rng(3)
+    for seed in range(4):
+        problem, loads = random_body(seed)
+        length, force = 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 9)
+        d, r = 10.0 ** rng.uniform(-3, 3, problem.dimension), 10.0 ** rng.uniform(-3, 3, problem.contacts)
+        other = cq.ContactProblem(
+            stiffness=problem.stiffness * np.outer(d, d) * force / length,
+            load=problem.load,
+            normal=problem.normal.toarray() * d * r[:, None],
+            gap=problem.gap * length * r,
+            tangent=problem.tangent.toarray() * d * r[:, None],
+            friction=problem.friction,
+        )
+        one = cq.follow_path(problem, loads, **options)
+        scaled = cq.follow_path(other, [load * d * force for load in loads], **options)
+        assert events(scaled) == events(one)
+        np.testing.assert_allclose([e.time for e in scaled.events], [e.time for e in one.events], rtol=1e-10)
+        size = np.max(abs(one.displacements))
+        np.testing.assert_allclose(scaled.displacements * d / length, one.displacements, atol=1e-9 * size)
+        dissipated = one.energies[-1].dissipated
+        np.testing.assert_allclose(scaled.energies[-1].dissipated, dissipated * force * length, rtol=1e-9)

@@ -203,6 +203,12 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="penalty", penalty=1e6)
     with pytest.raises(cq.InvalidProblem, match="warm_start"):
         cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], warm_start=cq.solve(rough_truss()))
+    with pytest.raises(cq.InvalidProblem, match="penalty"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], penalty=1e6)
+    with pytest.raises(cq.InvalidProblem, match="bisection"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], algorithm="bisection")
+    with pytest.raises(cq.InvalidProblem, match="tolerance"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], tolerance=-1.0)
     space = cq.ContactProblem(np.eye(3), np.zeros(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential rows"):
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
