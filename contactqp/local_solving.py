@@ -9,7 +9,6 @@ import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
 from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
-from contactqp.friction.convex_steps import OPTIONS as POLYGON_OPTIONS
 from contactqp.friction.existence_test import interior_margin, refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
@@ -18,7 +17,7 @@ from contactqp.local_certificate import certify_local
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution, local_status
 from contactqp.methods import Settings, find
-from contactqp.solving_arguments import refuse_arguments
+from contactqp.solving_arguments import POLYGON_OPTIONS, refuse_arguments
 
 DEFAULT_METHOD = "active-set"
 # Sizes from which dense systems are large enough for two threads to wait for each other.

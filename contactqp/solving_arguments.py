@@ -11,6 +11,10 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Solution
 
 
+# Of the convex steps of friction in space, for methods that take no cones.
+POLYGON_OPTIONS = ("facets", "polygon")
+
+
 def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any, max_iter: Any) -> None:
     """Raise InvalidProblem on an argument of the wrong kind."""
     refuse_not_positive("tolerance", tolerance)
@@ -39,9 +43,11 @@ def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None
 
 def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:
     """Raise on options that the method does not have or misses, and on what it cannot do."""
-    unknown = sorted(set(settings.options) - set(method.options))
+    in_space = problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
+    options = (*method.options, *(POLYGON_OPTIONS if in_space and method.solve_friction is None else ()))
+    unknown = sorted(set(settings.options) - set(options))
     if unknown:
-        known = ", ".join(method.options) or "none"
+        known = ", ".join(options) or "none"
         raise InvalidProblem(f"{method.name}: unknown option {unknown[0]!r}; its own options: {known}")
     missing = [name for name in method.required if settings.options.get(name) is None]
     if missing:

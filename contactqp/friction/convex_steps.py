@@ -27,7 +27,6 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.scaling import nondimensional
 
 FACETS = 16
-OPTIONS = ("facets", "polygon")
 POLYGONS = ("inscribed", "circumscribed")
 
 
