@@ -10,7 +10,6 @@ from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Solution
 
-
 # Of the convex steps of friction in space, for methods that take no cones.
 POLYGON_OPTIONS = ("facets", "polygon")
 
