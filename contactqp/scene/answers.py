@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,11 @@ import numpy as np
 
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
-from contactqp.errors import SceneError
 from contactqp.scene import elimination
 from contactqp.scene.building import ExactProblem, NodeModel, point, spring_direction
 from contactqp.scene.claims import Claim
+from contactqp.scene.corners import end_time
+from contactqp.scene.instant import Instant
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import of_node
 from contactqp.solution import Solution
@@ -26,13 +27,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A scene's solution at one load factor, and the events of its load path if it has one."""
+    """A scene's solution at one instant, and its load path if it has one."""
 
-    scene: Scene
-    exact: ExactProblem
+    model: NodeModel
     solution: Solution
-    load_factor: Fraction
-    events: Sequence[Any]  # History.events
+    instant: Instant
+
+    @property
+    def scene(self) -> Scene:
+        return self.model.scene
+
+    @property
+    def exact(self) -> ExactProblem:
+        return self.model.exact
 
     def displacement(self, unknown: str) -> float:
         """Of any unknown, fixed ones included."""
@@ -44,15 +51,14 @@ class Answer:
         return np.array([self.displacement(name) for name in of_node(self.scene, node)])
 
 
-def answer_of(
-    model: NodeModel | BodyModel, solution: Solution, load_factor: Fraction = Fraction(1), events: Sequence[Any] = ()
-) -> Answer | BodyAnswer:
-    """A solution of the model's problem, under all loads times the factor."""
+def answer_of(model: NodeModel | BodyModel, solution: Solution, instant: Instant | None = None) -> Answer | BodyAnswer:
+    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
+    instant = instant or Instant(end_time(model.scene))
     if isinstance(model, NodeModel):
-        return Answer(model.scene, model.exact, solution, load_factor, events)
+        return Answer(model, solution, instant)
     from contactqp.scene.answers_of_bodies import BodyAnswer
 
-    return BodyAnswer(model.scene, model, solution, load_factor)
+    return BodyAnswer(model.scene, model, solution, instant)
 
 
 def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
@@ -75,13 +81,16 @@ def _tie_force(claim: Claim, answer: Answer) -> float:
 
 
 def _reaction(claim: Claim, answer: Answer) -> float:
-    """r = K u + E_N' lambda_N + A' nu - f at a fixed unknown: the force of the support on the body."""
+    """r = K u + E_N' l_N + E_T' l_T + A' nu - f at a fixed unknown: the force of the support on the body."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
     stiffness = sum(float(k) * answer.displacement(j) for (i, j), k in exact.stiffness.items() if i == at)
     rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
     forces = [*solution.normal_force, *solution.tie_force]
+    if solution.friction_force is not None:
+        rows += [row for contact in exact.contacts for row in contact.tangent]
+        forces += [*solution.friction_force.ravel()]
     constraints = sum(float(row.get(at, 0)) * float(force) for row, force in zip(rows, forces, strict=True))
-    return stiffness + constraints - float(answer.load_factor * Fraction(exact.load.get(at, 0)))
+    return stiffness + constraints - float(answer.model.exact_load_at(answer.instant.time).get(at, 0))
 
 
 def _bar_force(claim: Claim, answer: Answer) -> float:
@@ -105,15 +114,29 @@ def _spring_force(claim: Claim, answer: Answer) -> float:
 
 def _closing(claim: Claim, answer: Answer) -> float:
     """The load factor at which the contact first closes."""
-    at = _contact(claim, answer)
-    times = [event.time for event in answer.events if event.kind == "closed" and event.contact == at]
-    if not times:
-        raise SceneError(f"{claim}: expected contact {claim.at!r} to close on the load path, and it does not")
-    return float(times[0])
+    return _event_time(claim.model_copy(update={"event": "closed"}), answer)
 
 
 def _closing_load(claim: Claim, answer: Answer) -> float:
     return _closing(claim, answer) * float(answer.exact.load.get(str(claim.along), 0))
+
+
+def _event_time(claim: Claim, answer: Answer) -> float:
+    return float(answer.instant.event(claim, _contact(claim, answer)).time)
+
+
+def _event_load(claim: Claim, answer: Answer) -> float:
+    time = Fraction(_event_time(claim, answer))
+    return float(answer.model.exact_load_at(time).get(str(claim.along), 0))
+
+
+def _events(claim: Claim, answer: Answer) -> int:
+    return sum(event.contact == _contact(claim, answer) for event in answer.instant.events)
+
+
+def _along_axis(claim: Claim, answer: Answer, values: Any) -> float:
+    axis = answer.scene.axes.index(str(claim.along))
+    return float(answer.model.along_axes(values)[_contact(claim, answer), axis])
 
 
 def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
@@ -125,14 +148,22 @@ _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),
     "gap": lambda claim, answer: float(answer.solution.gap[_contact(claim, answer)]),
     "status": lambda claim, answer: str(answer.solution.contact_status[_contact(claim, answer)]),
+    "friction force": lambda claim, answer: _along_axis(claim, answer, answer.solution.friction_force),
+    "slip": lambda claim, answer: _along_axis(claim, answer, answer.solution.slip),
     "tie force": _tie_force,
     "reaction": _reaction,
     "bar force": _bar_force,
     "spring force": _spring_force,
     "energy": lambda _, answer: answer.solution.energy,
+    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
+    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
+    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
     "free motions": lambda _, answer: len(answer.solution.free_motions),
     "closing load factor": _closing,
     "closing load": _closing_load,
+    "event time": _event_time,
+    "event load": _event_load,
+    "events": _events,
     "stiffness": lambda claim, answer: answer.exact.stiffness.get((str(claim.at), str(claim.along)), Fraction(0)),
     "tie matrix": lambda claim, answer: elimination.tie_matrix(answer.exact, _columns(claim, answer)),
     "tie rank": lambda _, answer: elimination.rank(answer.exact),

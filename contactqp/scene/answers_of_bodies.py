@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.bodies import BodyModel, PairedContact
 from contactqp.scene.claims import Claim
+from contactqp.scene.instant import Instant
 from contactqp.scene.meshing import nearest_node
 from contactqp.scene.quantities import COMPONENTS
 from contactqp.scene.schema import Scene
@@ -22,12 +22,12 @@ from contactqp.solution import Solution
 
 @dataclass(frozen=True, eq=False)
 class BodyAnswer:
-    """A solution of a scene of bodies at one load factor."""
+    """A solution of a scene of bodies at one instant, and its load path if it has one."""
 
     scene: Scene
     model: BodyModel
     solution: Solution
-    load_factor: Fraction
+    instant: Instant
 
     def value_of(self, claim: Claim) -> float:
         """The claim's quantity in the scene's units; NaN where nothing presses and a width is asked for."""
@@ -84,21 +84,31 @@ def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
     return float(on_body[:, axes.index(str(claim.along))].sum()) if str(claim.along) in axes else 0.0
 
 
-def _contact_half_width(claim: Claim, answer: BodyAnswer) -> float:
-    closed = answer.model.closed(str(claim.at), answer.solution)
+def _half_width(claim: Claim, answer: BodyAnswer, nodes: NDArray[np.bool_]) -> float:
     apart = np.linalg.norm(answer.contact(claim).pairing.points - answer.near(claim), axis=1)
-    return float(apart[closed].max()) if closed.any() else float("nan")
+    return float(apart[nodes].max()) if nodes.any() else float("nan")
+
+
+def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
+    """lambda_T of each paired node along the claim's axis, (p,)."""
+    vectors = answer.model.friction_vectors(str(claim.at), answer.solution)
+    return np.asarray(vectors[:, answer.scene.axes.index(str(claim.along))])
+
+
+def _friction_traction(claim: Claim, answer: BodyAnswer) -> float:
+    place = answer.contact_node(claim)
+    return float(_friction(claim, answer)[place] / answer.contact(claim).area[place])
 
 
 def _energy(_: Claim, answer: BodyAnswer) -> float:
-    u, load = answer.model.displacement(answer.solution), answer.model.system.load
-    return float(u @ (answer.model.structure.stiffness @ u) / 2 - float(answer.load_factor) * (load @ u))
+    u, load = answer.model.displacement(answer.solution), answer.model.load_on_all(answer.instant.time)
+    return float(u @ (answer.model.structure.stiffness @ u) / 2 - load @ u)
 
 
 def _support_force(claim: Claim, answer: BodyAnswer) -> float:
     """Summed over the nodes of the support; a node that two supports hold along one axis counts in both."""
     i = [support.name for support in answer.scene.supports].index(str(claim.at))
-    forces = answer.model.support_forces(answer.solution, answer.load_factor)
+    forces = answer.model.support_forces(answer.solution, answer.instant.time)
     return float(forces[answer.model.held_by(i)].sum())
 
 
@@ -113,7 +123,18 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float]] = {
     "contact resultant": _contact_resultant,
     "peak pressure": lambda claim, answer: float(_pressures(claim, answer).max()),
     "contact pressure": lambda claim, answer: float(_pressures(claim, answer)[answer.contact_node(claim)]),
-    "contact half-width": _contact_half_width,
+    "contact half-width": lambda claim, answer: _half_width(
+        claim, answer, answer.model.closed(str(claim.at), answer.solution)
+    ),
+    "stick half-width": lambda claim, answer: _half_width(
+        claim, answer, answer.model.stuck(str(claim.at), answer.solution)
+    ),
+    "sticking contacts": lambda claim, answer: float(answer.model.stuck(str(claim.at), answer.solution).sum()),
+    "friction resultant": lambda claim, answer: float(_friction(claim, answer).sum()),
+    "friction traction": _friction_traction,
+    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
+    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
+    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
     "closed contacts": lambda claim, answer: float(answer.model.closed(str(claim.at), answer.solution).sum()),
     "node gap": lambda claim, answer: float(
         answer.model.gaps(str(claim.at), answer.solution)[answer.contact_node(claim)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -18,6 +18,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.node_to_segment import pair_node_to_segment
+from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, pair
 from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.structure import Part, Structure, System
@@ -25,6 +26,7 @@ from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.problem import ContactProblem, Units
+from contactqp.scene.corners import GRAVITY, Factors, end_time, factors_at, has_corners
 from contactqp.scene.meshing import body_mesh, nearest_node
 from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number, vector
@@ -70,6 +72,7 @@ class BodyModel:
     system: System
     supports: tuple[Held, ...]
     contacts: tuple[PairedContact, ...]
+    loads: Mapping[str, Vector]  # on all unknowns at their full values, by their names
 
     @cached_property
     def problem(self) -> ContactProblem:
@@ -82,10 +85,15 @@ class BodyModel:
             names=[f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes],
         )
 
-    def load_at(self, factor: Fraction) -> Vector:
-        """The right-hand side when all loads are scaled by the factor; prescribed displacements stay."""
-        scaled = float(factor) * self.system.load - self.structure.stiffness @ self.system.given
-        return np.asarray(scaled[self.system.free])
+    def load_on_all(self, time: Fraction) -> Vector:
+        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        if not has_corners(self.scene):
+            return float(time) * self.system.load
+        return _sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
+
+    def load_at(self, time: Fraction) -> Vector:
+        """The right-hand side under that load; prescribed displacements stay."""
+        return np.asarray((self.load_on_all(time) - self.structure.stiffness @ self.system.given)[self.system.free])
 
     def place(self, name: str) -> int:
         """The place of an entry of the scene's contacts among them."""
@@ -99,9 +107,22 @@ class BodyModel:
         """lambda / area of each paired node of one entry, (p,) [force / length^2], positive in compression."""
         return self.normal_forces(name, solution) / self.contacts[self.place(name)].area
 
+    def friction_vectors(self, name: str, solution: Solution) -> Vector:
+        """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
+        pairing = self.contacts[self.place(name)].pairing
+        frames, along = tangent_frames(pairing.direction), self._tangential(name, solution.friction_force)
+        return np.asarray(np.einsum("pk,pkd->pd", along, frames))
+
     def closed(self, name: str, solution: Solution) -> NDArray[np.bool_]:
         """Which paired nodes of one entry press, (p,)."""
-        return self._of_entry(name, (solution.contact_status == "closed").astype(float), 0.0) > 0
+        return self._has_status(name, solution, "closed", "stick", "slip")
+
+    def stuck(self, name: str, solution: Solution) -> NDArray[np.bool_]:
+        """Which paired nodes of one entry press and stick, (p,)."""
+        return self._has_status(name, solution, "stick")
+
+    def _has_status(self, name: str, solution: Solution, *statuses: str) -> NDArray[np.bool_]:
+        return self._of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: Solution) -> Vector:
         """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
@@ -111,10 +132,14 @@ class BodyModel:
         """u of all unknowns, prescribed ones included."""
         return self.system.expand(solution.displacement)
 
-    def support_forces(self, solution: Solution, load_factor: Fraction) -> Vector:
+    def support_forces(self, solution: Solution, time: Fraction) -> Vector:
         """What the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
-        rows = [contact.pairing.normal.T @ self.normal_forces(contact.name, solution) for contact in self.contacts]
-        pressed = sum(rows, np.zeros(self.structure.size)) + (1 - float(load_factor)) * self.system.load
+        pressed = self.system.load - self.load_on_all(time)
+        for contact in self.contacts:
+            pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
+            if solution.friction_force is not None:
+                along = self._tangential(contact.name, solution.friction_force)
+                pressed = pressed + contact.pairing.tangent.T @ along.ravel()
         return self.system.support_forces(self.displacement(solution), pressed)
 
     def held_by(self, support: int) -> NDArray[np.int64]:
@@ -122,6 +147,13 @@ class BodyModel:
         held = self.supports[support]
         body = self.structure.body(held.body)
         return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
+
+    def _tangential(self, name: str, values: Any) -> Vector:
+        """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
+        width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
+        if values is None:
+            return np.zeros((len(self.contacts[self.place(name)].area), width))
+        return np.column_stack([self._of_entry(name, values[:, k], 0.0) for k in range(width)])
 
     def _of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
         sizes = [len(contact.area) for contact in self.contacts]
@@ -152,12 +184,21 @@ def body_model(scene: Scene) -> BodyModel:
     acting = list(_loads(scene, whole))
     supports = list(_supports(scene, whole))
     with _at("supports"):
-        system = whole.assemble(supports, acting)
+        system = whole.assemble(supports, [load for _, load in acting])
+    by_name: dict[str, Vector] = {}
+    if has_corners(scene):
+        for name, _ in acting:
+            by_name[name] = whole.assemble((), [load for other, load in acting if other == name]).load
+        system = replace(system, load=_sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
     contacts = []
     for i, contact in enumerate(scene.contacts):
         with _at(f"contacts[{i}] ({contact.name!r})"):
             contacts.append(_contact(scene, whole, contact))
-    return BodyModel(scene, whole, system, tuple(supports), tuple(contacts))
+    return BodyModel(scene, whole, system, tuple(supports), tuple(contacts), by_name)
+
+
+def _sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
+    return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
 @contextmanager
@@ -191,23 +232,24 @@ def _supports(scene: Scene, whole: Structure) -> Iterator[Held]:
         yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
 
 
-def _loads(scene: Scene, whole: Structure) -> Iterator[loads.Load]:
+def _loads(scene: Scene, whole: Structure) -> Iterator[tuple[str, loads.Load]]:
+    """Every load with its name; what bodies weigh is called gravity."""
     for i, traction in enumerate(scene.tractions):
         with _at(f"tractions[{i}] ({traction.name!r})"):
             whole.body(traction.body).mesh.side(traction.nodes)
-        yield loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
+        yield traction.name, loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
     for i, pressure in enumerate(scene.pressures):
         with _at(f"pressures[{i}] ({pressure.name!r})"):
             whole.body(pressure.body).mesh.side(pressure.nodes)
-        yield loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
+        yield pressure.name, loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
     for i, point_load in enumerate(scene.point_loads):
         with _at(f"point_loads[{i}] ({point_load.name!r})"):
             nodes = _nodes(scene, whole, point_load)
-        yield loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
+        yield point_load.name, loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
     if scene.gravity is not None:
         for body in scene.bodies:
             if body.density is not None and body.density.si > 0:
-                yield loads.Gravity(body.name, vector(scene.system, scene.gravity))
+                yield GRAVITY, loads.Gravity(body.name, vector(scene.system, scene.gravity))
 
 
 def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:

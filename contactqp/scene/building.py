@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from contactqp.elements import beam, node_contact, point_mass, spring, truss
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
 from contactqp.problem import ContactProblem, Units
+from contactqp.scene.corners import GRAVITY, Factors, end_time, factors_at
 from contactqp.scene.units import KINDS, Quantity, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
@@ -40,6 +42,7 @@ class ContactForm:
     gap: Number
     tangent: tuple[Row, ...]
     friction: Fraction
+    slip_origin: tuple[Number, ...]  # E_T u where slip is zero
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class TieForm:
 class ExactProblem:
     """The numbers of a scene in its own units, before any rounding, on all unknowns; the fixed ones are zero.
 
-    Entries are Fractions; floats only where a length or a normal is irrational (`rational` says whether there are any).
+    `loads` are at their full values, by their names; `load` is their sum at the end of the load path. Entries are
+    Fractions; floats only where a length or a normal is irrational (`rational` says whether there are any).
     """
 
     unknowns: Unknowns
@@ -63,6 +67,7 @@ class ExactProblem:
     load: Row
     contacts: tuple[ContactForm, ...]
     ties: tuple[TieForm, ...]
+    loads: Mapping[str | None, Row]
 
     @property
     def rational(self) -> bool:
@@ -75,6 +80,8 @@ class ExactProblem:
         for contact in self.contacts:
             yield contact.gap
             yield from contact.normal.values()
+            if contact.friction:
+                yield from chain(contact.slip_origin, *(row.values() for row in contact.tangent))
         for tie in self.ties:
             yield tie.value
             yield from tie.row.values()
@@ -82,10 +89,12 @@ class ExactProblem:
 
 def exact_problem(scene: Scene) -> ExactProblem:
     """Assemble the scene in exact numbers, in its own units."""
+    loads = _loads(scene)
     return ExactProblem(
         unknowns=of_scene(scene),
         stiffness=_assemble(scene),
-        load=_load(scene),
+        load=_sum_of(loads, factors_at(scene, end_time(scene))),
+        loads=loads,
         contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
         ties=tuple(
             TieForm(
@@ -111,10 +120,24 @@ class NodeModel:
         """
         return _rounded(self.scene, self.exact)
 
-    def load_at(self, factor: Fraction) -> NDArray[np.float64]:
-        """The load on the free unknowns when all loads are scaled by the factor."""
-        load = self.exact.load
-        return np.array([float(factor) * float(load.get(name, 0)) for name in self.exact.unknowns.free])
+    def along_axes(self, tangential: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
+        axes = self.scene.axes
+        vectors = np.zeros((len(self.exact.contacts), len(axes)))
+        for i, contact in enumerate(self.exact.contacts if tangential is not None else ()):
+            node = self.scene.contacts[i].touched[0]
+            frame = [[float(row.get(f"{node}.{axis}", 0)) for axis in axes] for row in contact.tangent]
+            vectors[i] = np.asarray(tangential)[i] @ np.array(frame)
+        return vectors
+
+    def exact_load_at(self, time: Fraction) -> Row:
+        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        return _sum_of(self.exact.loads, factors_at(self.scene, time))
+
+    def load_at(self, time: Fraction) -> NDArray[np.float64]:
+        """The same on the free unknowns, rounded."""
+        load = self.exact_load_at(time)
+        return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])
 
 
 def _rounded(scene: Scene, exact: ExactProblem) -> ContactProblem:
@@ -130,6 +153,7 @@ def _rounded(scene: Scene, exact: ExactProblem) -> ContactProblem:
         gap=[float(contact.gap) for contact in exact.contacts],
         tangent=_rows([row for contact in exact.contacts for row in contact.tangent], place) if frictional else None,
         friction=[float(contact.friction) for contact in exact.contacts] if frictional else None,
+        slip_origin=[float(s) for contact in exact.contacts for s in contact.slip_origin] if frictional else None,
         tie=_rows([tie.row for tie in exact.ties], place) if exact.ties else None,
         tie_value=[float(tie.value) for tie in exact.ties] if exact.ties else None,
         dof_names=free,
@@ -211,16 +235,24 @@ def _assemble(scene: Scene) -> Stiffness:
     return dict(total)
 
 
-def _load(scene: Scene) -> Row:
-    total: defaultdict[str, Number] = defaultdict(Fraction)
+def _loads(scene: Scene) -> Mapping[str | None, Row]:
+    """The loads at their full values by their names; what masses weigh is called gravity."""
+    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
-        total[load.unknown] += _value(scene, load.value)
+        total[load.name][load.unknown] += _value(scene, load.value)
     for mass in scene.masses:
         gravity = np.array([_value(scene, g) for g in scene.gravity or ()])
-        for name, force in zip(
-            of_node(scene, mass.node), point_mass.weight(_value(scene, mass.mass), gravity), strict=True
-        ):
-            total[name] += force
+        weight = point_mass.weight(_value(scene, mass.mass), gravity)
+        for name, force in zip(of_node(scene, mass.node), weight, strict=True):
+            total[GRAVITY][name] += force
+    return {name: dict(row) for name, row in total.items()}
+
+
+def _sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for name, row in loads.items():
+        for unknown, value in row.items():
+            total[unknown] += factors.of(name) * value
     return dict(total)
 
 
@@ -232,12 +264,15 @@ def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
         direction = second - first if contact.direction is None else np.array(contact.direction)
         rows = node_contact.between_nodes(first, second, direction)
     names = _displacements(scene, contact.touched)
+    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
+    origin = [_value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
     return ContactForm(
         name=contact.name,
         normal=_row(names, rows.normal),
         gap=rows.gap,
         tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
         friction=contact.friction or Fraction(0),
+        slip_origin=tuple(np.dot(tangent, np.array(origin)) for tangent in along),
     )
 
 

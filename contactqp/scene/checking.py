@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from contactqp.errors import SceneError
 from contactqp.scene.checking_bodies import check_bodies, check_no_bodies
 from contactqp.scene.checking_claims import claims_fit
+from contactqp.scene.checking_path import path_fits
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
 from contactqp.scene.wording import unknown
@@ -24,7 +25,7 @@ _LISTS = (
 _VECTORS = {
     "obstacles": ("point", "normal", "centre", "apex", "axis"),
     "springs": ("direction",),
-    "contacts": ("direction",),
+    "contacts": ("direction", "slip_origin"),
     "supports": ("near",),
     "point_loads": ("near", "force"),
     "tractions": ("value",),
@@ -36,6 +37,7 @@ def check(scene: Scene) -> None:
     _names_are_distinct(scene)
     _dimensions_fit(scene)
     _obstacles_have_directions(scene)
+    path_fits(scene)
     if scene.meshed:
         check_bodies(scene)
         claims_fit(scene, Unknowns((), frozenset()))
@@ -231,7 +233,8 @@ def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
                 f'loads[{i}].value: expected {kind.article} such as "{kind.example}" on {load.unknown!r}, '
                 f"got {load.value}"
             )
-    _distinct("loads", [load.unknown for load in scene.loads])
+    for name in {load.name for load in scene.loads}:
+        _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
     if scene.path is not None and not scene.loads and not scene.masses:
         raise SceneError("path: expected loads that grow along it, got none")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
 from contactqp.methods import Method, methods
+from contactqp.scene.checking_path import time_fits
 from contactqp.scene.claims import Claim
 from contactqp.scene.quantities import QUANTITIES
 from contactqp.scene.unknowns import Unknowns
@@ -84,5 +85,8 @@ def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[
             raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
     if measure.path and scene.path is None:
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
+    if measure.friction and not any(c.friction for c in scene.contacts if c.name == claim.at):
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, {claim.at!r} has none")
     if claim.load_factor != Fraction(1) and not measure.solved:
         raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")
+    time_fits(where, claim, scene)

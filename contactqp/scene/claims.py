@@ -48,8 +48,13 @@ QuantityName = Annotated[str, AfterValidator(_known_quantity)]
 class Claim(Block):
     """A quantity of the answer, and the method and load it is asked of.
 
-    Without `method` it is the exact answer, which every method that promises exactness must give. `load_factor` scales
-    all loads; where no step of the path stands at it, the scene is solved under that load.
+    Without `method` it is the exact answer, which every method that promises exactness must give. It is asked at the
+    full load, the end of a path. `load_factor` scales all loads instead, and `time` is a pseudo-time of the path; where
+    no step of the path stands there, a scene without friction is solved under that load. With friction the answer
+    depends on the way to it, and only the steps of the path have one.
+
+    `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` which of those of one
+    kind, counted from 1.
     """
 
     quantity: QuantityName
@@ -59,6 +64,9 @@ class Claim(Block):
     component: Literal["xx", "yy", "zz", "xy", "yz", "zx", "von-mises"] | None = None
     unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
     load_factor: Number = Fraction(1)
+    time: Number | None = None
+    event: Literal["closed", "opened", "stick", "slip"] | None = None
+    occurrence: Annotated[int, Field(strict=True, ge=1)] = 1
     method: Name | None = None
     penalty: KnobStiffness | None = None
     perturbation: KnobStiffness | None = None
@@ -86,6 +94,7 @@ class Claim(Block):
             "along": measure.along and f"naming the {measure.along}",
             "near": "with a point" if measure.near else None,
             "component": "of the stress" if measure.component else None,
+            "event": "of the contact" if measure.event else None,
         }
         for key, needed in wanted.items():
             if (getattr(self, key) is None) != (needed is None):
@@ -93,6 +102,10 @@ class Claim(Block):
                 raise ValueError(f"the quantity {self.quantity!r} expects {what}")
         if self.unknowns is not None and not measure.matrix:
             raise ValueError(f"the quantity {self.quantity!r} expects no 'unknowns'")
+        if self.occurrence != 1 and not measure.event:
+            raise ValueError(f"the quantity {self.quantity!r} expects no 'occurrence'")
+        if self.time is not None and self.load_factor != 1:
+            raise ValueError("expected 'time' or 'load_factor', got both")
         if self.knobs and self.method is None:
             raise ValueError(f"{next(iter(self.knobs))!r} expects 'method', whose knob it is")
         return self
@@ -102,6 +115,11 @@ class Claim(Block):
         where = f" {self.component}{where}" if self.component else where
         where += f" near ({', '.join(map(str, self.near))})" if self.near else ""
         where += f" along {self.along}" if self.along else ""
+        if self.event is not None:
+            which = f" (number {self.occurrence})" if self.occurrence > 1 else ""
+            where += f" of {self.event!r}{which}"
+        if self.time is not None:
+            return f"{self.quantity}{where} at time {self.time}"
         return self.quantity + where + (f" at load factor {self.load_factor}" if self.load_factor != 1 else "")
 
 

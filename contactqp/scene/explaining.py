@@ -8,7 +8,7 @@ from fractions import Fraction
 from contactqp.elements.exact import Number
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.building import ExactProblem, NodeModel, Row
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_blocks
+from contactqp.scene.explanation import BuildingBlock, Explanation, counted, friction_block, path_block, report_blocks
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import is_rotation
@@ -67,8 +67,7 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield _rotations(exact)
     yield _supports(exact)
     yield counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
-    rubbing = [contact.name for contact in exact.contacts if contact.friction]
-    yield counted("tangential rows E_T, friction", len(rubbing), "contact with friction", "no contact has friction")
+    yield friction_block([contact.friction for contact in exact.contacts], len(scene.axes))
     yield counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
     yield _condensation(exact)
     yield path_block(scene)

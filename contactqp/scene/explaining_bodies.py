@@ -8,7 +8,7 @@ import numpy as np
 
 from contactqp.elements.solid import Body
 from contactqp.scene.bodies import BodyModel, PairedContact
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, path_block, report_blocks
+from contactqp.scene.explanation import BuildingBlock, Explanation, counted, friction_block, path_block, report_blocks
 from contactqp.scene.schema_contacts import Contact
 
 
@@ -58,8 +58,7 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     yield BuildingBlock("gravity", weighs, "bodies weigh by their density" if weighs else "nothing weighs")
     rows = len(model.problem.gap)
     yield counted("contact rows E_N u <= g", rows, "row", "nothing can touch anything")
-    rubbing = [contact.name for contact in model.contacts if contact.friction]
-    yield counted("tangential rows E_T, friction", len(rubbing), "contact with friction", "no contact has friction")
+    yield friction_block([contact.friction for contact in model.contacts], len(scene.axes))
     touched = len(np.unique(model.problem.normal.indices))
     some = f"contacts touch {touched} of {len(model.system.free)} unknowns"
     yield BuildingBlock("condensation onto the contact unknowns", 0 < touched < len(model.system.free), some)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
+
+from contactqp.analysis.load_path import DEFAULT_STEPS
+from contactqp.scene.corners import load_names
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
@@ -36,9 +40,26 @@ def path_block(scene: Scene) -> BuildingBlock:
     """Whether loads grow, and how changes are found."""
     if scene.path is None:
         return BuildingBlock("load path", False, "the loads are applied at once")
-    steps = f"{scene.path.steps} steps" if scene.path.steps else "no steps but the events"
-    found = "every closing and opening is found exactly" if scene.path.events else "a change is seen at the next step"
-    return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
+    exactly = scene.path.events is not None
+    steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
+    steps = f"{scene.path.steps} steps" if scene.path.steps else steps
+    found = "every change of contact is found exactly" if exactly else "a change is seen at the next step"
+    if scene.path.corners is None:
+        return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
+    names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
+    corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
+    return BuildingBlock("load path", True, f"from nothing to {corners}, {steps} to each; {found}")
+
+
+def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
+    """Tangential rows, which all contacts get where one has friction; `coefficients` of all of them."""
+    name, rubbing = "tangential rows E_T, friction", sum(map(bool, coefficients))
+    if not rubbing:
+        return BuildingBlock(name, False, "no contact has friction")
+    each = "one row" if axes == 2 else "two rows"
+    some = f"{rubbing} contact{'s' * (rubbing > 1)} with friction"
+    others = "" if rubbing == len(coefficients) else f" of {len(coefficients)}"
+    return BuildingBlock(name, True, f"{some}{others}, {each} each; what sticks or slips depends on the load's way")
 
 
 def report_blocks(scene: Scene) -> Iterator[BuildingBlock]:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from contactqp.analysis.history import History
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -20,7 +23,9 @@ from contactqp.errors import (
 from contactqp.methods import find
 from contactqp.scene.answers import Answer, answer_of
 from contactqp.scene.claims import KNOBS, Claim
+from contactqp.scene.corners import end_time, has_corners
 from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
+from contactqp.scene.instant import Instant
 from contactqp.scene.models import build
 from contactqp.scene.running import run_model
 from contactqp.scene.schema import Scene
@@ -69,10 +74,14 @@ class Judgement:
     scene: Scene
     model: Model
     trial: Trial
-    solution: Solution
-    events: Sequence[Any]
+    history: History
     expectations: tuple[Comparison, ...]
     published: tuple[Comparison, ...]
+
+    @property
+    def solution(self) -> Solution:
+        """At the end of the load path, or under the full load."""
+        return self.history[-1]
 
     @property
     def met(self) -> bool:
@@ -159,47 +168,63 @@ def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
 
 
 def judge(scene: Scene, trial: Trial) -> Judgement:
-    """Solve a scene by one method and compare with all that the case says of that method."""
+    """Solve a scene by one method and compare with all that the case says of that method.
+
+    Methods that are approximate by design are asked along a load path only where the way matters, with friction.
+    """
     options, model = trial.options(scene), build(scene)
-    if scene.path is not None and find(trial.method).exact:
+    if scene.path is not None and (find(trial.method).exact or model.problem.frictional):
         history = run_model(model, trial.method, **options)
-        solutions = {time: solution for time, solution in zip(history.times, history, strict=True)}
-        events: Sequence[Any] = history.events
     else:
-        solutions = {1.0: solve(model.problem, trial.method, **options)}
-        events = ()
-    answers = _Answers(model, trial, solutions, events)
+        history = History([solve(model.problem, trial.method, **options)], [float(end_time(scene))])
+    answers = _Answers(model, trial, history)
     return Judgement(
         scene=scene,
         model=model,
         trial=trial,
-        solution=answers.at(Fraction(1)).solution,
-        events=events,
+        history=history,
         expectations=tuple(
-            compare_expectation(claim, answers.at(claim.load_factor)) for claim in scene.expect if trial.concerns(claim)
+            compare_expectation(claim, answers.of(claim)) for claim in scene.expect if trial.concerns(claim)
         ),
         published=tuple(
-            compare_published(claim, answers.at(claim.load_factor))
-            for claim in scene.published
-            if trial.concerns(claim)
+            compare_published(claim, answers.of(claim)) for claim in scene.published if trial.concerns(claim)
         ),
     )
 
 
 class _Answers:
-    """Answers by load factor: from the load path where it has been there, solved for otherwise."""
+    """Answers by pseudo-time: from the load path where it has been there, solved for otherwise."""
 
-    def __init__(self, model: Model, trial: Trial, solutions: Mapping[float, Solution], events: Sequence[Any]) -> None:
-        self._model, self._trial, self._events = model, trial, events
-        self._solutions = dict(solutions)
-        self._problem = next(iter(solutions.values())).problem
+    def __init__(self, model: Model, trial: Trial, history: History) -> None:
+        self._model, self._trial, self._history = model, trial, history
+        self._known: dict[Fraction, Answer | BodyAnswer] = {}
 
-    def at(self, load_factor: Fraction) -> Answer | BodyAnswer:
-        factor = float(load_factor)
-        time = next((time for time in self._solutions if abs(time - factor) <= SAME_TIME), None)
-        if time is None:
-            options = self._trial.options(self._model.scene)
-            problem = self._problem.replace(load=self._model.load_at(load_factor))
-            self._solutions[factor] = solve(problem, self._trial.method, **options)
-            time = factor
-        return answer_of(self._model, self._solutions[time], load_factor, self._events)
+    def of(self, claim: Claim) -> Answer | BodyAnswer:
+        """The answer that the claim is about.
+
+        Raises
+        ------
+        SceneError
+            With friction, where no step of the path stands there.
+        """
+        whole = end_time(self._model.scene) if has_corners(self._model.scene) else claim.load_factor
+        time = whole if claim.time is None else claim.time
+        if time not in self._known:
+            self._known[time] = self._at(time, claim)
+        return self._known[time]
+
+    def _at(self, time: Fraction, claim: Claim) -> Answer | BodyAnswer:
+        times = self._history.times
+        (steps,) = np.nonzero(abs(times - float(time)) <= SAME_TIME)
+        if steps.size:
+            instant = Instant(time, self._history, int(steps[0]))
+            return answer_of(self._model, self._history[int(steps[0])], instant)
+        if self._model.problem.frictional:
+            nearest = ", ".join(f"{t:.12g}" for t in np.unique(times[np.argsort(abs(times - float(time)))[:2]]))
+            raise SceneError(
+                f"{claim}: expected a step of the load path, nearest: {nearest}; with friction the answer depends on "
+                "the way, and no load off the path has one"
+            )
+        problem = self._model.problem.replace(load=self._model.load_at(time))
+        solution = solve(problem, self._trial.method, **self._trial.options(self._model.scene))
+        return answer_of(self._model, solution, Instant(time, self._history))

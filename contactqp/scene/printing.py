@@ -15,6 +15,7 @@ from rich.text import Text
 
 from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
+from contactqp.scene.corners import has_corners
 from contactqp.scene.expectations import Comparison, Shown
 from contactqp.scene.explaining import shortened
 from contactqp.scene.explanation import Explanation
@@ -51,12 +52,21 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         _print(console, ["unknown", f"displacement [{length}]"], [[name, _number(u)] for name, u in unknowns])
         contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
         rows = [[name, str(status), _number(f), _number(g)] for name, status, f, g in contacts]
-        _print(console, ["contact", "status", f"normal force [{force}]", f"gap [{length}]"], rows)
+        header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
+        if solution.problem.frictional:
+            header += [f"friction {axis} [{force}]" for axis in scene.axes]
+            vectors = judgement.model.along_axes(solution.friction_force)
+            rows = [[*row, *map(_number, vector)] for row, vector in zip(rows, vectors, strict=True)]
+        _print(console, header, rows)
     _print(
         console,
-        ["event", "contact", "load factor"],
-        [[event.kind, names[event.contact], _number(event.time)] for event in judgement.events],
+        ["event", "contact", "time" if has_corners(scene) else "load factor"],
+        [[event.kind, names[event.contact], _number(event.time)] for event in judgement.history.events],
     )
+    if scene.path is not None and solution.problem.frictional:
+        end = judgement.history.energies[-1]
+        energies = f"work of the loads {end.work:.12g}, elastic {end.elastic:.12g}, dissipated {end.dissipated:.12g}"
+        console.print(escape(f"{energies} {force}*{length}"))
     _print_comparisons(console, [judgement], [])
     if not judgement.expectations and not judgement.published:
         console.print("the case expects nothing of this method")
@@ -155,10 +165,27 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
             "failures": [str(failure) for failure in certificate.failures],
         },
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
-        "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.events],
+        **_friction_data(judgement),
+        "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],
     }
+
+
+def _friction_data(judgement: Judgement) -> dict[str, Any]:
+    """lambda_T of each contact along the axes, and what became of the work; nothing without friction."""
+    solution, scene, model = judgement.solution, judgement.scene, judgement.model
+    if not solution.problem.frictional:
+        return {}
+    data: dict[str, Any] = {}
+    if isinstance(model, NodeModel):
+        vectors = model.along_axes(solution.friction_force)
+        names = solution.problem.contact_names or ()
+        data["friction_force"] = {name: _named(scene.axes, row) for name, row in zip(names, vectors, strict=True)}
+    if scene.path is not None:
+        end = judgement.history.energies[-1]
+        data["energies"] = {"work": end.work, "elastic": end.elastic, "dissipated": end.dissipated}
+    return data
 
 
 def _comparison_data(row: Comparison) -> dict[str, Any]:

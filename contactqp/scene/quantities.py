@@ -19,6 +19,9 @@ class Measure:
     matrix: bool = False  # its value is ``rows``
     solved: bool = True  # needs a solution; otherwise read off the problem
     path: bool = False  # needs the load path
+    event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
+    friction: bool = False  # needs a contact with friction
+    whole_way: bool = False  # of the whole load path, not of an instant of it
     of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
 
 
@@ -28,19 +31,42 @@ def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
 
 # Stresses in the order of contactqp.elements.stress, and the equivalent one.
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
+_WAY: dict[str, Any] = {"path": True, "whole_way": True}
 QUANTITIES = {
     "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown"),
     "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact"),
     "gap": Measure("gap of a contact, positive when open", ("length",), at="contact"),
-    "status": Measure("open, closed or grazing", (), at="contact"),
+    "status": Measure("open, closed or grazing; with friction open, stick, slip or grazing", (), at="contact"),
+    "friction force": Measure(
+        "component of lambda_T along an axis: what the node does to what it touches, along its own slip",
+        ("force",),
+        at="contact",
+        along="axis",
+        friction=True,
+    ),
+    "slip": Measure(
+        "component along an axis of the slip that a scene without a path makes from slip_origin",
+        ("length",),
+        at="contact",
+        along="axis",
+        friction=True,
+    ),
     "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support"),
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
     "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
+    "elastic energy": Measure("1/2 u'Ku on a load path", ("energy",), path=True, of="both"),
+    "work of the loads": Measure("since the load path set out", ("energy",), path=True, of="both"),
+    "dissipated energy": Measure("by friction since the load path set out", ("energy",), path=True, of="both"),
     "free motions": Measure("number of rigid motions that nothing drives and nothing holds", ("number",), of="both"),
-    "closing load factor": Measure("load factor at which a contact closes", ("number",), at="contact", path=True),
-    "closing load": Measure("load on `along` when it closes", ("force",), at="contact", along="unknown", path=True),
+    "closing load factor": Measure("load factor at which a contact closes", ("number",), at="contact", **_WAY),
+    "closing load": Measure("load on `along` when it closes", ("force",), at="contact", along="unknown", **_WAY),
+    "event time": Measure("pseudo-time of an event of a contact", ("number",), at="contact", event=True, **_WAY),
+    "event load": Measure(
+        "load on `along` at an event of a contact", ("force",), at="contact", along="unknown", event=True, **_WAY
+    ),
+    "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WAY),
     "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", solved=False),
     "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, solved=False),
     "tie rank": Measure("number of independent ties", ("number",), solved=False),
@@ -71,6 +97,29 @@ QUANTITIES = {
         at="contact",
         along="axis",
     ),
+    "friction resultant": _of_bodies(
+        "sum of lambda_T of a contact as vectors along an axis: what the body or the slave does to what it touches",
+        "force",
+        at="contact",
+        along="axis",
+        friction=True,
+    ),
+    "friction traction": _of_bodies(
+        "lambda_T over area of the contact's node at `near`, along an axis",
+        "pressure",
+        at="contact",
+        along="axis",
+        near=True,
+        friction=True,
+    ),
+    "stick half-width": _of_bodies(
+        "largest distance from `near`, the centre, to a node that sticks",
+        "length",
+        at="contact",
+        near=True,
+        friction=True,
+    ),
+    "sticking contacts": _of_bodies("number of nodes of a contact that stick", "number", at="contact", friction=True),
     "peak pressure": _of_bodies(
         "largest normal force over area among the nodes of a contact", "pressure", at="contact"
     ),

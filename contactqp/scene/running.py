@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.analysis.history import History
 from contactqp.analysis.load_path import follow_path
+from contactqp.problem import ContactProblem
+from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.solving import solve
@@ -20,8 +23,8 @@ def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
     Parameters
     ----------
     scene : Scene
-        From `load_scene`, or built in Python. With `path`, all loads grow together from nothing, and the history has
-        ``steps + 1`` solutions and the events; without, it has one.
+        From `load_scene`, or built in Python. With `path`, loads grow from nothing, together or from corner to corner,
+        and the history has the start, every step and the events; without, it has one solution.
     method : str
         A name of `contactqp.methods()`.
     **options
@@ -32,8 +35,13 @@ def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
 
 def run_model(model: Model, method: str, **options: Any) -> History:
     """As `run`, of a scene that is built already."""
-    problem, path = model.problem, model.scene.path
+    return walk(model, model.problem, method, **options)
+
+
+def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
+    """As `run_model`, of the model's own problem or a copy of it."""
+    path = model.scene.path
     if path is None:
-        solution = solve(problem, method, **options)
-        return History([solution], [1.0])
-    return follow_path(problem, loads=[problem.load], steps=path.steps, events=path.events, method=method, **options)
+        return History([solve(problem, method, **options)], [1.0])
+    corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
+    return follow_path(problem, loads=corners, steps=path.steps, events=path.events, method=method, **options)

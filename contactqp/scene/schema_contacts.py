@@ -64,6 +64,10 @@ class Contact(Block):
     ``"node-to-segment"``. Parts of two sides further apart than `reach` have no partner, and at the start a side may
     be inside of what it touches by `overlap`; the defaults of both follow the size of the facets. A `membrane` and
     `obstacle`: it stays above.
+
+    `friction` is Coulomb's coefficient; between nodes, or a node and an obstacle, slip is counted from `slip_origin`,
+    the displacement along the axes (of the first node against the second) that stood when they touched. A load path
+    finds that itself.
     """
 
     name: Name
@@ -78,6 +82,7 @@ class Contact(Block):
     reach: fields.PositiveLength | None = None
     overlap: fields.NotNegativeLength | None = None
     friction: fields.FrictionCoefficient | None = None
+    slip_origin: fields.Point | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -101,6 +106,8 @@ class Contact(Block):
                 raise ValueError(f"{option}: expected none with {key!r}")
         if key == "membrane" and self.friction:
             raise ValueError("friction: expected none, a membrane does not slide")
+        if self.slip_origin is not None and (key not in ("node", "nodes") or not self.friction):
+            raise ValueError("slip_origin: expected with friction between nodes, or a node and an obstacle, only")
         for side in self.touching_sides:
             body, _, name = side.partition(".")
             if not body or not name:

@@ -32,7 +32,10 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
             rows.append([body.name, axis, float(low), float(high)])
     yield ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"], rows
     header = ["contact", "nodes", "pressing", f"normal force [{force}]", f"peak pressure [{pressure}]"]
-    yield [*header, f"smallest gap [{length}]"], [list(row.values()) for row in _contacts(model, solution)]
+    header.append(f"smallest gap [{length}]")
+    if model.problem.frictional:
+        header += ["sticking", *(f"friction {axis} [{force}]" for axis in model.scene.axes)]
+    yield header, [list(row.values()) for row in _contacts(model, solution)]
 
 
 def motions_in_words(model: BodyModel, solution: Solution) -> list[str]:
@@ -95,4 +98,8 @@ def _contacts(model: BodyModel, solution: Solution) -> list[dict[str, str | floa
                 "smallest_gap": float(known.min()) if known.size else 0.0,
             }
         )
+        if model.problem.frictional:
+            total = model.friction_vectors(contact.name, solution).sum(axis=0)
+            rows[-1]["sticking"] = int(model.stuck(contact.name, solution).sum())
+            rows[-1] |= {f"friction_{axis}": float(f) for axis, f in zip(model.scene.axes, total, strict=True)}
     return rows

@@ -36,6 +36,8 @@ ENOUGH = 0.05
 
 # What a case expects that a solution misses; None where nothing was compared.
 Judge = Callable[[Solution], Sequence[str] | None]
+# From a problem, a method's name and its options to the last solution of a load path.
+Walk = Callable[..., Solution]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,39 +56,44 @@ def attempt(
     repeats: int = 1,
     case: str = "",
     judge: Judge | None = None,
+    walk: Walk | None = None,
 ) -> Row:
     """The row of one rung: the first call answers and warms up, the median of the repeats is the time.
 
-    Every call gets a fresh problem, so that nobody lives off another's factorisation.
+    Every call gets a fresh problem, so that nobody lives off another's factorisation. Where the answer depends on the
+    way to it, with friction, `walk` is called in place of solve.
     """
-    outcome = call(problem, rung)
-    times = _times(problem, rung, repeats) if outcome.seconds < LONG else []
+    outcome = call(problem, rung, walk)
+    times = _times(problem, rung, repeats, walk) if outcome.seconds < LONG else []
     unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
     return _row(rung, outcome, truth, statistics.median(times or [outcome.seconds]), len(times), case, unmet)
 
 
-def _times(problem: ContactProblem, rung: Rung, repeats: int) -> list[float]:
+def _times(problem: ContactProblem, rung: Rung, repeats: int, walk: Walk | None) -> list[float]:
     times: list[float] = []
     while len(times) < repeats and sum(times) < ENOUGH:
-        times.append(call(problem, rung).seconds)
+        times.append(call(problem, rung, walk).seconds)
     return times
 
 
-def call(problem: ContactProblem, rung: Rung) -> Outcome:
-    """One timed call of solve. Errors of contactqp are outcomes; all others are bugs and are not caught.
+def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outcome:
+    """One timed call of solve, or of `walk`. Errors of contactqp are outcomes; all others are bugs and are not caught.
 
-    The time is that to the answer; certifying it, and the raw answer behind it, is not the method's.
+    The time is that to the answer; certifying it, and the raw answer behind it, is not the method's. That of a walk has
+    the certificates of its steps in it.
     """
     fresh = _fresh(problem)
     solution: Solution | None = None
     error: ContactQPError | None = None
     started = time.perf_counter()
     try:
-        solution = solve(fresh, rung.method.name, **rung.options)
+        solution = (walk or solve)(fresh, rung.method.name, **rung.options)
     except ContactQPError as raised:
         solution, error = getattr(raised, "solution", None), raised
     seconds = time.perf_counter() - started
-    return Outcome(solution, error, seconds if solution is None else solution.seconds - solution.certify_seconds)
+    if solution is not None and walk is None:
+        seconds = solution.seconds - solution.certify_seconds
+    return Outcome(solution, error, seconds)
 
 
 def _fresh(problem: ContactProblem) -> ContactProblem:

@@ -18,10 +18,11 @@ from contactqp.scene.expectations import compare_expectation
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
+from contactqp.scene.running import walk
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solution import Solution
-from contactqp.study.attempt import attempt
+from contactqp.study.attempt import Walk, attempt
 from contactqp.study.rows import Row
 from contactqp.study.rungs import TOLERANCES, Rung, all_rungs
 from contactqp.study.truth import Truth, of_solution, proven_solution
@@ -42,9 +43,15 @@ class CaseStudy:
     def rows(self, truth: Truth | None, repeats: int) -> Iterator[Row]:
         """One row for each rung."""
         expected = FullLoad(self.scene)
+        way = self._walk() if self.scene.path is not None and self.problem.frictional else None
         for rung in self.rungs:
             judge = expected.unmet if rung.stands_for_exactness else None
-            yield attempt(self.problem, rung, truth, repeats, self.name, judge)
+            yield attempt(self.problem, rung, truth, repeats, self.name, judge, way)
+
+    def _walk(self) -> Walk:
+        """With friction the answer is where the load path leads, and no solution for its last load alone."""
+        model = build(self.scene)
+        return lambda problem, method, **options: walk(model, problem, method, **options)[-1]
 
     def truth(self) -> Truth | None:
         """What the case states exactly, and the proven solution where it states nothing."""
@@ -80,7 +87,8 @@ class CaseStudy:
 
 
 def _at_full_load(claim: Expectation) -> bool:
-    return claim.method is None and claim.load_factor == 1 and claim.measure.solved and not claim.measure.path
+    whole = claim.load_factor == 1 and claim.time is None
+    return claim.method is None and whole and claim.measure.solved and not claim.measure.path
 
 
 def _is_exact(claim: Expectation) -> bool:
