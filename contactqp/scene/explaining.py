@@ -93,6 +93,8 @@ def _supports(exact: ExactProblem) -> BuildingBlock:
 def _condensation(exact: ExactProblem) -> BuildingBlock:
     free = set(exact.unknowns.free)
     rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
+    if any(contact.friction for contact in exact.contacts):
+        rows += [row for contact in exact.contacts for row in contact.tangent]
     touched = free & {name for row in rows for name in row}
     some = f"contacts and ties touch {len(touched)} of {len(free)} unknowns"
     return BuildingBlock("condensation onto the contact unknowns", 0 < len(touched) < len(free), some)

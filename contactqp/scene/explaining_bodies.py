@@ -59,7 +59,9 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     rows = len(model.problem.gap)
     yield counted("contact rows E_N u <= g", rows, "row", "nothing can touch anything")
     yield friction_block([contact.friction for contact in model.contacts], len(scene.axes))
-    touched = len(np.unique(model.problem.normal.indices))
+    problem = model.problem
+    tangent = [] if problem.tangent is None else [problem.tangent.indices]
+    touched = len(np.unique(np.concatenate([problem.normal.indices, *tangent])))
     some = f"contacts touch {touched} of {len(model.system.free)} unknowns"
     yield BuildingBlock("condensation onto the contact unknowns", 0 < touched < len(model.system.free), some)
     yield path_block(scene)

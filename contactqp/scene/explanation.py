@@ -48,7 +48,7 @@ def path_block(scene: Scene) -> BuildingBlock:
         return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
     names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
     corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
-    return BuildingBlock("load path", True, f"from nothing to {corners}, {steps} to each; {found}")
+    return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
 
 
 def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:

@@ -70,6 +70,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         return f"expected {context['expected']}, got {describe(error['input'])}"
     expected = {
         "model_type": "a table",
+        "dict_type": "a table",
         "tuple_type": "a list",
         "string_type": "a text in quotes",
         "int_type": "a whole number",

@@ -1,0 +1,230 @@
+"""Friction in scenes: its rows come with it and only with it, and what is asked of them is along the axes."""
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.scene.explaining import explain
+from contactqp.scene.judging import Trial, judge
+from contactqp.scene.models import build
+from contactqp.scene.schema import Scene
+
+from .test_bodies import BLOCK, PRESSED
+
+FLOOR = {"name": "floor", "point": ["0 m", "0 m"], "normal": [0, 1]}
+# Springs of 100 N/m along both axes over a floor; 10 N down and 5 N to the right.
+PAD = dict(
+    title="a pad",
+    axes=["x", "z"],
+    nodes=[{"name": "1", "at": ["0 m", "0 m"]}],
+    springs=[
+        {"name": "a", "nodes": ["1"], "direction": [1, 0], "stiffness": "100 N/m"},
+        {"name": "b", "nodes": ["1"], "direction": [0, 1], "stiffness": "100 N/m"},
+    ],
+    obstacles=[FLOOR],
+    contacts=[{"name": "foot", "node": "1", "obstacle": "floor", "friction": 0.3}],
+    loads=[{"unknown": "1.x", "value": "5 N"}, {"unknown": "1.z", "value": "-10 N"}],
+)
+
+
+def pad(**contact):
+    return Scene(**PAD | {"contacts": [PAD["contacts"][0] | contact]})
+
+
+def claim(quantity, value, **keys):
+    return {"quantity": quantity, "value": value, "derivation": "by hand", "tolerance": 1e-12} | keys
+
+
+def judged(scene, *expect):
+    return judge(Scene(**scene | {"expect": expect}), Trial()).expectations
+
+
+def tangential(scene):
+    return {block.name: block for block in explain(scene).blocks}["tangential rows E_T, friction"]
+
+
+def test_no_friction_no_rows():
+    for friction in (None, 0, 0.0):
+        scene = pad(friction=friction)
+        assert scene.problem().tangent is None
+        assert not tangential(scene).included
+    assert tangential(pad()).reason.startswith("1 contact with friction, one row each")
+    body = Scene(**PRESSED | {"contacts": [PRESSED["contacts"][0] | {"friction": 0}]})
+    assert body.problem().tangent is None
+    assert not tangential(body).included
+
+
+def test_where_one_contact_has_friction_every_one_has_a_row_and_its_own_coefficient():
+    wall = {"name": "wall", "point": ["1 m", "0 m"], "normal": [-1, 0]}
+    contacts = [PAD["contacts"][0], {"name": "side", "node": "1", "obstacle": "wall"}]
+    scene = Scene(**PAD | {"obstacles": [FLOOR, wall], "contacts": contacts})
+    problem = scene.problem()
+    assert problem.friction.tolist() == [0.3, 0.0]
+    assert problem.tangent.toarray().tolist() == [[1, 0], [0, 1]]
+    assert tangential(scene).reason.startswith("1 contact with friction of 2, one row each")
+
+
+def test_two_nodes_slip_against_each_other():
+    scene = Scene(
+        title="two nodes", axes=["x", "z"],
+        nodes=[{"name": "1", "at": ["0 m", "1 m"]}, {"name": "2", "at": ["0 m", "0 m"]}],
+        fixed=["2.z"], springs=[{"name": n, "nodes": [n], "direction": [1, 0], "stiffness": "1 N/m"} for n in "12"],
+        contacts=[{"name": "pair", "nodes": ["1", "2"], "friction": 0.5}],
+        loads=[{"unknown": "1.x", "value": "1 N"}, {"unknown": "1.z", "value": "-4 N"}],
+        expect=[claim("friction force", "0.5 N", at="pair", along="x"), claim("displacement", "0.5 m", at="2.x")],
+    )  # fmt: skip
+    row = scene.problem().tangent.toarray()[0]
+    assert row.tolist() in ([1, 0, -1], [-1, 0, 1])
+    assert judge(scene, Trial()).met, "they share the load: the lower is pushed along by what the upper does to it"
+
+
+def test_in_space_a_contact_has_two_orthonormal_rows():
+    scene = Scene(
+        title="in space", axes=["x", "y", "z"], nodes=[{"name": "1", "at": ["0 m", "0 m", "0 m"]}],
+        springs=[{"name": a, "nodes": ["1"], "direction": d, "stiffness": "1 N/m"} for a, d in zip(
+            "xyz", np.eye(3, dtype=int).tolist(), strict=True)],
+        obstacles=[{"name": "slope", "point": ["0 m"] * 3, "normal": [2, 3, 6]}],
+        contacts=[{"name": "foot", "node": "1", "obstacle": "slope", "friction": 0.3}],
+    )  # fmt: skip
+    problem = scene.problem()
+    tangent = problem.tangent.toarray()
+    np.testing.assert_allclose(tangent @ tangent.T, np.eye(2), atol=1e-15)
+    np.testing.assert_allclose(tangent @ [2 / 7, 3 / 7, 6 / 7], 0, atol=1e-15)
+    assert tangential(scene).reason.startswith("1 contact with friction, two rows each")
+    # The components along the axes do not depend on which two tangents were chosen.
+    vector = build(scene).along_axes((tangent @ [1.0, 2.0, 3.0])[np.newaxis])[0]
+    np.testing.assert_allclose(vector, np.array([1, 2, 3]) - 26 / 49 * np.array([2, 3, 6]), atol=1e-14)
+
+
+def test_what_friction_does_is_told_along_the_axes_and_can_be_wrong():
+    right = [
+        claim("friction force", "3 N", at="foot", along="x"),
+        claim("friction force", "0 N", at="foot", along="z", tolerance="1e-12 N"),
+        claim("slip", "20 mm", at="foot", along="x"),
+        claim("status", "slip", at="foot"),
+        claim("spring force", "2 N", at="a"),
+    ]
+    assert all(row.ok for row in judged(PAD, *right))
+    wrong = [claim("friction force", "-3 N", at="foot", along="x"), claim("slip", "-20 mm", at="foot", along="x")]
+    assert not any(row.ok for row in judged(PAD, *wrong))
+
+
+def test_a_fixed_unknown_feels_friction():
+    held = PAD | {"fixed": ["2.x"], "nodes": [*PAD["nodes"], {"name": "2", "at": ["0 m", "-1 m"]}], "obstacles": []}
+    held["contacts"] = [{"name": "foot", "nodes": ["1", "2"], "friction": 0.3}]
+    held["springs"] = [*PAD["springs"], {"name": "c", "nodes": ["2"], "direction": [0, 1], "stiffness": "100 N/m"}]
+    held["nodes"] = [{"name": "1", "at": ["0 m", "0 m"]}, {"name": "2", "at": ["0 m", "-1 um"]}]
+    judgement = judge(Scene(**held, expect=[claim("reaction", "1 N", at="2.x")]), Trial())
+    force = judgement.solution.normal_force[0]
+    assert judgement.expectations[0].got == pytest.approx(-0.3 * force, rel=1e-12), "the support holds 2 back"
+
+
+def test_slip_starts_at_its_origin():
+    """5 N against a spring from 0 and friction: with the origin where the spring alone holds it, nothing is left."""
+    solution = cq.run(pad(slip_origin=["50 mm", "7 mm"]))[-1]
+    assert solution.problem.slip_origin.tolist() == [[0.05]]
+    assert solution.contact_status.tolist() == ["stick"]
+    assert solution.friction_force[0, 0] == pytest.approx(0, abs=1e-14)
+
+
+SHEARED = PRESSED | {
+    "contacts": [PRESSED["contacts"][0] | {"friction": 0.3}],
+    "supports": [],
+    "tractions": [{"name": "shear", "side": "block.top", "value": ["10 MPa", "0 MPa"]}],
+}
+
+
+def test_a_side_on_an_obstacle():
+    """In balance: the floor takes what acts on the top; its couple tips the pressure and no more."""
+    rows = judged(
+        SHEARED,
+        claim("friction resultant", "200 N", at="foot", along="x", tolerance=1e-9),
+        claim("friction resultant", "0 N", at="foot", along="y", tolerance="1e-6 N"),
+        claim("contact force", "2000 N", at="foot", tolerance=1e-9),
+        claim("friction resultant", "-200 N", at="foot", along="x", tolerance=1e-9),
+    )
+    assert [row.ok for row in rows] == [True, True, True, False], rows
+    model = build(Scene(**SHEARED))
+    assert model.problem.tangent.shape == (model.problem.contacts, model.problem.dimension)
+    assert {b.name: b for b in explain(model.scene).blocks}["tangential rows E_T, friction"].included
+
+
+@pytest.mark.parametrize("pairing", ["mortar", "node-to-segment"])
+def test_a_side_on_a_side(pairing):
+    shape = {key: value for key, value in BLOCK["shape"].items() if key != "grading"}
+    lower = BLOCK | {"name": "lower", "shape": shape | {"corner": ["0 mm", "-1 mm"]}}
+    scene = SHEARED | {
+        "bodies": [BLOCK, lower],
+        "obstacles": [],
+        "contacts": [{"name": "foot", "sides": ["block.bottom", "lower.top"], "pairing": pairing, "friction": 0.3}],
+        "supports": [{"name": a, "on": "lower.bottom", "axis": a} for a in "xy"],
+    }
+    rows = judged(
+        scene,
+        claim("friction resultant", "200 N", at="foot", along="x", tolerance=1e-8),
+        claim("support force", "-200 N", at="x", tolerance=1e-8),
+        claim("contact force", "2000 N", at="foot", tolerance=1e-8),
+    )
+    assert all(row.ok for row in rows), rows
+
+
+def test_sticking_slipping_and_tractions_of_a_side():
+    """Held by its flank, every node of a block that is pressed slips: the traction is mu times the pressure."""
+    smooth = PRESSED | {"contacts": [PRESSED["contacts"][0] | {"friction": 0.3}]}
+    smooth["supports"] = [{"name": "flank", "on": "block.left", "axis": "x", "value": "1 um"}]
+    near = {"at": "foot", "near": ["2 mm", "0 mm"]}
+    rows = judged(
+        smooth,
+        claim("sticking contacts", "0", at="foot", tolerance=0.5),
+        claim("friction traction", "1 MPa", along="x", **near),
+        claim("contact pressure", "1 MPa", **near),
+        claim("stick half-width", "1 mm", **near),
+        claim("friction resultant", "1 N", at="foot", along="x"),
+        claim("support force", "1 N", at="flank"),
+    )
+    got = [row.got for row in rows]
+    assert got[0] == 0
+    assert got[1] == pytest.approx(0.3 * got[2], rel=1e-9)
+    assert np.isnan(got[3])
+    assert got[4] == pytest.approx(got[5], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"contacts": [PAD["contacts"][0] | {"friction": -1}]}, r"contacts\[0\].friction \('foot'\): .*not negative"),
+        (
+            {"contacts": [{"name": "foot", "node": "1", "obstacle": "floor", "slip_origin": ["0 m", "0 m"]}]},
+            "slip_origin: expected with friction between nodes",
+        ),
+        (
+            {"contacts": [PAD["contacts"][0] | {"slip_origin": ["0 m"]}]},
+            r"slip_origin \('foot'\): expected 2 components",
+        ),
+        (
+            {"contacts": [PAD["contacts"][0] | {"slip_origin": ["0 m", "0 m"]}], "path": {"steps": 1}},
+            r"contacts\[0\].slip_origin \('foot'\): expected none with a load path",
+        ),
+        ({"expect": [claim("friction force", "1 N", at="foot")]}, "expects 'along' naming the axis"),
+        ({"expect": [claim("friction force", "1 N", at="foot", along="y")]}, "there is no axis 'y'"),
+        (
+            {
+                "contacts": [{"name": "foot", "node": "1", "obstacle": "floor"}],
+                "expect": [claim("friction force", "1 N", at="foot", along="x")],
+            },
+            "expects a contact with friction, 'foot' has none",
+        ),
+        (
+            {"expect": [claim("slip", "1 m", at="foot", along="x")], "path": {"steps": 1}},
+            r"'slip' expects no \[path\]",
+        ),
+        (
+            {"expect": [claim("normal force", "1 N", at="foot", load_factor=0.5)]},
+            r"expect\[0\].load_factor: expected none with friction and no load path: the answer depends on the way",
+        ),
+        ({"expect": [claim("dissipated energy", "1 J")]}, r"'dissipated energy' expects \[path\]"),
+    ],
+)
+def test_friction_that_makes_no_sense_is_refused(changes, words):
+    with pytest.raises(cq.SceneError, match=words):
+        Scene(**PAD | changes)
