@@ -1,0 +1,55 @@
+"""A block that slides to rest: implicit steps in velocity, each of them a contact problem with K = M."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+FRICTION, GRAVITY, START, MASS = 0.3, 9.81, 1.0, 2.0
+STOP = START / (FRICTION * GRAVITY)
+DISTANCE = START**2 / (2 * FRICTION * GRAVITY)
+
+
+def slide(time_step: float, steps: int) -> tuple[np.ndarray, list[str], float]:
+    """Velocities after each step, statuses, and the work of friction: M v' + E' dt l = M v + dt f, E_N v' <= 0."""
+    block = cq.ContactProblem(
+        stiffness=MASS * np.eye(2),
+        load=np.zeros(2),
+        normal=[[0.0, -1.0]],
+        gap=[0.0],
+        tangent=[[1.0, 0.0]],
+        friction=FRICTION,
+    )
+    velocities, statuses, work = [np.array([START, 0.0])], [], 0.0
+    for _ in range(steps):
+        before = velocities[-1]
+        solution = cq.solve(block.replace(load=MASS * before + time_step * np.array([0.0, -MASS * GRAVITY])))
+        assert solution.friction_force is not None
+        velocities.append(solution.displacement)
+        statuses.append(str(solution.contact_status[0]))
+        work += float(solution.friction_force[0, 0]) * (before[0] + solution.displacement[0]) / 2
+    return np.array(velocities), statuses, work
+
+
+@pytest.mark.parametrize("steps", [1, 7, 50])
+def test_it_stops_where_it_must(steps: int) -> None:
+    """In steps that end where it stops, the mean velocity of a step is exact: v0^2 / (2 mu g) = 0.169895 m."""
+    time_step = STOP / steps
+    velocities, statuses, work = slide(time_step, steps + 3)
+    np.testing.assert_allclose(velocities[: steps + 1, 0], START * (1 - np.arange(steps + 1) / steps), atol=1e-14)
+    np.testing.assert_allclose(time_step * (velocities[:-1, 0] + velocities[1:, 0]).sum() / 2, DISTANCE, rtol=1e-13)
+    assert round(DISTANCE, 6) == 0.169895
+    assert np.all(abs(velocities[steps + 1 :]) < 1e-14), "and it stays there"
+    assert statuses[-1] == "stick"
+    assert work == pytest.approx(MASS * START**2 / 2, rel=1e-12), "friction takes all of its energy"
+
+
+def test_the_last_step_is_all_that_is_wrong() -> None:
+    """Where it stops within a step, the distance is off by at most mu g dt^2 / 8: the mean velocity of that step."""
+    for steps in (3.3, 7.5, 49.9):
+        time_step = STOP / steps
+        velocities, _, _ = slide(time_step, int(steps) + 2)
+        moved = time_step * (velocities[:-1, 0] + velocities[1:, 0]).sum() / 2
+        assert 0 < abs(moved - DISTANCE) <= FRICTION * GRAVITY * time_step**2 / 8 * (1 + 1e-12)
