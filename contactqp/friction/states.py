@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.condensation import Condensation
+from contactqp.condensation import Condensation, unknown_scale
 from contactqp.coulomb_cone import directions as directions_of
 from contactqp.coulomb_cone import lengths
 from contactqp.extended import Extended, extend, extended_rows, two_product
@@ -34,6 +34,8 @@ MAX_SWEEPS = 12
 TURNS = 5
 # A slip of this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
+# Of the largest part, what refinement leaves of zero.
+INVISIBLE = 1e-22
 # A correction of this part of the answer is beneath what doubles hold.
 NEGLIGIBLE = 1e-20
 # Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
@@ -142,7 +144,8 @@ def answer_in(
     if rows.width > 1:
         directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
     friction = stick + _bound(problem, force, directions)
-    return Answer(u.double(), force.double(), friction.double().reshape(-1, rows.width), tie.double())
+    answer = Answer(u.double(), force.double(), friction.double().reshape(-1, rows.width), tie.double())
+    return _without_noise(problem, rows, answer, start)
 
 
 def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
@@ -155,6 +158,26 @@ def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vecto
     bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
     turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
     return directions_of(vectors), turning
+
+
+def _without_noise(problem: ContactProblem, rows: FrictionalRows, answer: Answer, start: Answer) -> Answer:
+    """Zero where beneath the refinement's rounding: of what it started from, of what it ends at, and of the load.
+
+    All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
+    contact, friction or tie times the scaled length of its row.
+    """
+    scale = unknown_scale(problem)
+    far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))
+    for one in (answer, start):
+        sizes = (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force)
+        far = max(far, *(INVISIBLE * float(np.max(abs(size), initial=0.0)) for size in sizes))
+    friction = _friction_of(answer, rows.width)
+    return Answer(
+        np.where(abs(answer.displacement) <= far * scale, 0.0, answer.displacement),
+        np.where(abs(answer.normal_force) * rows.normal_length <= far, 0.0, answer.normal_force),
+        np.where(abs(friction) * rows.tangent_length[:, None] <= far, 0.0, friction),
+        np.where(abs(answer.tie_force) * rows.tie_length <= far, 0.0, answer.tie_force),
+    )
 
 
 def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:

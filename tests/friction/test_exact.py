@@ -219,3 +219,26 @@ def test_forces_whose_squares_are_no_doubles(factor: float) -> None:
     one, other = cq.solve(problem), cq.solve(scaled)
     assert other.certificate.passed
     np.testing.assert_allclose(other.friction_force, one.friction_force * factor, rtol=1e-14)
+
+
+@pytest.mark.parametrize("friction", [0.3, 5.0])
+@pytest.mark.parametrize("pull", [0.0, 0.5, 0.99])
+def test_what_does_not_move_at_all_on_an_oblique_plane(pull: float, friction: float) -> None:
+    """The plane's normal (-3, 4) / 5 is no axis: what refinement leaves of a zero displacement is no violation."""
+    n, t = np.array([-0.6, 0.8]), np.array([0.8, 0.6])
+    problem = cq.ContactProblem(
+        stiffness=1000.0 * np.outer(t, t),
+        load=-12000.0 * n + pull * 3600.0 * t,
+        normal=[-n],
+        gap=[0.0],
+        tangent=[t],
+        friction=friction,
+    )
+    for load in (problem.load, 0.0 * problem.load):
+        history = cq.follow_path(problem, loads=[problem.load, load], steps=2)
+        assert np.all(history.displacements == 0.0)
+        assert history[-1].certificate.passed
+    solution = cq.solve(problem)
+    assert np.all(solution.displacement == 0.0)
+    assert solution.contact_status.tolist() == ["stick"]
+    np.testing.assert_allclose(solution.friction_force[0, 0], pull * 3600.0, rtol=1e-14, atol=1e-9)
