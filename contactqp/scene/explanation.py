@@ -63,14 +63,25 @@ def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock
 
 
 def report_blocks(scene: Scene) -> Iterator[BuildingBlock]:
-    """Which methods a report tries on the case, where the case limits them."""
-    if scene.report is not None:
+    """Which methods a report tries on the case, where not all of them."""
+    if report_note(scene):
         yield BuildingBlock("all methods in a report", False, report_note(scene))
 
 
+def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
+    """The methods that a report is limited to, and why; None where it tries all."""
+    if scene.report is not None:
+        return scene.report.methods, scene.report.why
+    frictional = any(contact.friction for contact in scene.contacts)
+    if frictional and scene.path is not None and scene.path.events is not None:
+        return ("active-set",), "from one exact event to the next all is linear, and no method has a part in it"
+    return None
+
+
 def report_note(scene: Scene) -> str:
-    """Which methods a report is limited to, and why; empty where it is not."""
-    return f"only {', '.join(scene.report.methods)}: {scene.report.why}" if scene.report else ""
+    """The same in words; empty where all are tried."""
+    limit = report_methods(scene)
+    return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
 
 
 def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:

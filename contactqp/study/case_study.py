@@ -15,6 +15,7 @@ from contactqp.problem import ContactProblem
 from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
 from contactqp.scene.expectations import compare_expectation
+from contactqp.scene.explanation import report_methods
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
@@ -130,11 +131,12 @@ def load_studies(
             problem = scene.problem()
         except ContactQPError as error:
             raise type(error)(f"{path}: {error}") from None
+        limit = report_methods(scene)
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
         rungs = tuple(
             rung
             for method in methods
-            if scene.report is None or method.name in scene.report.methods
+            if limit is None or method.name in limit[0]
             for rung in all_rungs(problem, method, tolerances, stated_ladders(scene, method))
         )
         studies.append(CaseStudy(name, scene, problem, rungs))

@@ -191,7 +191,7 @@ def _progress(shown: bool) -> Progress:
 def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
     """Which cases keep methods out of the report."""
     for study in studies:
-        if study.scene.report is not None:
+        if report_note(study.scene):
             yield f"{study.name}: {report_note(study.scene)}"
 
 
