@@ -3,16 +3,19 @@
 from fractions import Fraction as F
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.scene.judging import Judgement, judge_all
+from contactqp.scene.explanation import report_methods
+from contactqp.scene.judging import Judgement, Trial, judge, judge_all
+from contactqp.scene.schema import LoadPath
 
 FOLDER = Path(__file__).parents[1] / "cases"
 CASES = sorted(file.name for file in FOLDER.glob("*.toml"))
 SCENES = {name: cq.load_scene(FOLDER / name) for name in CASES}
 # Without a contact there is nothing to enforce: those cases are judged above.
-TOUCHING = [name for name, scene in SCENES.items() if scene.contacts and not scene.report]
+TOUCHING = [name for name, scene in SCENES.items() if scene.contacts and report_methods(scene) is None]
 OF_NODES = [name for name, scene in SCENES.items() if scene.nodes]
 MESHED = [name for name, scene in SCENES.items() if scene.meshed]
 EXACT_METHODS = ("lagrange-multiplier", "master-slave", "augmented-lagrangian", "lemke", "osqp", "clarabel")
@@ -31,6 +34,12 @@ def test_every_static_frictionless_example_is_there():
         "2.13 to 2.16",
         "Problem 2.2",
     ):
+        assert words in sources
+
+
+def test_every_example_with_friction_is_there():
+    sources = " ".join(scene.source for scene in SCENES.values())
+    for words in ("Example 2.17", "Table 2.2", "Examples 2.18 and 2.21", "Example 2.19", "Problems 2.3, 2.4 and 2.5"):
         assert words in sources
 
 
@@ -72,7 +81,7 @@ def test_expectations_of_bodies_say_how_exact_they_are(name):
     """Balance to 1e-8; what the mesh blurs to 5 % and with the word for it, and widths by the size of an element."""
     for claim in SCENES[name].expect:
         if any(claim.tolerance.dimension):
-            assert claim.quantity == "contact half-width"
+            assert claim.quantity in ("contact half-width", "stick half-width")
             assert "element" in claim.derivation
         elif claim.quantity != "free motions":
             assert claim.tolerance.si <= F(1, 25)
@@ -117,3 +126,46 @@ def test_the_perturbed_lagrangian_is_the_penalty_method(name):
         penalty = cq.solve(problem, method="penalty", penalty=knob)
         perturbed = cq.solve(problem, method="perturbed-lagrangian", perturbation=knob)
         assert perturbed.normal_force == pytest.approx(penalty.normal_force, rel=1e-11)
+
+
+def test_four_orders_of_the_same_loads_end_in_three_states():
+    names = ("", "_vertical_first", "_horizontal_first", "_overload")
+    ends = [cq.run(SCENES[f"truss_friction{name}.toml"])[-1] for name in names]
+    for end in ends:
+        np.testing.assert_allclose(end.problem.load, [60.0, -100.0], rtol=1e-15)
+        assert end.certificate.passed
+    moved = [end.displacement[0] for end in ends]
+    assert moved[0] == pytest.approx(moved[1], rel=1e-15)
+    exact = [30058 / 30933965, 668831 / 598030000, 28327 / 22206950]
+    np.testing.assert_allclose([moved[0], moved[2], moved[3]], exact, rtol=1e-14)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7, 50])
+def test_the_truss_slips_to_the_same_place_in_any_number_of_steps(steps):
+    """Where the way is known to a step only: friction 0.3 is below the 3/5 from which on it would stick somewhere."""
+    scene = SCENES["truss_friction.toml"].model_copy(update={"path": LoadPath(steps=steps)})
+    end = judge(scene.model_copy(update={"expect": scene.expect[1:]}), Trial())
+    assert end.met, [row for row in end.expectations if not row.ok]
+
+
+def test_two_masses_in_steps_end_where_exact_events_lead():
+    """Each step is exact for it: the normal forces are known, and the loads only grow or only fall within a leg."""
+    scene = SCENES["two_masses.toml"]
+    states = [claim for claim in scene.expect if claim.event is None and "energy" not in claim.quantity]
+    states = [claim for claim in states if claim.quantity != "work of the loads"]
+    path = LoadPath(steps=4, corners=scene.path.corners)
+    judgement = judge(scene.model_copy(update={"path": path, "expect": tuple(states)}), Trial())
+    assert len(judgement.expectations) == len(states) > 6
+    assert judgement.met, [row for row in judgement.expectations if not row.ok]
+
+
+def test_the_wrong_numbers_of_the_chapter_are_not_ours():
+    """Example 2.18 prints 0.8357 mm and 31.337 kN, 2.19 prints 2.787 N and 7.878 N."""
+    rows = [
+        row
+        for name in ("truss_friction.toml", "two_masses_penalty.toml")
+        for row in judge(SCENES[name], Trial()).published
+    ]
+    wrong = {row.expected for row in rows if row.verdict == "wrong"}
+    assert {0.8357e-3, 0.0013, 31.337, 2.787, 7.878} <= wrong
+    assert all(row.ok for row in rows)
