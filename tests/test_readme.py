@@ -74,6 +74,21 @@ def test_the_example_of_files_writes_reads_and_judges(
     assert "WRONG" in capsys.readouterr().out
 
 
+def test_the_example_with_friction_prints_what_is_shown(
+    tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Line by line, but for the blank ones and the rules of the tables."""
+    monkeypatch.setenv("COLUMNS", "120")
+    case = tmp_path / "pad.toml"
+    case.write_text(_block("toml", 2))
+    with pytest.raises(SystemExit) as exit_:
+        main(["run", str(case)])
+    assert exit_.value.code == 0
+    printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    shown = README.split("and exits with 0:")[1].split("```")[1].strip("\n").splitlines()
+    assert shown == [line for line in printed if line and set(line.strip()) != {"─"}]
+
+
 def test_the_method_table_names_methods_that_exist() -> None:
     names = {method.name for method in cq.methods()}
     table = README.split("## Methods")[1].split("## Command line")[0]

@@ -27,6 +27,26 @@ In place of nodes a scene may have elastic ``bodies`` or ``membranes``, whose ke
     supports = [{ name = "symmetry", on = "block.left", axis = "x" }]
     pressures = [{ name = "press", side = "block.top", value = "100 MPa" }]
 
+With friction the answer depends on the way of the loads, from corner to corner of a path::
+
+    contacts = [{ name = "foot", node = "1", obstacle = "floor", friction = 0.3 }]
+    loads = [
+        { name = "weight", unknown = "1.z", value = "-1 kN" },
+        { name = "push", unknown = "1.x", value = "400 N" },
+    ]
+
+    [path]
+    events = "exact"
+    corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }]   # factors; what is not named is zero
+
+    [[expect]]
+    quantity = "friction force"
+    at = "foot"
+    along = "x"
+    time = 2                                # the second corner; without it the end
+    value = "300 N"
+    derivation = "mu times the weight"
+
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
 ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published`` and ``remarks``.
 """
