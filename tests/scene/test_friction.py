@@ -1,12 +1,16 @@
 """Friction in scenes: its rows come with it and only with it, and what is asked of them is along the axes."""
 
+import json
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 import contactqp as cq
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
+from contactqp.scene.printing import judgement_data, print_judgement
 from contactqp.scene.schema import Scene
 
 from .test_bodies import BLOCK, PRESSED
@@ -187,6 +191,76 @@ def test_sticking_slipping_and_tractions_of_a_side():
     assert got[1] == pytest.approx(0.3 * got[2], rel=1e-9)
     assert np.isnan(got[3])
     assert got[4] == pytest.approx(got[5], rel=1e-9)
+
+
+# Pressed by 10 N, pushed with 5 N and let go: it slides from 3 N on, 20 mm far, and stays there.
+PUSHED = PAD | {
+    "loads": [
+        {"name": "weight", "unknown": "1.z", "value": "-10 N"},
+        {"name": "push", "unknown": "1.x", "value": "5 N"},
+    ],
+    "path": {"events": "exact", "corners": [{"weight": 1}, {"weight": 1, "push": 1}, {"weight": 1}]},
+}
+
+
+def test_along_a_path_with_friction():
+    right = [
+        claim("event load", "3 N", at="foot", along="1.x", event="slip"),
+        claim("event time", "2", at="foot", event="stick"),
+        claim("events", "3", at="foot"),
+        claim("friction force", "3 N", at="foot", along="x", time=2),
+        claim("displacement", "20 mm", at="1.x"),
+        claim("friction force", "-2 N", at="foot", along="x"),
+        claim("status", "stick", at="foot"),
+        claim("dissipated energy", "3*0.02 J"),
+        claim("dissipated energy", "0 J", time=1, tolerance="1e-15 J"),
+        claim("work of the loads", "0.08 J"),
+        claim("elastic energy", "0.02 J"),
+        claim("displacement", "0 mm", at="1.x", time=1.6, tolerance="1e-15 m"),
+    ]
+    rows = judged(PUSHED, *right)
+    assert all(row.ok for row in rows), [row for row in rows if not row.ok]
+    wrong = [
+        claim("event load", "5 N", at="foot", along="1.x", event="slip"),
+        claim("friction force", "2 N", at="foot", along="x"),
+        claim("dissipated energy", "0.02 J"),
+        claim("displacement", "0 mm", at="1.x", tolerance="1e-15 m"),
+    ]
+    assert not any(row.ok for row in judged(PUSHED, *wrong))
+
+
+def test_with_friction_nothing_off_the_path_is_solved_for():
+    """At time 2.2 the push is 4 N again. A solve from rest would give the 10 mm of the way out; it stands at 20 mm."""
+    for path in (PUSHED["path"], {"steps": 4, "corners": PUSHED["path"]["corners"]}):
+        with pytest.raises(
+            cq.SceneError, match=r"displacement 1.x at time 11/5: expected a step of the load path, nearest"
+        ):
+            judged(PUSHED | {"path": path}, claim("displacement", "20 mm", at="1.x", time="2.2"))
+    at_steps = PUSHED | {"path": {"steps": 10, "corners": PUSHED["path"]["corners"]}}
+    (row,) = judged(at_steps, claim("displacement", "20 mm", at="1.x", time="2.2"))
+    assert row.ok
+    loads = [{"unknown": "1.x", "value": "1 N"}, {"unknown": "1.z", "value": "-10 N"}]
+    together = PAD | {"path": {"events": "exact", "steps": 1}, "loads": loads}
+    with pytest.raises(cq.SceneError, match="at load factor 1/3: expected a step of the load path, nearest: 0, 1"):
+        judged(together, claim("normal force", "1 N", at="foot", load_factor="1/3"))
+
+
+def test_what_is_printed_of_a_path_with_friction(capsys):
+    judgement = judge(Scene(**PUSHED), Trial())
+    data = judgement_data(judgement)
+    assert data["friction_force"]["foot"] == pytest.approx({"x": -2.0, "z": 0.0})
+    assert data["energies"] == pytest.approx({"work": 0.08, "elastic": 0.02, "dissipated": 0.06})
+    assert [event["kind"] for event in data["events"]] == ["closed", "slip", "stick"]
+    json.dumps(data)
+    print_judgement(Console(width=150), judgement)
+    out = capsys.readouterr().out
+    assert "friction x [N]" in out
+    assert "dissipated 0.06 N*m" in out
+    assert "time" in out
+    smooth = judge(Scene(**PAD | {"contacts": [{"name": "foot", "node": "1", "obstacle": "floor"}]}), Trial())
+    assert not {"friction_force", "energies"} & set(judgement_data(smooth))
+    print_judgement(Console(width=150), smooth)
+    assert "friction" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

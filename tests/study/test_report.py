@@ -210,3 +210,58 @@ def test_a_case_may_limit_its_methods(tmp_path: Path) -> None:
     result = report.write_report([case], tmp_path / "out", methods=["active-set", "osqp", "lemke"])
     assert {row.method for row in result.rows} == {"active-set", "lemke"}
     assert "limited: only active-set, lemke: two are enough" in result.notes
+
+
+PUSHED = """
+title = "Pressed, pushed and let go"
+axes = ["x", "z"]
+nodes = [{ name = "1", at = ["0 m", "0 m"] }]
+springs = [
+    { name = "a", nodes = ["1"], direction = [1, 0], stiffness = "100 N/m" },
+    { name = "b", nodes = ["1"], direction = [0, 1], stiffness = "100 N/m" },
+]
+obstacles = [{ name = "floor", point = ["0 m", "0 m"], normal = [0, 1] }]
+contacts = [{ name = "foot", node = "1", obstacle = "floor", friction = 0.3 }]
+loads = [
+    { name = "weight", unknown = "1.z", value = "-10 N" },
+    { name = "push", unknown = "1.x", value = "5 N" },
+]
+path = { steps = 2, corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }] }
+expect = [
+    { quantity = "displacement", at = "1.x", value = "20 mm", derivation = "(5 N - 3 N) / 100 N/m, and it stays" },
+    { quantity = "displacement", at = "1.z", value = "0 m", tolerance = "1e-15 m", derivation = "closed" },
+    { quantity = "normal force", at = "foot", value = "10 N", derivation = "pressed" },
+]
+"""
+
+
+def test_with_friction_every_method_walks_the_path(tmp_path: Path) -> None:
+    """Its last load alone, no push at all, would leave it where it was: that is no truth, and nobody is wrong."""
+    case = tmp_path / "pushed.toml"
+    case.write_text(PUSHED)
+    methods = ["active-set", "osqp", "lemke", "penalty", "perturbed-lagrangian", "projected-gauss-seidel"]
+    result = _write(tmp_path / "report", methods, [case])
+    assert result.exit_code == 0
+    verdicts = {row.method: row.verdict for row in result.rows}
+    assert verdicts["active-set"] == verdicts["osqp"] == rows.RIGHT
+    assert verdicts["penalty"] == verdicts["projected-gauss-seidel"] == rows.UNSUPPORTED
+    assert all(row.verdict in (rows.RIGHT, rows.UNSUPPORTED) for row in result.rows)
+    (active,) = (row for row in result.rows if row.method == "active-set")
+    assert active.error_displacement is not None
+    assert active.error_displacement < 1e-12
+    assert cq.solve(cq.load_scene(case).problem()).displacement[0] == 0.0
+
+
+def test_a_wrong_end_of_a_path_is_found(tmp_path: Path) -> None:
+    case = tmp_path / "pushed.toml"
+    case.write_text(PUSHED.replace("20 mm", "19 mm"))
+    assert _write(tmp_path / "report", ["active-set"], [case]).exit_code == 1
+
+
+def test_exact_events_with_friction_take_no_method(tmp_path: Path) -> None:
+    case = tmp_path / "pushed.toml"
+    case.write_text(PUSHED.replace("steps = 2", 'events = "exact"'))
+    result = _write(tmp_path / "report", ["active-set", "osqp"], [case])
+    assert [row.method for row in result.rows] == ["active-set"]
+    assert any("exact event" in note for note in result.notes)
+    assert result.exit_code == 0
