@@ -41,7 +41,8 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
 def print_judgement(console: Console, judgement: Judgement) -> None:
     """Displacements, contact forces, the certificate's verdict, and what was expected of them."""
     solution, scene = judgement.solution, judgement.scene
-    console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial))}: {_verdict(judgement)}")
+    how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
+    console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
     if not isinstance(judgement.model, NodeModel):
@@ -150,6 +151,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         "title": scene.title,
         "units": {"length": scene.units.length, "force": scene.units.force},
         "method": judgement.trial.method,
+        "solved_by": solution.method,
         "knobs": {name: str(knob) for name, knob in judgement.trial.knobs.items()},
         "met": judgement.met,
         "seconds": solution.seconds,
