@@ -148,6 +148,16 @@ def test_the_truss_slips_to_the_same_place_in_any_number_of_steps(steps):
     assert end.met, [row for row in end.expectations if not row.ok]
 
 
+@pytest.mark.parametrize("name", ["two_masses.toml", "two_masses_penalty.toml"])
+@pytest.mark.parametrize("steps", [1, 7, 99])
+def test_the_events_of_two_masses_do_not_depend_on_the_steps(name, steps):
+    """2.4525 N and 7.3575 N, by penalty springs 2.6773125 N and 7.848 N; 99 steps are those of the chapter."""
+    path = LoadPath(steps=steps, events="exact", corners=SCENES[name].path.corners)
+    judgement = judge(SCENES[name].model_copy(update={"path": path}), Trial())
+    assert len(judgement.history) >= 3 * steps + 1
+    assert judgement.met, [row for row in judgement.expectations if not row.ok]
+
+
 def test_two_masses_in_steps_end_where_exact_events_lead():
     """Each step is exact for it: the normal forces are known, and the loads only grow or only fall within a leg."""
     scene = SCENES["two_masses.toml"]
