@@ -21,7 +21,7 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Work
 from contactqp.violations import Answer
 
-ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "admm", "enumeration", "associated")
+ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")
 # Algorithms of convex steps.
 CONVEX = ("tresca", "aclm")
 DEFAULT_METHOD = "active-set"

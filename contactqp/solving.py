@@ -73,11 +73,11 @@ def solve(
         their own. By steps of the convex `method`: "tresca" (friction bounds of the step before), "aclm" (shifted
         cones: Acary, Cadoux, Lemarechal, Malick 2011); in space Clarabel, SCS and cvxpy take cones, others polygons of
         `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and Curnier
-        1991), "nsgs" (nonsmooth Gauss-Seidel), "admm", "enumeration" (in the plane, at most eight contacts). All are
-        solved to the last digits on their combination of open, stick and slip, `polish` or not, and `max_iter` counts
-        their steps. None is Newton's method from a `warm_start`, else or where it fails the others, one after another.
-        Where there are several equilibria one of them is returned, by enumeration alone none:
-        `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria` lists them. "associated"
+        1991), "nsgs" (nonsmooth Gauss-Seidel), "ppa" (proximal points), "admm", "enumeration" (in the plane, at most
+        eight contacts). All are solved to the last digits on their combination of open, stick and slip, `polish` or
+        not, and `max_iter` counts their steps. None is Newton's method from a `warm_start`, else or where it fails the
+        others, one after another. Where there are several equilibria one of them is returned, by enumeration alone
+        none: `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria` lists them. "associated"
         solves the convex relaxation in which sliding dilates (`contactqp.friction.associated`): it is approximate by
         design, and its answer is returned although the certificate refuses it wherever something slides.
     **options

@@ -3,8 +3,8 @@
     min 1/2 r'W r + 1/2 l'R l + r'V l + (q + s)'r    over    r in a set, and V'r = -s of joints without compliance
 
 The set is the product of Coulomb's cones (with a shift of q: Acary, Cadoux, Lemarechal and Malick 2011) or of discs of
-given radius (Tresca). In the plane it is a polyhedron for any quadratic programming method; in space Clarabel, SCS and
-cvxpy take cones and discs as they are, all others a polygon in place of the disc. An inscribed polygon of n sides loses
+given radius (Tresca). Clarabel, SCS and cvxpy take cones and discs as they are. For all other methods they are
+polyhedra: in the plane themselves, in space with a polygon in place of the disc. An inscribed polygon of n sides loses
 up to 1 - cos(pi/n) of the friction bound, a circumscribed one gains up to 1/cos(pi/n) - 1. A minimisation sees the
 symmetric part of W only.
 """
@@ -58,7 +58,7 @@ class ConvexSteps:
     def _read_polygon(self) -> None:
         space = self._form.d == 3
         asked = self.facets is not None or self.polygon is not None
-        self.conic = space and not asked and self._method.name in SOLVERS
+        self.conic = not asked and self._method.name in SOLVERS
         if not space and asked:
             raise InvalidProblem("facets, polygon: expected none, a cone in the plane has two sides of its own")
         self.facets = FACETS if self.facets is None else self.facets

@@ -1,9 +1,10 @@
 """Nonsmooth Gauss-Seidel (Jourdan, Alart, Jean 1998): contact by contact, the others' forces held.
 
-Each contact solves its own law with its own block of W by projections r <- P_K(r - rho (u + mu |u_T| e_N)); rho adapts
-itself so that a step neither overshoots nor crawls (Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts
-that do not feel each other are of one colour and move together. Joints follow every sweep by a proximal step, by which
-conditions V'r = -s on the forces, R = 0, become springs 1/e on the contacts and multipliers (augmented Lagrangian).
+Each contact solves its own law with its own block of W: in the plane by trying open, stick and slip both ways; in space
+by projections r <- P_K(r - rho (u + mu |u_T| e_N)), rho adapting itself so that a step neither overshoots nor crawls
+(Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts that do not feel each other are of one colour and move
+together. Joints follow every sweep by a proximal step, by which conditions V'r = -s on the forces, R = 0, become
+springs 1/e on the contacts and multipliers (augmented Lagrangian).
 """
 
 from __future__ import annotations
@@ -80,8 +81,39 @@ class _Sweeps:
             self.joint = self._stiffness @ (self._regular * self.joint - form.s - form.V.T @ self.r.ravel())
 
 
+def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray[np.bool_]]:
+    """Forces (k, 2) of k contacts on their own, u = W_ii r + q_i, and which have any; open comes first, then stick."""
+    a, b, c, e = own[:, 0, 0], own[:, 0, 1], own[:, 1, 0], own[:, 1, 1]
+    normal, tangential = outer[:, 0], outer[:, 1]
+    r, done = np.zeros_like(outer), normal >= 0
+    determinant = a * e - b * c
+    inverse = np.divide(1.0, determinant, out=np.zeros_like(a), where=determinant > 0)
+    stuck = np.column_stack([b * tangential - e * normal, c * normal - a * tangential]) * inverse[:, None]
+    held = ~done & (determinant > 0) & (stuck[:, 0] >= 0) & (abs(stuck[:, 1]) <= mu * stuck[:, 0])
+    r[held], done = stuck[held], done | held
+    for way in (1.0, -1.0):
+        share = way * mu
+        push = np.divide(-normal, a + b * share, out=np.full_like(a, -1.0), where=a + b * share > 0)
+        slides = ~done & (push >= 0) & (way * (tangential + (c + e * share) * push) <= 0)
+        r[slides, 0], r[slides, 1], done = push[slides], (share * push)[slides], done | slides
+    return r, done
+
+
 def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
     """Forces (k, d) of k contacts on their own, u = W_ii r + q_i, and the steps rho (k,) that suited them."""
+    if own.shape[1] == 2:
+        r, solved = solve_in_plane(own, outer, mu)
+        if np.all(solved):
+            return r, rho
+        rest = ~solved
+        rho = rho.copy()
+        r[rest], rho[rest] = projected(own[rest], outer[rest], mu[rest], start[rest], rho[rest])
+        return r, rho
+    return projected(own, outer, mu, start, rho)
+
+
+def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
+    """As `solve_contacts`, by a few projections."""
     r, rho = start.copy(), rho.copy()
     for _ in range(LOCAL_STEPS):
         velocity = de_saxce(np.einsum("iab,ib->ia", own, r) + outer, mu)

@@ -45,6 +45,11 @@ class Deadline:
         self._limit = limit
 
     @property
+    def left(self) -> float | None:
+        """Seconds, None without a limit."""
+        return None if self._limit is None else max(self._end - time.perf_counter(), 0.0)
+
+    @property
     def passed(self) -> bool:
         return time.perf_counter() > self._end
 

@@ -13,6 +13,7 @@ from contactqp.friction.fixed_points import cone_fixed_point, tresca_fixed_point
 from contactqp.friction.gauss_seidel import gauss_seidel
 from contactqp.friction.iterate import Deadline, Iterate
 from contactqp.friction.local_form import LocalForm
+from contactqp.friction.proximal_point import proximal_points
 from contactqp.methods import Method, Settings, find
 
 Accepted = Callable[[Iterate], bool]
@@ -26,6 +27,7 @@ class Algorithm:
     iterates: Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]
     convex: bool  # takes steps of a convex method
     limit: int  # iterations, where nothing else is said
+    patience: int  # iterates that may come to nothing; then the later half must be better than the earlier
     about: str
 
 
@@ -48,19 +50,20 @@ def _with_steps(
 ALGORITHMS = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("newton", _newton_only, False, 1, "semismooth Newton (Alart and Curnier), regularised"),
-        Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, "nonsmooth Gauss-Seidel"),
+        Algorithm("newton", _newton_only, False, 1, 1, "semismooth Newton (Alart and Curnier), regularised"),
+        Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, 200, "nonsmooth Gauss-Seidel"),
         Algorithm(
-            "admm", lambda form, _, start: admm(form, start), False, 20000, "ADMM, De Saxce's shift from the dual"
+            "ppa", lambda form, _, start: proximal_points(form, start), False, 300, 300, "proximal points by Newton"
         ),
-        Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, "convex problems over shifted cones"),
-        Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, "convex problems of given friction bounds"),
+        Algorithm("admm", lambda form, _, start: admm(form, start), False, 20000, 60, "ADMM, the shift from the dual"),
+        Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, 40, "convex problems over shifted cones"),
+        Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, 40, "convex problems of given friction bounds"),
     )
 }
 # Newton's method starts from iterates at these counts, growing by a half.
 FIRST_POLISH = 4
-# So many iterates may come to nothing; then the later half must be better than this part of the earlier.
-PATIENCE, HARDLY_BETTER = 40, 0.8
+# An error that is this part of another is hardly better.
+HARDLY_BETTER = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,7 @@ def run_algorithm(
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
             best = found if found.error < best.error or not history else best
-            last = found.iterations >= limit or deadline.passed or _stagnates(history)
+            last = found.iterations >= limit or deadline.passed or _stagnates(history, algorithm.patience)
             candidate = found
             if polish and (found.iterations >= next_polish or last) and algorithm.name != "newton":
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
@@ -118,14 +121,16 @@ def run_algorithm(
     return Outcome(kept, name, False, steps)
 
 
-def _stagnates(errors: list[float]) -> bool:
+def _stagnates(errors: list[float], patience: int) -> bool:
     """Whether the later half of many iterates is hardly better than the earlier."""
     count = len(errors)
-    return count >= PATIENCE and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
+    return count >= patience and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
 
 
 # Tried one after another where no algorithm is asked for: name, iterations.
-ATTEMPTS = (("newton", None), ("nsgs", 12), ("admm", 2000), ("aclm", 60), ("admm", 20000))
+ATTEMPTS = (("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000), ("aclm", 60), ("ppa", 1000), ("admm", 20000))
+# These forget where they start from, or are led astray by it.
+FROM_THE_START = ("nsgs", "admm", "aclm")
 
 
 def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accepted) -> Outcome:
@@ -135,11 +140,19 @@ def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accep
     for name, limit in ATTEMPTS:
         if deadline.passed:
             break
+        from_best = start if best is None or name in FROM_THE_START else best.iterate
         method = find("clarabel")
         if ALGORITHMS[name].convex and not method.installed:
             continue
         try:
-            found = run_algorithm(form, ALGORITHMS[name], method, replace(settings, max_iter=limit), start, accepted)
+            found = run_algorithm(
+                form,
+                ALGORITHMS[name],
+                method,
+                replace(settings, max_iter=limit, time_limit=deadline.left),
+                from_best,
+                accepted,
+            )
         except (NotConverged, BackendFailed, Unsupported):
             continue
         if found.accepted:

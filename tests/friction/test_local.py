@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import contactqp as cq
 from contactqp.coulomb_cone import lengths
 
-ALGORITHMS = ("newton", "nsgs", "admm", "aclm", "tresca")
+ALGORITHMS = ("newton", "nsgs", "ppa", "admm", "aclm", "tresca")
 # Order (N, T), Klarbring's (1990) contact.
 KLARBRING = [[1.0, 2.0], [2.0, 5.0]]
 
