@@ -50,7 +50,7 @@ def _with_steps(
 ALGORITHMS = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("newton", _newton_only, False, 1, 1, "semismooth Newton (Alart and Curnier), regularised"),
+        Algorithm("newton", _newton_only, False, 1, 2, "semismooth Newton (Alart and Curnier), regularised"),
         Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, 200, "nonsmooth Gauss-Seidel"),
         Algorithm(
             "ppa", lambda form, _, start: proximal_points(form, start), False, 300, 300, "proximal points by Newton"
@@ -62,6 +62,8 @@ ALGORITHMS = {
 }
 # Newton's method starts from iterates at these counts, growing by a half.
 FIRST_POLISH = 4
+# And from those that are as near as this, in the scale of the local form.
+NEARLY = 1e-6
 # An error that is this part of another is hardly better.
 HARDLY_BETTER = 0.8
 
@@ -100,17 +102,15 @@ def run_algorithm(
     try:
         for found in algorithm.iterates(form, steps, start):
             history.append(found.error)
-            best = found if found.error < best.error or not history else best
             last = found.iterations >= limit or deadline.passed or _stagnates(history, algorithm.patience)
-            candidate = found
-            if polish and (found.iterations >= next_polish or last) and algorithm.name != "newton":
+            nearest = found
+            if polish and (found.iterations >= next_polish or last or found.error <= NEARLY):
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
-                candidate = newton(form, found)
-                best = candidate if candidate.error < best.error else best
-            for one in (found, candidate):
-                if accepted(one):
-                    kept = replace(one, iterations=found.iterations, history=tuple(history))
-                    return Outcome(kept, name, True, steps)
+                nearest = newton(form, found)
+            best = nearest if nearest.error < best.error else best
+            if accepted(nearest):
+                kept = replace(nearest, iterations=found.iterations, history=tuple(history))
+                return Outcome(kept, name, True, steps)
             if last:
                 break
     except (NoEquilibrium, BackendFailed) as error:
