@@ -46,6 +46,18 @@ def test_the_body_example_presses_a_block_on_a_paraboloid() -> None:
     assert 0.2 < np.mean(solution.normal_force > 0) < 0.9
 
 
+def test_the_example_with_friction_slips_and_dissipates(capsys: pytest.CaptureFixture[str]) -> None:
+    scope: dict[str, object] = {}
+    exec(compile(_block("python", 2), "README.md", "exec"), scope)
+    slipping, path = scope["slipping"], scope["path"]
+    assert isinstance(slipping, cq.Solution)
+    assert isinstance(path, cq.History)
+    assert np.allclose(slipping.friction_force, [[0.18, 0.24]], rtol=1e-12)
+    assert np.allclose(slipping.slip, [[0.06, 0.08]], rtol=1e-12)
+    assert path.energies[-1].dissipated == pytest.approx(0.3 * 5 * 0.5, rel=1e-9)
+    assert capsys.readouterr().out.splitlines()[0] == "[[0.18 0.24]] [[0.06 0.08]]"
+
+
 def test_the_case_example_is_a_scene(tmp_path: pathlib.Path) -> None:
     case = tmp_path / "bar.toml"
     case.write_text(_block("toml"))
@@ -64,7 +76,7 @@ def test_the_example_of_files_writes_reads_and_judges(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(_block("python", 2), "README.md", "exec"), {})
+    exec(compile(_block("python", 3), "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "[[2.69230769 2.15384615]]" in printed
     assert "passed" in printed
