@@ -81,7 +81,7 @@ def solve_local(
     solution = _solution(problem, form, outcome, tolerance, began)
     if outcome.accepted:
         return solution
-    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floors(outcome)}"
+    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floor(outcome)}"
     if polish:
         count = outcome.iterate.iterations
         raise NotConverged(f"{reason} (after {count} iterations)", outcome.iterate.history, solution)
@@ -127,22 +127,12 @@ def existence_margin(problem: LocalProblem) -> float:
     return interior_margin(form)
 
 
-def _floors(outcome: Outcome) -> str:
-    """What convex steps by themselves cannot do better than."""
-    steps = outcome.steps
-    if steps is None:
+def _floor(outcome: Outcome) -> str:
+    """What convex steps by themselves cannot do better than, beyond what the name says."""
+    if outcome.steps is None or not outcome.steps.asymmetry:
         return ""
-    asymmetry = ""
-    if steps.asymmetry:
-        asymmetry = (
-            f"; a minimisation sees the symmetric part of delassus only, which is off by {steps.asymmetry:.2g} of it"
-        )
-    if not steps.cone_error:
-        return asymmetry
-    return (
-        f"{asymmetry}; polygons of {steps.facets} sides, {steps.polygon}, are up to {steps.cone_error:.2g} of the "
-        "friction bound off the cone"
-    )
+    part = outcome.steps.asymmetry
+    return f"; a minimisation sees the symmetric part of delassus only, which is off by {part:.2g} of it"
 
 
 def _solution(

@@ -80,6 +80,13 @@ class ConvexSteps:
         return self._form.problem.asymmetry / 2 if self._form.asymmetric else 0.0
 
     @property
+    def polygons(self) -> str:
+        """What stands in place of the cones, in words."""
+        if not self.cone_error:
+            return ""
+        return f" on polygons ({self.facets} sides, {self.polygon}, friction bound up to {self.cone_error:.2g} off)"
+
+    @property
     def cone_error(self) -> float:
         """The largest part of the friction bound that the sets of these steps lose or gain: 0 for true cones."""
         return 0.0 if self.conic or self._form.d == 2 else cone_error(self.facets, self.polygon)

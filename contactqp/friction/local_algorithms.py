@@ -95,7 +95,7 @@ def run_algorithm(
         Of the convex method, or an overflow.
     """
     steps = ConvexSteps(form, method, settings) if algorithm.convex else None
-    name = f"{algorithm.name} with {method.name}" if steps is not None else algorithm.name
+    name = algorithm.name if steps is None else f"{algorithm.name} with {method.name}{steps.polygons}"
     deadline = Deadline(settings.time_limit)
     limit = algorithm.limit if settings.max_iter is None else settings.max_iter
     best, history, next_polish = start, [], FIRST_POLISH
