@@ -45,11 +45,11 @@ if TYPE_CHECKING:
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
+    from contactqp.existence_margin import existence_margin as existence_margin
     from contactqp.local_certificate import LocalCertificate as LocalCertificate
     from contactqp.local_certificate import certify_local as certify_local
     from contactqp.local_problem import LocalProblem as LocalProblem
     from contactqp.local_solution import LocalSolution as LocalSolution
-    from contactqp.local_solving import existence_margin as existence_margin
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
     from contactqp.problem import ContactProblem as ContactProblem
@@ -107,7 +107,7 @@ _HOME = {
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",
     "equilibria": "multiplicity",
-    "existence_margin": "local_solving",
+    "existence_margin": "existence_margin",
     "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
-from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
-from contactqp.friction.existence_test import interior_margin, refuse_unbalanced
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged
+from contactqp.friction.existence_test import refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.friction.local_form import LocalForm
@@ -95,36 +95,6 @@ def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any])
     if unknown:
         whose = f"{algorithm} with {method}" if convex else (algorithm or "friction")
         raise InvalidProblem(f"{whose}: unknown option {unknown[0]!r}; its own options: {', '.join(known) or 'none'}")
-
-
-def existence_margin(problem: LocalProblem) -> float:
-    """The test of Acary, Cadoux, Lemarechal and Malick (2011): positive where a solution surely exists.
-
-    The largest x <= 1 such that some velocity u = W y + V l + q has u_N - x >= mu |u_T| at every contact, in a scale in
-    which contacts have a compliance of one and q entries of size one. Where it is positive there are forces that
-    satisfy the law, whatever the coefficients of friction; the test is sufficient, not necessary.
-
-    Raises
-    ------
-    Unsupported
-        There are conditions on the forces (joints without compliance): the theorem needs W alone, or joints with one.
-    BackendMissing, BackendFailed
-        Of Clarabel.
-
-    Examples
-    --------
-    A block jammed between walls that close in on it has no solution:
-
-    >>> import numpy as np
-    >>> W = np.zeros((4, 4))
-    >>> W[::2, ::2], W[1::2, 1::2] = [[1.0, -1.0], [-1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]]
-    >>> existence_margin(LocalProblem(delassus=W, offset=[-0.1, 0.0, -0.1, 0.0], friction=0.5, dimension=2)) < 0
-    True
-    """
-    form = LocalForm(problem)
-    if np.any(form.joint_signs < 0):
-        raise Unsupported("existence_margin: joints without compliance (the theorem has none)")
-    return interior_margin(form)
 
 
 def _floor(outcome: Outcome) -> str:

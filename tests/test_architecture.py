@@ -63,6 +63,7 @@ LAYERS = (
     "inexact_active_set",
     "friction",
     "local_solving",
+    "existence_margin",
     "condensed_attempt",
     "associated_attempt",
     "friction_attempt",

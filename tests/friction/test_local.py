@@ -153,6 +153,24 @@ def test_a_jammed_block_has_no_answer_and_the_existence_test_says_so() -> None:
     assert cq.certify_local(jammed(-0.1), pressed).natural_map > 0.1
 
 
+def test_the_existence_test_takes_contact_problems_too() -> None:
+    """Rows of full rank on held bodies: there is a solution for any coefficient; a body between closing walls has none."""
+    problem, _, _ = made(0, contacts=2)
+    W = problem.delassus.toarray()
+    K = np.linalg.inv(W)
+    rows = np.eye(6)
+    held = cq.ContactProblem(
+        K, K @ problem.offset, -rows[[0, 3]], [0.0, 0.0], tangent=rows[[1, 2, 4, 5]], friction=problem.friction
+    )
+    assert cq.existence_margin(held) > 0
+    walls = dict(normal=[[1.0, 0.0], [-1.0, 0.0]], gap=[-0.1, -0.1], tangent=[[0.0, 1.0]] * 2)
+    assert cq.existence_margin(cq.ContactProblem(np.eye(2), [0.0, 1.0], **walls, friction=0.3)) < 0
+    with pytest.raises(cq.Unsupported, match="float"):
+        cq.existence_margin(cq.ContactProblem(np.zeros((2, 2)), [0.0, 1.0], **walls, friction=0.3))
+    with pytest.raises(cq.InvalidProblem, match="with friction"):
+        cq.existence_margin(cq.ContactProblem(np.eye(2), [0.0, 1.0], **walls, friction=0.0))
+
+
 def test_a_hanging_block_has_any_wall_force_and_no_velocity() -> None:
     """Weight -1 between touching walls: any normal force N with 2 mu N >= 1 would hold it."""
     solution = cq.solve(jammed(0.0, -1.0))
