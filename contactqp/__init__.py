@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
-    from contactqp.existence_margin import existence_margin as existence_margin
     from contactqp.local_certificate import LocalCertificate as LocalCertificate
     from contactqp.local_certificate import certify_local as certify_local
     from contactqp.local_problem import LocalProblem as LocalProblem
@@ -64,6 +63,7 @@ if TYPE_CHECKING:
     from contactqp.scene.running import run as run
     from contactqp.scene.schema import Scene as Scene
     from contactqp.solution import Solution as Solution
+    from contactqp.solvability import existence_margin as existence_margin
     from contactqp.solving import solve as solve
     from contactqp.study.comparison import compare as compare
 
@@ -107,7 +107,7 @@ _HOME = {
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",
     "equilibria": "multiplicity",
-    "existence_margin": "existence_margin",
+    "existence_margin": "solvability",
     "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
     "load_scene": "scene.loading",

@@ -63,7 +63,7 @@ LAYERS = (
     "inexact_active_set",
     "friction",
     "local_solving",
-    "existence_margin",
+    "solvability",
     "condensed_attempt",
     "associated_attempt",
     "friction_attempt",

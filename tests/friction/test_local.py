@@ -154,7 +154,7 @@ def test_a_jammed_block_has_no_answer_and_the_existence_test_says_so() -> None:
 
 
 def test_the_existence_test_takes_contact_problems_too() -> None:
-    """Rows of full rank on held bodies: there is a solution for any coefficient; a body between closing walls has none."""
+    """Rows of full rank on held bodies: a solution for any coefficient; between closing walls: none."""
     problem, _, _ = made(0, contacts=2)
     W = problem.delassus.toarray()
     K = np.linalg.inv(W)
