@@ -88,6 +88,25 @@ def without_polish(problems: list[Published], time_limit: float) -> None:
         )
 
 
+def beside(problems: list[Published], runs: list[dict[str, Run]]) -> None:
+    """The default and Siconos, a line a problem."""
+    others = [name for name in (NSGS, BEST) if name in runs[0]]
+    titles = [
+        f"{name:<16}{'error':>7}{'seconds':>9}" for name in ("default", "Siconos", "Siconos's best")[: 1 + len(others)]
+    ]
+    print(f"\n{'problem':<44}{'contacts':>9}{'rank':>10}{'asymmetry':>10}  " + "  ".join(titles))
+    for problem, of_one in zip(problems, runs, strict=True):
+        local = problem.local
+        rank = f"{problem.rank}/{len(local.offset)}"
+        cells = [_cell(of_one[name]) for name in (DEFAULT, *others)]
+        print(f"{problem.name:<44}{local.contacts:>9}{rank:>10}{local.asymmetry:>10.0e}  " + "  ".join(cells))
+
+
+def _cell(run: Run) -> str:
+    by = (run.by or run.algorithm).removeprefix("Siconos ")
+    return f"{by if run.solved else f'({by})':<16}{run.error:>7.0e}{run.seconds:>9.4f}"
+
+
 def summary(runs: list[dict[str, Run]]) -> None:
     """One line an algorithm."""
     print(f"\n{'algorithm':<36}{'solved':>12}{'wrong':>7}{'median s':>10}{'longest s':>11}{'largest error solved':>22}")
@@ -135,6 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
     warm_up(chosen.algorithms)
     print(HEADER)
     runs = [one_problem(problem, chosen.algorithms, chosen.time_limit) for problem in problems]
+    beside(problems, runs)
     summary(runs)
     unsymmetric = [problem for problem in problems if problem.unsymmetric]
     if unsymmetric and set(CONVEX) & set(chosen.algorithms):

@@ -148,7 +148,7 @@ def test_the_table_of_a_folder(folder, capsys, monkeypatch):
     printed = capsys.readouterr().out
     assert "Siconos is not installed" in printed
     assert printed.count("default: newton") == 3
-    assert printed.count("made2.hdf5") == 4  # three algorithms, and those that minimise without polish
+    assert printed.count("made2.hdf5") == 5  # twice the default, two algorithms, and those that minimise without polish
     assert "not symmetric" in printed
     assert "all targets met" in printed
     assert (folder / "p.png").stat().st_size > 1000
