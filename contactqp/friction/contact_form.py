@@ -27,6 +27,8 @@ from contactqp.violations import Answer
 
 # Tie rows of unit length that leave more than this of their values open conflict.
 CONFLICT = 1e-9
+# A load that does this part of the work that its entries do, added up, drives a rigid motion by rounding only.
+BALANCED = 1e-12
 
 
 class ContactForm:
@@ -48,6 +50,7 @@ class ContactForm:
         start, basis = _of_ties(rows.tie, value)
         self._start, self._basis = start, basis
         motions = _null_motions(rows, basis)
+        drive = _drive(problem, condensation, rows, basis @ motions)
         S = basis.T @ rows.S @ basis
         rigid = motions @ motions.T
         self._compliance = np.linalg.inv(S + rigid) - rigid if len(S) else S
@@ -55,14 +58,15 @@ class ContactForm:
         self._load = basis.T @ (load * rows.scale - rows.S @ start)
         w = np.column_stack([gap, -origin.reshape(m, rows.width)]).ravel()
         HB = self._H @ basis
-        W = HB @ self._compliance @ HB.T
+        resisted = _resisted(HB, motions)
+        W = resisted @ self._compliance @ resisted.T
         self.local = LocalProblem(
             delassus=(W + W.T) / 2,
             offset=HB @ (self._compliance @ self._load) + self._H @ start + w,
             friction=rows.coefficient,
             dimension=d,
             bilateral=HB @ motions if motions.shape[1] else None,
-            bilateral_offset=motions.T @ self._load if motions.shape[1] else None,
+            bilateral_offset=drive if motions.shape[1] else None,
             contact_names=problem.contact_names,
         )
 
@@ -103,6 +107,24 @@ class ContactForm:
             -force[:, 1:] / rows.tangent_length[:, None],
             tie / rows.tie_length,
         )
+
+
+def _resisted(rows: Array, motions: Array) -> Array:
+    """What of rows is no rigid motion; exactly nothing where it is rounding, so that its compliance is none."""
+    left = rows - (rows @ motions) @ motions.T
+    size = np.linalg.norm(rows, axis=1)
+    return np.where((np.linalg.norm(left, axis=1) > UNRESISTED * size)[:, None], left, 0.0)
+
+
+def _drive(problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, motions: Array) -> Vector:
+    """z'f of every rigid motion, whose retained unknowns are given; exactly nothing where it is rounding."""
+    rigid = condensation.rigid
+    if not motions.shape[1]:
+        return np.zeros(0)
+    retained = rigid.motions[condensation.retained] / rows.scale[:, None]
+    whole = rigid.motions @ np.linalg.lstsq(retained, motions, rcond=None)[0]
+    work, size = whole.T @ problem.load, abs(whole).T @ abs(problem.load)
+    return np.asarray(np.where(abs(work) <= max(BALANCED, rigid.uncertainty) * size, 0.0, work))
 
 
 def _of_ties(tie: Array, value: Vector) -> tuple[Vector, Array]:
