@@ -30,8 +30,12 @@ from contactqp.violations import FIGURES, Answer, residuals, residuals_of, viola
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12
-# In space the first sweeps turn directions, and need not shrink.
+# In space the first corrections turn directions, and need not shrink.
 TURNS = 5
+# Factors are made anew where a sweep with the old ones has not made the correction this much smaller.
+WELL_TURNED = 0.1
+# Directions are doubles: corrections of this part of the answer may be all that their rounding leaves.
+ROUNDED = 1e-15
 # A slip of this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
 # Of the largest part, what refinement leaves of zero.
@@ -110,7 +114,9 @@ def _turned(tangent: Array, directions: Array, turning: Vector) -> Array:
     moving = np.flatnonzero(turning > 0)
     T, t = tangent[moving], directions[moving]
     across = T - t[:, :, None] * np.einsum("iw,iwp->ip", t, T)[:, None, :]
-    return np.asarray(np.einsum("i,iwp,iwq->pq", turning[moving], across, across))
+    weighted = np.sqrt(turning[moving])[:, None, None] * across
+    flat = weighted.reshape(-1, tangent.shape[2])
+    return np.asarray(flat.T @ flat)
 
 
 def answer_in(
@@ -125,22 +131,23 @@ def answer_in(
     force = extend(np.where(status != OPEN, start.normal_force, 0.0))
     stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
     origin = extend(_origin(problem))
-    system, directions, last = None, np.zeros((problem.contacts, rows.width)), np.inf
+    system, size, last = None, np.inf, np.inf
     for sweep in range(MAX_SWEEPS):
         slip = (exact.slip(u) - origin).double()
-        if system is None or rows.width > 1:
-            directions, turning = _directions(rows, status, slip, force.double())
+        directions, turning = _directions(rows, status, slip, force.double())
+        # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
+        if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
             system = StateSystem(problem, condensation, rows, status, directions, turning)
+        last = size
         left = residuals_of(exact, problem, u, force, tie, stick + _bound(problem, force, directions))
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         # Relative to the largest of each kind: no unit is compared with another.
         pairs = ((du, u), (dl, force), (dt.ravel(), stick), (dn, tie))
         size = max(_part(change, whole.double()) for change, whole in pairs)
-        turns = rows.width > 1 and sweep < TURNS
+        turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns):
             break
-        last = size
     if rows.width > 1:
         directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
     friction = stick + _bound(problem, force, directions)
