@@ -37,7 +37,9 @@ def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None
     values = (warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
     if tuple(value.shape for value in values) != shapes:
         raise InvalidProblem(f"warm_start: expected a solution of {problem!r}, got one of {warm_start.problem!r}")
-    return Candidate(*values)
+    friction = warm_start.friction_force
+    fits = problem.slip_origin is not None and friction is not None and friction.shape == problem.slip_origin.shape
+    return Candidate(*values, friction_force=friction if fits else None)
 
 
 def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:

@@ -69,10 +69,12 @@ class ContactForm:
         closed = np.where(slides | (form.mu == 0), direction, STICK)
         return np.where(pushed > 0, closed, OPEN).astype(np.int8)
 
-    def scaled_normal(self, normal_force: Vector) -> Array:
-        """Forces (m, d) of the local form with normal forces (m,) of the problem, and no friction."""
+    def scaled_force(self, normal_force: Vector, friction_force: Array | None) -> Array:
+        """Forces (m, d) of the local form with normal forces (m,) and friction (m, d-1) of the problem."""
         force = np.zeros((len(normal_force), self.local.dimension))
         force[:, 0] = np.maximum(normal_force, 0.0) * self._rows.normal_length
+        if friction_force is not None:
+            force[:, 1:] = -friction_force * self._rows.tangent_length[:, None]
         return force
 
     def plain(self, form: LocalForm, iterate: Iterate) -> Answer:

@@ -76,7 +76,8 @@ def solve_on_contacts(
 
 
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings) -> Iterate:
-    if settings.warm_start is None or not np.all(np.isfinite(settings.warm_start.normal_force)):
+    warm = settings.warm_start
+    if warm is None or not warm.finite:
         return Iterate.nothing(form)
-    force = form.scaled(contacts.scaled_normal(settings.warm_start.normal_force))
+    force = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
     return Iterate.at(form, force, form.joint_force(force))
