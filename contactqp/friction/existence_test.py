@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from contactqp.coulomb_cone import lengths
 from contactqp.errors import NoEquilibrium
+from contactqp.factorization import Array
 from contactqp.friction.conic import ConicProgram, diagonal_rows, solve_conic
 from contactqp.friction.local_form import LocalForm
 from contactqp.methods import Settings
@@ -20,15 +21,16 @@ SURE = 1e-6
 SOLVER, SETTINGS = "clarabel", Settings(tolerance=1e-9)
 
 
-def refuse_unbalanced(form: LocalForm) -> None:
-    """Raise NoEquilibrium where no forces in their cones balance the load along free motions, V'r = -s.
+def refuse_unbalanced(form: LocalForm) -> Array | None:
+    """Forces (m, d) in their cones that balance the load along free motions, V'r = -s; None where no load drives any.
 
-    The proof is a motion g along which no such force does negative work while the load does: V g in K*, g's > 0.
+    Where there are none it raises NoEquilibrium. The proof is a motion g along which no such force does negative work
+    while the load does: V g in K*, g's > 0.
     """
     hard = np.flatnonzero(form.joint_signs < 0)
     V, s = form.V[:, hard], form.s[hard]
     if not np.any(s):
-        return
+        return None
     size = form.m * form.d
     slope = np.ones((form.m, form.d))
     slope[:, 0] = form.mu
@@ -45,13 +47,15 @@ def refuse_unbalanced(form: LocalForm) -> None:
     )
     r, _ = solve_conic(program, SOLVER, SETTINGS)
     motion = V.T @ r + s
+    forces = r.reshape(form.m, form.d)
     if float(motion @ s) <= SURE * float(np.linalg.norm(motion) * np.linalg.norm(s)):
-        return
+        return forces
     moves = (V @ motion).reshape(form.m, form.d)
     into = form.mu * lengths(moves[:, 1:]) - moves[:, 0]
     reach = np.max(abs(V) @ abs(motion), initial=0.0)
     if np.max(into, initial=0.0) <= SURE * reach and np.linalg.norm(motion) > SURE * np.linalg.norm(s):
         raise NoEquilibrium("friction: the load drives a rigid motion that neither contacts nor friction hold")
+    return forces
 
 
 def interior_margin(form: LocalForm) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from contactqp.condensation import Condensation
 from contactqp.errors import NotConverged
+from contactqp.factorization import Array
 from contactqp.friction.contact_form import ContactForm
 from contactqp.friction.existence_test import refuse_unbalanced
 from contactqp.friction.iterate import Iterate
@@ -59,8 +60,7 @@ def solve_on_contacts(
             found.append(answer)
         return bool(found)
 
-    refuse_unbalanced(form)
-    start = _start(form, contacts, settings)
+    start = _start(form, contacts, settings, refuse_unbalanced(form))
     if algorithm is None:
         outcome = run_any(form, settings, start, accepted)
     else:
@@ -75,9 +75,11 @@ def solve_on_contacts(
     return LocalAnswer(found[-1], outcome.name, iterate.iterations, iterate.history)
 
 
-def _start(form: LocalForm, contacts: ContactForm, settings: Settings) -> Iterate:
+def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
+    """The forces of a warm start, or those that hold the bodies, or none."""
     warm = settings.warm_start
-    if warm is None or not warm.finite:
+    if warm is not None and warm.finite:
+        balanced = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
+    if balanced is None:
         return Iterate.nothing(form)
-    force = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
-    return Iterate.at(form, force, form.joint_force(force))
+    return Iterate.at(form, balanced, form.joint_force(balanced))
