@@ -14,7 +14,7 @@ from contactqp.analysis.friction_steps import FrictionSteps
 from contactqp.analysis.history import Event, History
 from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
-from contactqp.friction.states import STICK
+from contactqp.friction.states import STICK, holds
 from contactqp.friction_attempt import attempt_with
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -57,9 +57,9 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
         events += [replace(event, time=leg + event.time) for event in found]
         fractions = sorted({(i + 1) / count for i in range(count)} | {segment.end for segment in segments})
         for fraction in fractions:
-            segment = next(segment for segment in segments if fraction <= segment.end)
+            here = [segment for segment in segments if segment.start <= fraction <= segment.end]
             load = end if fraction == 1 else start + fraction * (end - start)
-            instants.add(path, problem.replace(load=load), fraction, segment)
+            instants.add(path, problem.replace(load=load), fraction, here)
             times.append(leg + fraction)
     return History(instants, times, lambda: events, linear=True)
 
@@ -71,14 +71,20 @@ class _Instants(Sequence[Solution]):
         self._solutions: list[Solution | Begun] = [first]
         self._displacement = first.displacement
 
-    def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segment: Segment) -> None:
-        """The answer to the problem's load in a segment; its slip counts from the instant before."""
-        answer = path.at(problem.load, fraction, segment)
-        before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else segment.anchor
-        origin = np.where(segment.status == STICK, segment.anchor, before)
-        attempt = attempt_with(problem.replace(slip_origin=origin), answer, "exact events")
+    def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
+        """The answer to the problem's load in a segment; its slip counts from the instant before.
+
+        At an event two segments meet, and which of them the load, rounded, is in is seen by the signs.
+        """
+        for segment in segments:
+            answer = path.at(problem.load, fraction, segment)
+            before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else segment.anchor
+            here = problem.replace(slip_origin=np.where(segment.status == STICK, segment.anchor, before))
+            if holds(here, answer):
+                break
+        attempt = attempt_with(here, answer, "exact events")
         method = replace(find("active-set"), name=attempt.name)
-        self._solutions.append(Begun(problem.replace(slip_origin=origin), method, attempt, True, 0.0))
+        self._solutions.append(Begun(here, method, attempt, True, 0.0))
         self._displacement = answer.displacement
 
     def __len__(self) -> int:

@@ -16,7 +16,7 @@ from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.iteration import iterated
-from contactqp.methods import Settings, find
+from contactqp.methods import Method, Settings, find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported
@@ -112,21 +112,27 @@ class FrictionSteps(Sequence[Solution]):
         return solution
 
 
-def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
-    """Newton on the contact unknowns in the plane, unless the caller wants something else or the bodies are large."""
-    chosen = find(method)
-    if not chosen.exact or not chosen.semidefinite:
-        raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
+def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
+    """Raise on options that `solve` refuses, and on a start that the path has itself."""
     if "warm_start" in options:
         raise InvalidProblem("warm_start: a path starts each step from the one before")
     known = {name: options[name] for name in ARGUMENTS if name in options}
     refuse_arguments(**(DEFAULTS | known))
     others = {name: value for name, value in options.items() if name not in (*ARGUMENTS, "algorithm")}
     refuse_unsupported(problem, chosen, Settings(options=others), options.get("algorithm"))
+
+
+def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
+    """Newton on the contact unknowns in the plane, unless the caller wants something else, or the bodies are large."""
+    chosen = find(method)
+    if not chosen.exact or not chosen.semidefinite:
+        raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
+    refuse_options(problem, chosen, options)
     limited = options.get("max_iter") is not None or options.get("time_limit") is not None
     in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
     whole = iterated(problem) or first_candidates(problem) is not None
-    if in_plane and not whole and not limited and options.get("algorithm") in (None, "newton"):
+    own = chosen.solve_friction is not None  # systems of stick and slip
+    if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
         return PlaneStepper(problem, method, {**options, "algorithm": None})
     return SolveStepper(problem, method, options)
 

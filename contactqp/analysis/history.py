@@ -23,7 +23,7 @@ class Energies:
     difference shrinks with the steps.
     """
 
-    elastic: float  # 1/2 u'Ku
+    elastic: float  # 1/2 u'Ku, with contact springs also 1/2 l_N^2 / beta + 1/2 |l_T|^2 / beta_T
     kinetic: float
     work: float  # of the loads since the start
     dissipated: float  # by friction since the start: the sum of l_T . s, never negative
@@ -48,7 +48,8 @@ class History(Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
     Solutions may be a sequence that expands each one, with its certificate, when it is looked at. With friction each
-    solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since.
+    solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since;
+    with contact springs, where their sliders were then.
     `linear` says that nothing changes its state between two instants.
     """
 
@@ -58,10 +59,11 @@ class History(Sequence[Solution]):
         times: Sequence[float],
         events: Callable[[], Iterable[Event]] = tuple,
         linear: bool = False,
+        energies: Callable[[], Iterable[Energies]] | None = None,
     ) -> None:
         self._solutions, self._linear = solutions, linear
         self.times: Vector = np.asarray(times, dtype=float)
-        self._find_events = events
+        self._find_events, self._find_energies = events, energies
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -78,8 +80,11 @@ class History(Sequence[Solution]):
 
         Friction does l_T . s at every contact, s = E_T u - slip_origin the slip of a step: with l_T at its end in
         steps, with the mean of both ends between exact events. l_T is what the body does to the obstacle, along its
-        own slip, and l_T . s is never negative.
+        own slip, and l_T . s is never negative. With the contact springs of a penalty method s is the slip of their
+        sliders, E_T u - l_T / beta_T - slip_origin, and the springs store elastic energy too.
         """
+        if self._find_energies is not None:
+            return tuple(self._find_energies())
         return tuple(_static_energies(self._solutions, self._linear))
 
     def __len__(self) -> int:

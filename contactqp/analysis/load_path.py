@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 from contactqp.analysis.events import events_of_leg
 from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.iteration import iterated
+from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Solution
 from contactqp.solving import Begun, begin, solve
@@ -58,7 +60,11 @@ def follow_path(
     method, **options
         As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
         stick and slip (`contactqp.friction.newton`) unless `algorithm` names another; `method` is the convex method of
-        the fixed point that it falls back to.
+        the fixed point that it falls back to. A textbook method with systems of stick and slip takes the steps itself.
+        The penalty and perturbed Lagrangian methods are Coulomb's law of bodies with contact springs, whose path is
+        followed, in steps or from event to event: what slips are the sliders behind the springs, a slip origin is
+        where they were, elastic energy is in bodies and springs, and the certificate of each solution says how far it
+        is from rigid contact. Without friction they have steps alone.
 
     Returns
     -------
@@ -71,7 +77,7 @@ def follow_path(
     Raises
     ------
     Unsupported
-        Exact events with a method that is approximate by design, where the motion jumps, or with friction and two
+        Exact events of an approximate method without friction, where the motion jumps, or with friction and two
         tangential directions a contact; friction that `solve` does not support.
     NoEquilibrium
         At the first load that nothing holds. With friction and exact events also where no rates continue the path, a
@@ -106,6 +112,9 @@ def follow_path(
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     with problem.lock:
         if problem.frictional:
+            chosen = find(method)
+            if chosen.springs is not None:
+                return follow_on_springs(problem, corners, int(count), events == "exact", chosen, options)
             return follow_with_friction(problem, corners, int(count), events == "exact", method, options)
         return _walked(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
 

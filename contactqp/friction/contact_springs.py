@@ -80,8 +80,9 @@ def with_contact_springs(
     )
 
 
-def without_contact_springs(problem: ContactProblem, solution: Solution) -> Solution:
-    """The solution of `with_contact_springs(problem, ...)` as the penalised solution of `problem`.
+def without_contact_springs(problem: ContactProblem, solution: Solution, name: str = "penalty") -> Solution:
+    """The solution of `with_contact_springs(problem, ...)` as the penalised solution of `problem`, by the
+    method of that name.
 
     Its certificate is that of `problem`, whose contacts are rigid: it says how far off the springs are. Stick and slip
     are the sliders'.
@@ -99,7 +100,7 @@ def without_contact_springs(problem: ContactProblem, solution: Solution) -> Solu
         displacement=u,
         free_motions=tuple(FreeMotion(motion.direction[:n], str(motion)) for motion in solution.free_motions),
         certificate=certify(problem, u, normal, friction, tie),
-        method=f"penalty by {solution.method}",
+        method=f"{name} by {solution.method}",
         raw=None,
     )
 

@@ -32,6 +32,9 @@ class Method:
     # A frictional problem of the plane by its own systems of stick and slip; without it, what the method can do with
     # friction is to take the convex steps of an algorithm.
     solve_friction: Callable[[ContactProblem, Settings], Candidate] | None = field(default=None, repr=False)
+    # With friction it is Coulomb's law of bodies with contact springs: its options for the springs' stiffnesses, normal
+    # and tangential.
+    springs: tuple[str, str] | None = None
     exact: bool = True  # promises the exact answer; otherwise approximate by design
     polish: bool = False  # its answer is polished on the contact set that it finds
     corrections: int = (

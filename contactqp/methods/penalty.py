@@ -143,6 +143,7 @@ METHODS = (
         kind="classical enforcement",
         solve=solve_penalty,
         solve_friction=solve_frictional,
+        springs=("penalty", "tangential_penalty"),
         exact=False,
         options=("penalty", "tangential_penalty"),
         required=("penalty",),

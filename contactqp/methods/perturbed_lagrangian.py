@@ -101,6 +101,7 @@ METHODS = (
         kind="classical enforcement",
         solve=solve_perturbed_lagrangian,
         solve_friction=solve_frictional,
+        springs=("perturbation", "perturbation"),
         exact=False,
         options=("perturbation",),
         required=("perturbation",),

@@ -200,7 +200,7 @@ def test_no_equilibrium_is_told_at_its_load() -> None:
 
 def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
     with pytest.raises(cq.Unsupported, match="exact convex method"):
-        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="penalty", penalty=1e6)
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="NAME")
     with pytest.raises(cq.InvalidProblem, match="warm_start"):
         cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], warm_start=cq.solve(rough_truss()))
     with pytest.raises(cq.InvalidProblem, match="penalty"):

@@ -1,0 +1,81 @@
+"""Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
+
+A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
+(`contactqp.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The history
+shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where the
+sliders were at the instant before, or where they stick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, overload
+
+import numpy as np
+
+from contactqp.analysis.friction_path import follow_with_friction
+from contactqp.analysis.friction_steps import refuse_options
+from contactqp.analysis.history import History
+from contactqp.blas_threads import one_blas_thread
+from contactqp.friction.contact_springs import with_contact_springs, without_contact_springs
+from contactqp.methods import Method
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Solution
+
+
+def follow_on_springs(
+    problem: ContactProblem,
+    corners: Sequence[Vector],
+    count: int,
+    exactly: bool,
+    chosen: Method,
+    options: dict[str, Any],
+) -> History:
+    """As `follow_with_friction`, of a method whose `springs` names the stiffnesses of its contacts.
+
+    Raises
+    ------
+    InvalidProblem
+        A stiffness is missing, or not positive and finite.
+    """
+    refuse_options(problem, chosen, options)
+    if chosen.springs is None:
+        raise ValueError(f"{chosen.name} has no contact springs")
+    beta, beta_T = (options.get(name) for name in chosen.springs)
+    others = {name: value for name, value in options.items() if name not in (*chosen.options, "algorithm")}
+    springs = with_contact_springs(problem, np.asarray(beta), beta_T)
+    loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
+    whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
+    bodies = _Bodies(problem, whole, chosen.name)
+    return History(bodies, whole.times.tolist(), lambda: whole.events, energies=lambda: whole.energies)
+
+
+class _Bodies(Sequence[Solution]):
+    """The solutions of bodies on springs without their springs, certified when they are looked at."""
+
+    def __init__(self, problem: ContactProblem, on_springs: Sequence[Solution], name: str) -> None:
+        self._problem, self._on_springs, self._name = problem, on_springs, name
+        self._known: dict[int, Solution] = {}
+
+    def __len__(self) -> int:
+        return len(self._on_springs)
+
+    @overload
+    def __getitem__(self, index: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
+
+    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
+        places = range(len(self))[index]
+        if isinstance(places, range):
+            return [self[i] for i in places]
+        if places not in self._known:
+            self._known[places] = self._solution(self._on_springs[places])
+        return self._known[places]
+
+    def _solution(self, on_springs: Solution) -> Solution:
+        whole, n = on_springs.problem, self._problem.dimension
+        with self._problem.lock, one_blas_thread(self._problem):
+            own = self._problem.replace(load=whole.load[:n], slip_origin=whole.slip_origin)
+            return without_contact_springs(own, on_springs, self._name)
