@@ -9,7 +9,8 @@ and contacts with neither gap nor force choose among open, stick and slip as Cou
 
     gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
 
-Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990).
+Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990). Continuations that
+differ by a rigid motion that no load drives and no contact resists are one, and that motion rests.
 """
 
 from __future__ import annotations
@@ -81,9 +82,8 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     found: list[CombinationAnswer] = []
     for status in _combinations(standing, choices):
         answer = system.solve(status, rates)
-        if _holds(system, rates, standing, answer) and not any(_same(answer, other, rates) for other in found):
-            if system.undetermined(status):
-                found.append(answer)
+        known = [other for other in found if _same(system, standing, answer, other, rates)]
+        if not known and _holds(system, rates, standing, answer):
             found.append(answer)
     names = _named(problem, standing.undecided)
     if not found:
@@ -91,8 +91,11 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
             f"follow_path: {at}: no continuation: the equilibrium is lost, no choice of open, stick and slip at "
             f"{names} keeps its signs as the load goes on"
         )
-    if len(found) > 1:
-        listed = "; ".join(_described(problem, standing, one) for one in found)
+    loose = [one for one in found if system.undetermined(one.status)]
+    if len(found) > 1 or loose:
+        listed = "; ".join(
+            _described(problem, standing, one) + (" at any rate" if one in loose else "") for one in found
+        )
         raise SeveralEquilibria(f"follow_path: {at}: several continuations, and nothing chooses ({listed})")
     return _resting(system, rates, standing, found[0].status)
 
@@ -136,10 +139,12 @@ def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: Comb
     return wrong <= STEADY * size and answer.left <= STEADY * size
 
 
-def _same(one: CombinationAnswer, other: CombinationAnswer, rates: Lengths) -> bool:
-    pairs = ((one.gap, other.gap), (one.slip, other.slip), (one.motion, other.motion))
-    difference = max(float(np.max(abs(a - b), initial=0.0)) for a, b in pairs)
-    return difference <= DISTINCT * max(_size(one, rates), _size(other, rates))
+def _same(
+    system: ForceSystem, standing: Standing, one: CombinationAnswer, other: CombinationAnswer, rates: Lengths
+) -> bool:
+    """Whether two continuations are one but for motions that no load drives and no contact resists."""
+    loaded = ~standing.null & (standing.status != OPEN)
+    return system.same(one, other, loaded, DISTINCT * max(_size(one, rates), _size(other, rates)))
 
 
 def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | None:
@@ -168,7 +173,9 @@ def _resting(system: ForceSystem, rates: Lengths, standing: Standing, status: St
     if np.array_equal(resting, status):
         return status
     other = system.solve(resting, rates)
-    return resting if _holds(system, rates, standing, other) and _same(answer, other, rates) else status
+    return (
+        resting if _holds(system, rates, standing, other) and _same(system, standing, answer, other, rates) else status
+    )
 
 
 def _described(problem: ContactProblem, standing: Standing, answer: CombinationAnswer) -> str:

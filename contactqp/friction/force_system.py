@@ -25,6 +25,8 @@ from contactqp.friction.states import OPEN, SINGULAR, SLIP_ON, STICK, Status
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer
 
+Mask = NDArray[np.bool_]
+
 # Of the rows, this part may differ from those factorised before it is cheaper to factorise again.
 CHANGED_ROWS = 0.15
 # What an update leaves of the right-hand side, relative to the largest number in the system, before it is given up.
@@ -113,14 +115,31 @@ class ForceSystem:
         return self._answer(status, lengths, y, left)
 
     def undetermined(self, status: Status) -> bool:
-        """Whether a combination leaves gaps, slips or rigid motions free; forces of redundant contacts may be."""
+        """Whether a combination leaves free where its closed contacts and its ties go.
+
+        Forces of redundant contacts may be free, and rigid motions that take none of these along.
+        """
         matrix = self.matrix(status)
         if not len(matrix):
             return False
         _, values, rotation = np.linalg.svd(matrix)
         free = rotation[values <= SINGULAR * values[0]].T
-        moved = np.vstack([self.slope @ free, free[len(self.slope) :]])
+        ties = np.ones(len(self.slope) - 2 * self.contacts, dtype=bool)
+        # What moves none of them does no work: it bends no body.
+        moved = self.slope[np.concatenate([self._held(status != OPEN), ties])] @ free
         return bool(np.any(abs(moved) > UNDETERMINED))
+
+    def same(self, one: CombinationAnswer, other: CombinationAnswer, loaded: Mask, tolerance: float) -> bool:
+        """Whether two answers differ by no more than a rigid motion that takes no loaded contact along, nor any that
+        pushes in one of them; lengths up to the tolerance."""
+        moved = np.concatenate([other.gap - one.gap, one.slip - other.slip])
+        rigid = self.slope[: len(moved), len(self.slope) :] @ (one.motion - other.motion)
+        held = moved[self._held(loaded | (one.normal > tolerance) | (other.normal > tolerance))]
+        return bool(np.all(abs(moved - rigid) <= tolerance) and np.all(abs(held) <= tolerance))
+
+    def _held(self, contacts: Mask) -> Mask:
+        """(2m,) rows along which contacts hold: without friction, the normal alone."""
+        return np.concatenate([contacts, contacts & (self.coefficient > 0)])
 
     def displacement(self, answer: CombinationAnswer, lengths: Lengths) -> Vector:
         """x (p,), scaled."""

@@ -107,6 +107,50 @@ def test_at_the_critical_friction_there_is_a_continuum_or_nothing() -> None:
         cq.follow_path(problem, [[-1.0, 0.0], [-1.0, 0.5], [-1.0, 0.6]], events="exact")
 
 
+def cradle(friction: float = 0.3) -> cq.ContactProblem:
+    """A rigid body (x, z, angle) on a spring of 50 to its foot, which stands on the floor; its sides are 0.1 above it.
+
+    Until a side comes down nothing resists its rotation.
+    """
+    stiffness = np.zeros((4, 4))
+    stiffness[np.ix_([1, 3], [1, 3])] = [[50.0, -50.0], [-50.0, 50.0]]
+    return cq.ContactProblem(
+        stiffness=stiffness,
+        load=np.zeros(4),
+        normal=[[0.0, 0.0, 0.0, -1.0], [0.0, -1.0, 2.0, 0.0], [0.0, -1.0, -2.0, 0.0]],
+        gap=[0.0, 0.1, 0.1],
+        tangent=[[1.0, 0.0, 0.0, 0.0]] * 3,
+        friction=friction,
+        contact_names=["foot", "left", "right"],
+    )
+
+
+def test_a_rotation_that_nothing_resists_and_no_load_drives_is_no_other_continuation() -> None:
+    """Pressed by 20, both sides come down at 50 x 0.1 = 5 and carry 15; turned by 2 x 15 = 30 of 36 it lifts a side."""
+    pressed, turned = np.array([0.0, -20.0, 0.0, 0.0]), np.array([0.0, -20.0, 36.0, 0.0])
+    history = cq.follow_path(cradle(), [pressed, turned], events="exact")
+    assert [(event.kind, event.name) for event in history.events] == [
+        ("closed", "foot"),
+        ("closed", "left"),
+        ("closed", "right"),
+        ("opened", "right"),
+    ]
+    np.testing.assert_allclose(history[-1].normal_force, [2.0, 18.0, 0.0], rtol=1e-13)
+    np.testing.assert_allclose([event.time for event in history.events], [0.0, 0.25, 0.25, 1 + 30 / 36], atol=1e-14)
+    assert [len(solution.free_motions) for solution in history][1:] == [1, 0, 0, 0]
+    assert all(solution.certificate.passed for solution in history)
+    assert balance(history) < 1e-14
+    with pytest.raises(cq.NoEquilibrium, match=r"t = 0: no continuation.*foot"):
+        cq.follow_path(cradle(), [turned], events="exact")
+
+
+def test_no_continuation_is_listed_twice() -> None:
+    """At the critical friction and the edge of the cone it sticks, or slips at any rate."""
+    loads = [[-1.0, 0.0], [-1.0, 0.5], [-2.0, 1.0]]
+    with pytest.raises(cq.SeveralEquilibria, match=r"\(contact 0 stick; contact 0 slip on at any rate\)"):
+        cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.5), loads, events="exact")
+
+
 def test_contacts_that_change_together() -> None:
     """Two equal sliders, not coupled: both close, slip, stick and slip back at once."""
     one = one_contact([[1.0, 0.2], [0.2, 1.0]], [0.0, 0.0], 0.3)
