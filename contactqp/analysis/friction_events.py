@@ -15,7 +15,7 @@ import numpy as np
 from contactqp.analysis.friction_rates import Mask, Standing, continuation
 from contactqp.analysis.history import Event
 from contactqp.condensation import condense
-from contactqp.errors import NotConverged, Unsupported
+from contactqp.errors import NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import ForceSystem
 from contactqp.friction.newton import combination_of, without_idle_friction
@@ -69,24 +69,17 @@ class _Margins:
 
 
 class ExactPath:
-    """The walk from event to event.
+    """The walk from event to event, from a solution on."""
 
-    Raises
-    ------
-    Unsupported
-        A contact is closed at the start and anchored where it is not.
-    """
-
-    def __init__(self, problem: ContactProblem, first: Solution) -> None:
+    def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
         self._problem, self._way = problem, condense(problem)
-        self.system = ForceSystem(problem, self._way)
+        self.system = system or ForceSystem(problem, self._way)
         self.status = self.system.plain(combination_of(first.problem, first))
         self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
         self.anchor = self._position(self.answer)
-        self._refuse_jump()
 
-    def leg(self, start: Vector, end: Vector, number: int) -> tuple[list[Event], list[Segment]]:
-        """The events of one leg, their times fractions of it, and its segments.
+    def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> tuple[list[Event], list[Segment]]:
+        """The events of one leg, or a part of it, from a pseudo-time on; their times are fractions. Its segments.
 
         Raises
         ------
@@ -102,7 +95,7 @@ class ExactPath:
         limit = 40 * len(zero) + 40
         for _ in range(limit):
             standing = self._standing(hit)
-            at = f"at t = {number + fraction:.12g}"
+            at = f"at t = {time + lasts * fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)
             events += self._decided(standing.status, status, fraction)
             rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
@@ -190,20 +183,22 @@ class ExactPath:
             raise ValueError("exact events with friction of a problem without tangential rows")
         return np.asarray(self._problem.tangent @ answer.displacement)
 
-    def _refuse_jump(self) -> None:
+    def jump_at_start(self) -> str:
+        """Which contact is closed at the start of the path and anchored where it is not, or nothing."""
         origin = self._problem.slip_origin
         gap = self._problem.gap - self._problem.normal @ self.answer.displacement
         if origin is None:
-            return
+            return ""
         length = abs(self.anchor) + abs(origin[:, 0])
         # A contact that carries a force at the start has slipped to where it is.
         off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
-        if np.any(off & (self.system.coefficient > 0)):
-            i = int(np.argmax(off))
-            raise Unsupported(
-                f"follow_path(events='exact'): {self._problem.contact_name(i)} is closed at the start, at E_T u = "
-                f"{self.anchor[i]:.6g}, and slip_origin anchors it at {origin[i, 0]:.6g}: it would jump; give steps"
-            )
+        if not np.any(off & (self.system.coefficient > 0)):
+            return ""
+        i = int(np.argmax(off))
+        return (
+            f"{self._problem.contact_name(i)} is closed at the start, at E_T u = {self.anchor[i]:.6g}, and slip_origin "
+            f"anchors it at {origin[i, 0]:.6g}"
+        )
 
 
 def _nothing(problem: ContactProblem) -> Answer:

@@ -12,6 +12,7 @@ import numpy as np
 from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_steps import FrictionSteps
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.step_jumps import step_notes
 from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
 from contactqp.friction.states import STICK, holds
@@ -46,11 +47,14 @@ def follow_with_friction(
         for i in range(count):
             steps.go_to((i + 1) / count)
             times.append(leg + (i + 1) / count)
-    return History(steps, times, lambda: steps.changes(times))
+    return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
 
 
 def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: int, first: Solution) -> History:
     path, instants, times = ExactPath(problem, first), _Instants(first), [0.0]
+    jump = path.jump_at_start()
+    if jump:
+        raise Unsupported(f"follow_path(events='exact'): {jump}: it would jump; give steps")
     events: list[Event] = []
     for leg, (start, end) in enumerate(pairwise(corners)):
         found, segments = path.leg(start, end, leg)

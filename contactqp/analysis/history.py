@@ -60,10 +60,11 @@ class History(Sequence[Solution]):
         events: Callable[[], Iterable[Event]] = tuple,
         linear: bool = False,
         energies: Callable[[], Iterable[Energies]] | None = None,
+        notes: Callable[[], Iterable[str]] = tuple,
     ) -> None:
         self._solutions, self._linear = solutions, linear
         self.times: Vector = np.asarray(times, dtype=float)
-        self._find_events, self._find_energies = events, energies
+        self._find_events, self._find_energies, self._find_notes = events, energies, notes
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -73,6 +74,17 @@ class History(Sequence[Solution]):
         contact that stuck or that closes; "stick" that a contact that slipped does so no more.
         """
         return tuple(self._find_events())
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """With friction in steps: where a step has jumped, and where it has taken one of several answers.
+
+        Each step is followed again from event to event from the state at its start, which costs what exact events
+        cost. "It jumps" says that no rates continue the path at the load that is named, a snap: the step ends at an
+        equilibrium beyond it. "It chooses" says that several do. Loads at which the certificate found several
+        equilibria (at most eight contacts) are named too. Exact events raise at such loads instead.
+        """
+        return tuple(self._find_notes())
 
     @cached_property
     def energies(self) -> tuple[Energies, ...]:

@@ -81,11 +81,12 @@ def follow_path(
         tangential directions a contact; friction that `solve` does not support.
     NoEquilibrium
         At the first load that nothing holds. With friction and exact events also where no rates continue the path, a
-        snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it.
+        snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it: `History.notes`
+        says where they have jumped.
     SeveralEquilibria
         With friction and exact events, several rates continue the path, above a critical coefficient. They are told
         apart where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
-        follow one.
+        follow one, and `History.notes` says so.
     NotConverged, NotCertified
         As `solve`.
 

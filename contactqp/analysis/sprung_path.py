@@ -47,7 +47,8 @@ def follow_on_springs(
     loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
     whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
     bodies = _Bodies(problem, whole, chosen.name)
-    return History(bodies, whole.times.tolist(), lambda: whole.events, energies=lambda: whole.energies)
+    times = whole.times.tolist()
+    return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
 
 
 class _Bodies(Sequence[Solution]):

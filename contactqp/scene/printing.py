@@ -68,6 +68,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         end = judgement.history.energies[-1]
         energies = f"work of the loads {end.work:.12g}, elastic {end.elastic:.12g}, dissipated {end.dissipated:.12g}"
         console.print(escape(f"{energies} {force}*{length}"))
+        for note in judgement.history.notes:
+            console.print(f"[yellow]{escape(note)}[/yellow]")
     _print_comparisons(console, [judgement], [])
     if not judgement.expectations and not judgement.published:
         console.print("the case expects nothing of this method")
@@ -187,6 +189,7 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
     if scene.path is not None:
         end = judgement.history.energies[-1]
         data["energies"] = {"work": end.work, "elastic": end.elastic, "dissipated": end.dissipated}
+        data["notes"] = list(judgement.history.notes)
     return data
 
 
