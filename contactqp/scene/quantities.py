@@ -56,7 +56,12 @@ QUANTITIES = {
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
     "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
-    "elastic energy": Measure("1/2 u'Ku on a load path", ("energy",), path=True, of="both"),
+    "elastic energy": Measure(
+        "1/2 u'Ku on a load path, by penalty methods with friction that of contact springs too",
+        ("energy",),
+        path=True,
+        of="both",
+    ),
     "work of the loads": Measure("since the load path set out", ("energy",), path=True, of="both"),
     "dissipated energy": Measure("by friction since the load path set out", ("energy",), path=True, of="both"),
     "free motions": Measure("number of rigid motions that nothing drives and nothing holds", ("number",), of="both"),

@@ -8,7 +8,7 @@ from rich.console import Console
 
 import contactqp as cq
 from contactqp.scene.explaining import explain
-from contactqp.scene.judging import Trial, judge
+from contactqp.scene.judging import Trial, judge, trials
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data, print_judgement
 from contactqp.scene.schema import Scene
@@ -243,6 +243,47 @@ def test_with_friction_nothing_off_the_path_is_solved_for():
     together = PAD | {"path": {"events": "exact", "steps": 1}, "loads": loads}
     with pytest.raises(cq.SceneError, match="at load factor 1/3: expected a step of the load path, nearest: 0, 1"):
         judged(together, claim("normal force", "1 N", at="foot", load_factor="1/3"))
+
+
+def test_a_path_by_the_penalty_method():
+    """Springs of 100 N/m and 50 N/m: l_N = 10/3 N; the slider slides from 3 N on, 20 mm far under mu l_N = 1 N."""
+    soft = {"method": "penalty", "penalty": "50 N/m"}
+    right = [
+        claim("normal force", "10/3 N", at="foot", **soft),
+        claim("event load", "3 N", at="foot", along="1.x", event="slip", **soft),
+        claim("displacement", "40 mm", at="1.x", time=2, **soft),
+        claim("friction force", "1 N", at="foot", along="x", time=2, **soft),
+        claim("displacement", "20/3 mm", at="1.x", **soft),
+        claim("dissipated energy", "0.02 J", **soft),
+    ]
+    scene = Scene(**PUSHED | {"expect": right})
+    (trial,) = trials(scene, "penalty")
+    judgement = judge(scene, trial)
+    assert judgement.met, [row for row in judgement.expectations if not row.ok]
+    assert len(judgement.expectations) == len(right)
+    assert not judgement.solution.certificate.passed
+    ends = judgement.history.energies[-1]
+    assert ends.work == pytest.approx(ends.elastic + ends.dissipated, rel=1e-13)
+
+
+def test_what_is_printed_of_steps_that_jump(capsys):
+    """Klarbring's node with mu = 0.8 is pressed by 1 N and pushed: at 0.8 N it can neither stick nor slide on."""
+    matrix = {"name": "K", "unknowns": ["1.x", "1.z"], "unit": "N/m", "rows": [[1, -2], [-2, 5]]}
+    node = {name: value for name, value in PUSHED.items() if name != "springs"} | {
+        "matrices": [matrix],
+        "contacts": [PAD["contacts"][0] | {"friction": 0.8}],
+        "loads": [
+            {"name": "press", "unknown": "1.z", "value": "-1 N"},
+            {"name": "push", "unknown": "1.x", "value": "2 N"},
+        ],
+        "path": {"steps": 4, "corners": [{"press": 1}, {"press": 1, "push": 1}]},
+    }
+    judgement = judge(Scene(**node), Trial())
+    (note,) = [note for note in judgement_data(judgement)["notes"] if "jumps" in note]
+    assert note.startswith("step to t = 1.5: it jumps; at t = 1.4: no continuation")
+    print_judgement(Console(width=250), judgement)
+    assert note in capsys.readouterr().out
+    assert judgement_data(judge(Scene(**PUSHED), Trial()))["notes"] == []
 
 
 def test_what_is_printed_of_a_path_with_friction(capsys):
