@@ -74,7 +74,7 @@ def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
         return scene.report.methods, scene.report.why
     frictional = any(contact.friction for contact in scene.contacts)
     if frictional and scene.path is not None and scene.path.events is not None:
-        return ("active-set",), "from one exact event to the next all is linear, and no method has a part in it"
+        return ("active-set",), "from one exact event to the next all is linear, and no exact method has a part in it"
     return None
 
 
