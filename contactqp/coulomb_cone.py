@@ -58,5 +58,6 @@ def natural_map(force: Vectors, velocity: Vectors, friction: Vector, rho: float 
     """
     step = np.broadcast_to(np.asarray(rho, dtype=float), friction.shape)[:, None] * de_saxce(velocity, friction)
     moved = force - step
-    inside = lengths(moved[:, 1:]) <= friction * moved[:, 0]
+    # Without friction the cone is a half line, and -0 is no side of it.
+    inside = (lengths(moved[:, 1:]) <= friction * moved[:, 0]) & (moved[:, 0] >= 0)
     return np.where(inside[:, None], step, force - onto_cone(moved, friction))

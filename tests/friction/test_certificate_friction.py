@@ -168,3 +168,12 @@ def test_exact_answers_of_stiff_and_floating_problems_pass() -> None:
         p = rough_truss()
         stiff = cq.solve(p.replace(stiffness=p.stiffness * factor, load=p.load * factor))
         assert stiff.certificate.natural_map < 1e-14
+
+
+def test_an_open_contact_without_friction_obeys_the_law_whether_it_slips_or_not() -> None:
+    """r = 0, u_N > 0: at rest sideways too, where 0 <= mu (r_N - u_N) = -0 says nothing of the cone, a half line."""
+    from contactqp.coulomb_cone import natural_map
+
+    for slip in (0.0, 1.0):
+        assert not np.any(natural_map(np.zeros((1, 2)), np.array([[0.7, slip]]), np.zeros(1)))
+    assert natural_map(np.zeros((1, 2)), np.array([[-0.7, 0.0]]), np.zeros(1))[0, 0] == -0.7
