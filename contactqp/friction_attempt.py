@@ -9,7 +9,8 @@ from contactqp.condensation import condense
 from contactqp.condensed_attempt import Meter, described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.existence import refuse_conflict
-from contactqp.friction.enumeration import MOST_CONTACTS, all_equilibria
+from contactqp.friction.combinations import MOST_CONTACTS
+from contactqp.friction.enumeration import all_equilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.free_motion import at_rest, free_motions, without_noise
 from contactqp.friction.newton import refined, solve_newton

@@ -62,10 +62,30 @@ def test_random_problems_on_springs_of_two_stiffnesses() -> None:
         counts["passed"] += 1
         if known:
             near = min(known, key=lambda s: np.linalg.norm(s.displacement[: problem.dimension] - found.displacement))
-            require_same(without_contact_springs(problem, near), found, 1e-10)
+            # The stiffness on springs is rounded when it is added up: n eps kappa (Golub and Van Loan, section 2.7).
+            rounding = problem.dimension * np.finfo(float).eps * _condition(problem, found, beta, beta_T)
+            require_same(without_contact_springs(problem, near), found, max(1e-10, rounding))
             counts["known"] += 1
     assert counts["passed"] >= 38, counts
-    assert counts["known"] >= 37, counts
+    assert counts["known"] == counts["passed"], counts
+
+
+def _condition(problem: cq.ContactProblem, found: cq.Solution, beta: np.ndarray, beta_T: np.ndarray) -> float:
+    """Of the penalised system in the combination of open, stick and slip that was found."""
+    K, normal, tangent, tie = (
+        np.asarray(part.toarray() if sp.issparse(part) else part)
+        for part in (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+    )
+    for i, state in enumerate(found.contact_status):
+        if state == "open":
+            continue
+        pushed = normal[i] + (state == "slip") * problem.friction[i] * np.sign(found.friction_force[i, 0]) * tangent[i]
+        K = (
+            K
+            + beta[i] * np.outer(pushed, normal[i])
+            + (state == "stick") * beta_T[i] * np.outer(tangent[i], tangent[i])
+        )
+    return float(np.linalg.cond(np.block([[K, tie.T], [tie, np.zeros((len(tie), len(tie)))]])))
 
 
 def test_another_stiffness_is_another_answer() -> None:
