@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
+    from contactqp.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
+    from contactqp.friction.exact_enumeration import exact_equilibria as exact_equilibria
     from contactqp.local_certificate import LocalCertificate as LocalCertificate
     from contactqp.local_certificate import certify_local as certify_local
     from contactqp.local_problem import LocalProblem as LocalProblem
@@ -79,6 +81,7 @@ _HOME = {
     "ContactQPError": "errors",
     "CriticalFriction": "critical_coefficients",
     "Cylinder": "elements.round_obstacle",
+    "ExactEquilibrium": "friction.exact_enumeration",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
@@ -107,6 +110,7 @@ _HOME = {
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",
     "equilibria": "multiplicity",
+    "exact_equilibria": "friction.exact_enumeration",
     "existence_margin": "solvability",
     "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
