@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
-from contactqp.errors import InvalidProblem, NotCertified, NotConverged
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.friction.existence_test import refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
+from contactqp.friction.local_enumeration import enumerated, not_enumerated
 from contactqp.friction.local_form import LocalForm
 from contactqp.local_certificate import certify_local
 from contactqp.local_problem import LocalProblem
@@ -20,10 +21,13 @@ from contactqp.methods import Settings, find
 from contactqp.solving_arguments import POLYGON_OPTIONS, refuse_arguments
 
 DEFAULT_METHOD = "active-set"
+ENUMERATION = "enumeration"
 # Sizes from which dense systems are large enough for two threads to wait for each other.
 WORTH_ONE_THREAD = 100
 # Scaled errors this small are worth a certificate.
 WORTH_JUDGING = 1e-6
+# Combinations that miss the law by no more than this may be answers that rounding hides.
+NEAR = 1e-6
 
 
 def solve_local(
@@ -42,6 +46,10 @@ def solve_local(
 
     Raises
     ------
+    NoEquilibrium
+        Enumeration, asked for or the last resort in the plane, finds no answer; or no forces balance the load.
+    SeveralEquilibria
+        Enumeration was asked for and finds several answers.
     NotConverged
         No algorithm came to forces that pass `tolerance`; `solution` holds the best.
     NotCertified
@@ -52,9 +60,12 @@ def solve_local(
     refuse_arguments(tolerance, "auto", polish, time_limit, max_iter)
     if algorithm is None and method != DEFAULT_METHOD:
         algorithm = "aclm"
-    if algorithm is not None and algorithm not in ALGORITHMS:
-        raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
+    if algorithm is not None and algorithm not in (*ALGORITHMS, ENUMERATION):
+        known = ", ".join((*ALGORITHMS, ENUMERATION))
+        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
     _refuse_options(method, algorithm, options)
+    if algorithm == ENUMERATION:
+        return _enumerated(problem, tolerance, only=True)
     began = time.perf_counter()
     form = LocalForm(problem)
     settings = Settings(tolerance, max_iter, time_limit, None, options)
@@ -81,6 +92,9 @@ def solve_local(
     solution = _solution(problem, form, outcome, tolerance, began)
     if outcome.accepted:
         return solution
+    in_time = time_limit is None or time.perf_counter() - began < time_limit
+    if algorithm is None and in_time and not_enumerated(form) is None:
+        return _enumerated(problem, tolerance, only=False)
     reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floor(outcome)}"
     if polish:
         count = outcome.iterate.iterations
@@ -88,8 +102,43 @@ def solve_local(
     raise NotCertified(reason, solution)
 
 
+def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[LocalSolution, ...]:
+    """Every answer of a local problem in the plane with at most eight contacts, one for each velocity; it may be none.
+
+    Raises
+    ------
+    Unsupported
+        The problem is in space, or has more contacts.
+    NotConverged
+        No answer passes `tolerance`, and some nearly do.
+    """
+    began, form = time.perf_counter(), LocalForm(problem)
+    found = [
+        _solution(problem, form, Outcome(iterate, ENUMERATION, True), tolerance, began) for iterate in enumerated(form)
+    ]
+    passed = tuple(solution for solution in found if solution.certificate.passed)
+    near = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
+    if not passed and near is not None and near.certificate.natural_map <= NEAR:
+        raise NotConverged(f"enumeration: {'; '.join(near.certificate.failures)}", (), near)
+    return passed
+
+
+def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSolution:
+    """The only answer, or the first of them where nobody asked for enumeration."""
+    found = local_equilibria(problem, tolerance)
+    if not found:
+        raise NoEquilibrium("enumeration: no combination of open, stick and slip is an equilibrium")
+    if only and len(found) > 1:
+        listed = "; ".join(", ".join(f"r_N = {force:.6g}" for force in one.force[:, 0].tolist()) for one in found)
+        raise SeveralEquilibria(
+            f"enumeration: {len(found)} equilibria, and nothing in the problem chooses ({listed}); "
+            "contactqp.equilibria(problem) returns them all"
+        )
+    return found[0]
+
+
 def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any]) -> None:
-    convex = algorithm is not None and ALGORITHMS[algorithm].convex
+    convex = algorithm is not None and algorithm != ENUMERATION and ALGORITHMS[algorithm].convex
     known = (*POLYGON_OPTIONS, *find(method).options) if convex else ()
     unknown = sorted(set(options) - set(known))
     if unknown:

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import overload
 
 from contactqp.errors import InvalidProblem
 from contactqp.friction_attempt import found_by_enumeration
+from contactqp.local_problem import LocalProblem
+from contactqp.local_solution import LocalSolution
+from contactqp.local_solving import local_equilibria
 from contactqp.methods import find
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.solving import Begun
 
 
-def equilibria(problem: ContactProblem) -> tuple[Solution, ...]:
+@overload
+def equilibria(problem: ContactProblem) -> tuple[Solution, ...]: ...
+
+
+@overload
+def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
+
+
+def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
     """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
 
     Above a critical coefficient of friction a problem may have none, several, or a continuum of which some members are
@@ -21,14 +33,15 @@ def equilibria(problem: ContactProblem) -> tuple[Solution, ...]:
 
     Parameters
     ----------
-    problem : ContactProblem
-        With friction, at most eight contacts, one tangential row a contact.
+    problem : ContactProblem or LocalProblem
+        With friction, at most eight contacts, one tangential row a contact; or in local form in the plane, its operator
+        symmetric or not.
 
     Returns
     -------
-    tuple of Solution
-        One for each displacement, certified; empty where there is no equilibrium. Where contacts are redundant, the
-        forces are one choice among many.
+    tuple of Solution or LocalSolution
+        One for each displacement (velocity), certified; empty where there is no equilibrium. Where contacts are
+        redundant, the forces are one choice among many.
 
     Raises
     ------
@@ -48,6 +61,8 @@ def equilibria(problem: ContactProblem) -> tuple[Solution, ...]:
     >>> [str(s.contact_status[0]) for s in cq.equilibria(cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8))]
     ['open', 'stick', 'slip']
     """
+    if isinstance(problem, LocalProblem):
+        return local_equilibria(problem)
     if not problem.frictional:
         raise InvalidProblem(
             "equilibria: expected a problem with friction; without it the minimum is what solve returns"

@@ -147,8 +147,10 @@ def jammed(normal: float, tangential: float = 0.0, friction: float = 0.5) -> cq.
 def test_a_jammed_block_has_no_answer_and_the_existence_test_says_so() -> None:
     assert cq.existence_margin(jammed(-0.1)) < 0
     assert cq.existence_margin(jammed(0.1)) > 0
-    with pytest.raises(cq.NotConverged):
-        cq.solve(jammed(-0.1))
+    for algorithm in (None, "enumeration"):
+        with pytest.raises(cq.NoEquilibrium, match="no combination"):
+            cq.solve(jammed(-0.1), algorithm=algorithm)
+    assert cq.equilibria(jammed(-0.1)) == ()
     pressed = np.array([[1e16, 0.0], [1e16, 0.0]])  # beside which the approach of 0.1 is rounding
     assert cq.certify_local(jammed(-0.1), pressed).natural_map > 0.1
 
@@ -328,3 +330,56 @@ def test_nothing_pushes_nothing() -> None:
     assert np.allclose(cq.solve(problem).force, 0.0)
     none = cq.LocalProblem(delassus=np.zeros((0, 0)), offset=[], friction=[], dimension=3)
     assert cq.solve(none).force.shape == (0, 3)
+
+
+def test_all_answers_of_klarbrings_contact() -> None:
+    """mu = 0.8 above the critical 0.5: open, stick and slip; enumeration alone does not choose."""
+    problem = cq.LocalProblem(delassus=KLARBRING, offset=[0.3, 1.25], friction=0.8, dimension=2)
+    found = cq.equilibria(problem)
+    assert [str(one.contact_status[0]) for one in found] == ["open", "stick", "slip"]
+    np.testing.assert_allclose([one.force[0] for one in found], [[0, 0], [1, -0.65], [0.5, -0.4]], atol=1e-12)
+    with pytest.raises(cq.SeveralEquilibria, match=r"3 equilibria.*r_N = 0\.5"):
+        cq.solve(problem, algorithm="enumeration")
+    assert any(np.allclose(cq.solve(problem).force, one.force, atol=1e-12) for one in found)
+
+
+def test_enumeration_takes_unsymmetric_operators_and_joints() -> None:
+    for seed in range(4):
+        problem, r, u = made(seed, contacts=4, dimension=2, skew=0.05)
+        found = cq.solve(problem, algorithm="enumeration")
+        np.testing.assert_allclose(found.force, r, atol=1e-12)
+        np.testing.assert_allclose(found.velocity, u, atol=1e-12)
+        rng = np.random.default_rng(seed)
+        V, joint = rng.normal(size=(8, 2)), rng.normal(size=2)
+        for R in (np.zeros((2, 2)), np.eye(2)):
+            jointed = cq.LocalProblem(
+                delassus=problem.delassus,
+                offset=problem.offset - V @ joint,
+                friction=problem.friction,
+                dimension=2,
+                bilateral=V,
+                bilateral_delassus=-R,
+                bilateral_offset=R @ joint - V.T @ r.ravel(),
+            )
+            assert any(np.allclose(one.velocity, u, atol=1e-9) for one in cq.equilibria(jointed))
+
+
+def test_what_rounding_may_hide_is_not_denied() -> None:
+    """A tolerance that doubles cannot meet is no proof that there is no answer."""
+    problem, *_ = made(1, contacts=3, dimension=2)
+    with pytest.raises(cq.NotConverged) as refused:
+        cq.solve(problem, algorithm="enumeration", tolerance=1e-300)
+    assert refused.value.solution.certificate.natural_map < 1e-13
+
+
+def test_what_enumeration_of_a_local_problem_refuses() -> None:
+    space, _, _ = made(0, contacts=2)
+    many, _, _ = made(0, contacts=9, dimension=2)
+    with pytest.raises(cq.Unsupported, match="in space"):
+        cq.solve(space, algorithm="enumeration")
+    with pytest.raises(cq.Unsupported, match="9 contacts"):
+        cq.equilibria(many)
+    with pytest.raises(cq.InvalidProblem, match="enumeration or None, got 'lemke'"):
+        cq.solve(many, algorithm="lemke")
+    with pytest.raises(cq.InvalidProblem, match="enumeration: unknown option 'facets'"):
+        cq.solve(many, algorithm="enumeration", facets=8)
