@@ -78,12 +78,14 @@ class _Instants(Sequence[Solution]):
     def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
         """The answer to the problem's load in a segment; its slip counts from the instant before.
 
-        At an event two segments meet, and which of them the load, rounded, is in is seen by the signs.
+        At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
+        seen by the signs.
         """
+        past = segments[0]
+        before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else past.anchor
+        here = problem.replace(slip_origin=np.where(past.status == STICK, past.anchor, before))
         for segment in segments:
             answer = path.at(problem.load, fraction, segment)
-            before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else segment.anchor
-            here = problem.replace(slip_origin=np.where(segment.status == STICK, segment.anchor, before))
             if holds(here, answer):
                 break
         attempt = attempt_with(here, answer, "exact events")

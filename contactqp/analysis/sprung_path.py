@@ -17,10 +17,15 @@ from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.friction_steps import refuse_options
 from contactqp.analysis.history import History
 from contactqp.blas_threads import one_blas_thread
+from contactqp.errors import Unsupported
 from contactqp.friction.contact_springs import with_contact_springs, without_contact_springs
 from contactqp.methods import Method
+from contactqp.methods.augmented_lagrangian import default_penalty
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
+
+# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
+STIFFEST = 1e6
 
 
 def follow_on_springs(
@@ -37,6 +42,8 @@ def follow_on_springs(
     ------
     InvalidProblem
         A stiffness is missing, or not positive and finite.
+    Unsupported
+        A stiffness is so far above that of the bodies that rounding hides whether a contact goes on.
     """
     refuse_options(problem, chosen, options)
     if chosen.springs is None:
@@ -44,11 +51,26 @@ def follow_on_springs(
     beta, beta_T = (options.get(name) for name in chosen.springs)
     others = {name: value for name, value in options.items() if name not in (*chosen.options, "algorithm")}
     springs = with_contact_springs(problem, np.asarray(beta), beta_T)
+    for option, stiffness in zip(chosen.springs, (beta, beta_T), strict=True):
+        if stiffness is not None:
+            _refuse_rigid(problem, chosen.name, stiffness, option)
     loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
     whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
     bodies = _Bodies(problem, whole, chosen.name)
     times = whole.times.tolist()
     return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
+
+
+def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:
+    """Rates of forces are differences of motions times the stiffness, and signs of rates are what a path goes by."""
+    own = default_penalty(problem, problem.normal, 1.0)
+    ratio = np.broadcast_to(np.asarray(stiffness, dtype=float), own.shape) / own
+    if np.any(ratio > STIFFEST):
+        i = int(np.argmax(ratio))
+        raise Unsupported(
+            f"{name}: {option} of {problem.contact_name(i)} is {ratio[i]:.1g} times the stiffness of the bodies there: "
+            f"on a path with friction at most {STIFFEST:.0e}; rigid contact is method='active-set'"
+        )
 
 
 class _Bodies(Sequence[Solution]):

@@ -111,6 +111,21 @@ def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     assert max(springs) > 1e-4 * max(elastic)
 
 
+@pytest.mark.parametrize("penalty", [1e3, 1e5])
+def test_stiff_springs_lose_no_work_where_slip_turns_to_stick(penalty: float) -> None:
+    problem, loads = random_body(3)
+    history = cq.follow_path(problem, loads, events="exact", method="penalty", penalty=penalty)
+    assert any(event.kind == "stick" for event in history.events)
+    assert balance(history) < 1e-10
+
+
+def test_springs_that_rounding_cannot_tell_from_rigid_contact_are_refused() -> None:
+    """At 1e20 a path would lose its equilibrium to rounding, which is no snap."""
+    for options in ({"penalty": 1e20}, {"penalty": 1e6, "tangential_penalty": 1e20}):
+        with pytest.raises(cq.Unsupported, match=r"penalty of floor is .* times the stiffness of the bodies"):
+            cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="penalty", **options)
+
+
 def test_energy_of_the_two_masses() -> None:
     """Unloaded, 12 N let go: dissipated mu m g times what the sliders slid, by the corners of the chapter's path."""
     history = cq.follow_path(
