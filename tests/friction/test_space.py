@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.coulomb_cone import natural_map
 from tests.friction.problems import Known, known_answer
 from tests.friction.space import WAYS, block, direction, several
 
@@ -242,3 +243,11 @@ def test_slips_count_from_their_origin() -> None:
     t = direction(np.pi / 4)
     np.testing.assert_allclose(back.displacement[:2], 1.5 * t, rtol=1e-14)
     np.testing.assert_allclose(back.friction_force[0], -3.0 * t, rtol=1e-14)
+
+
+def test_an_open_contact_without_friction_and_slip_satisfies_the_law() -> None:
+    """Its cone is a ray; r = 0, u = (1, 0, 0). And a tension of 1 violates it by 1."""
+    none, open_ = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]])
+    for friction in (0.0, 0.3):
+        assert np.all(natural_map(none, open_, np.array([friction])) == 0.0)
+        assert np.max(abs(natural_map(-open_, none, np.array([friction])))) == 1.0
