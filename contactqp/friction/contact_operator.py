@@ -15,7 +15,7 @@ import numpy as np
 from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.errors import NoEquilibrium
 from contactqp.factorization import Array
-from contactqp.friction.rows import FrictionalRows
+from contactqp.friction.rows import FrictionalRows, compliance_of
 from contactqp.problem import ContactProblem, Vector
 
 # Tie rows of unit length that leave more than this of their values open conflict.
@@ -51,8 +51,7 @@ class ContactOperator:
             self._tied, self.basis = right[:rank].T @ (left[:, :rank] / size[:rank]).T, right[rank:].T
             S, HB = self.basis.T @ rows.S @ self.basis, self.H @ self.basis
         self.motions = _null_motions(rows, self.basis)
-        Z = self.motions @ self.motions.T
-        self.compliance = np.linalg.inv(S + Z) - Z if len(S) else S
+        self.compliance = compliance_of(S, self.motions)
         resisted = _resisted(HB, self.motions)
         W = resisted @ self.compliance @ resisted.T
         self.delassus, self.rigid, self._HB = (W + W.T) / 2, HB @ self.motions, HB

@@ -60,14 +60,22 @@ class FrictionalRows:
     @cached_property
     def compliance(self) -> Array:
         """S^+ (p, p): the inverse of S, zero on the rigid motions."""
-        rigid = self.motions @ self.motions.T
-        return np.asarray(np.linalg.inv(self.S + rigid) - rigid)
+        return compliance_of(self.S, self.motions)
 
     def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:
         """Scaled gaps (m,), slip origins ((d-1) m,), tie values (k,)."""
         origin = np.zeros(len(self.tangent)) if problem.slip_origin is None else problem.slip_origin.ravel()
         slip = origin / np.repeat(self.tangent_length, self.width)
         return problem.gap / self.normal_length, slip, problem.tie_value / self.tie_length
+
+
+def compliance_of(S: Array, motions: Array) -> Array:
+    """S^+ (p, p) of a stiffness that orthonormal motions (p, q) alone do not feel, to rounding none along them."""
+    if not motions.shape[1]:
+        return np.asarray(np.linalg.inv(S))
+    rigid = motions @ motions.T
+    across = np.eye(len(S)) - rigid
+    return np.asarray(across @ np.linalg.inv(S + rigid) @ across)
 
 
 def _unit(rows: Array) -> tuple[Array, Vector]:
