@@ -1,0 +1,76 @@
+"""Coulomb's law written out once more, in plain NumPy and apart from the package's certificate."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import contactqp as cq
+from benchmarks.friction_families import Posed
+
+Array = NDArray[np.float64]
+
+
+def plain_answer(posed: Posed, solution: cq.Solution) -> tuple[Array, Array, Array, Array]:
+    """u, l_N, l_T (m, d-1) and nu in the numbers the problem was made in."""
+    units = posed.units
+    force = units.row / units.force
+    assert solution.friction_force is not None
+    return (
+        solution.displacement / units.unknown / units.length,
+        solution.normal_force * force,
+        solution.friction_force * force[:, None],
+        solution.tie_force / units.force,
+    )
+
+
+def broken(posed: Posed, solution: cq.Solution) -> float:
+    """By how much an answer breaks equilibrium, contact, cone or slip direction, of the largest length or force."""
+    p = posed.plain
+    assert p.tangent is not None
+    assert p.slip_origin is not None
+    assert p.friction is not None
+    u, normal, friction, tie = plain_answer(posed, solution)
+    K = np.asarray(p.stiffness.toarray() if hasattr(p.stiffness, "toarray") else p.stiffness)
+    E_N, E_T, A = p.normal.toarray(), p.tangent.toarray(), p.tie.toarray()
+    balance = K @ u + E_N.T @ normal + E_T.T @ friction.ravel() + A.T @ tie - p.load
+    gap, slip = p.gap - E_N @ u, (E_T @ u).reshape(p.slip_origin.shape) - p.slip_origin
+    parts = (balance, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction))
+    return _worst(parts, (u, normal, friction, p.load))
+
+
+def broken_locally(problem: cq.LocalProblem, solution: cq.LocalSolution) -> float:
+    """The same of a problem in local form; r_T = -l_T."""
+    r = solution.force
+    u = (problem.delassus.toarray() @ r.ravel() + problem.offset).reshape(r.shape)
+    parts = _law(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], problem.friction)
+    return _worst(parts, (u, r, problem.offset))
+
+
+def _law(normal: Array, friction: Array, gap: Array, slip: Array, coefficient: Array) -> tuple[Array, ...]:
+    size, slipped = np.linalg.norm(friction, axis=1), np.linalg.norm(slip, axis=1)
+    direction = slip / np.where(slipped > 0, slipped, 1.0)[:, None]
+    opposing = np.linalg.norm(friction - (coefficient * normal)[:, None] * direction, axis=1)
+    return (
+        np.minimum(gap, normal),
+        np.maximum(size - coefficient * normal, 0.0) / (1 + coefficient),
+        np.minimum(slipped, opposing) / (1 + coefficient),
+    )
+
+
+def _worst(parts: tuple[Array, ...], sizes: tuple[Array, ...]) -> float:
+    size = max(float(np.max(abs(v), initial=0.0)) for v in sizes)
+    worst = max(float(np.max(abs(part), initial=0.0)) for part in parts)
+    return worst / size if size > 0 else worst
+
+
+def seen(problem: cq.ContactProblem) -> Array:
+    """A projection (n, n) that takes away motions that neither stiffness, ties nor the law see."""
+    assert problem.tangent is not None
+    assert problem.friction is not None
+    K = np.asarray(problem.stiffness.toarray() if hasattr(problem.stiffness, "toarray") else problem.stiffness)
+    rubs = np.repeat(problem.friction > 0, problem.tangent.shape[0] // problem.contacts)
+    rows = np.vstack([K, problem.normal.toarray(), problem.tangent.toarray()[rubs], problem.tie.toarray()])
+    _, values, rotation = np.linalg.svd(rows)
+    free = rotation[int(np.sum(values > 1e-10 * values[0])) :]
+    return np.asarray(np.eye(len(K)) - free.T @ free)

@@ -1,0 +1,252 @@
+"""Count wrong and missing answers to random frictional problems: none is wrong, and what refuses is counted.
+
+    python -m benchmarks.friction_random --problems 2200
+
+Seeded problems in the plane and in space (`friction_families`), every algorithm and the classical methods. Every answer
+is held against the law (`friction_law`, apart from the certificate), in the plane also against all equilibria in
+rational numbers. Exit code 1 if an answer breaks the law, is not among all equilibria, is called the only one where
+there are several, or if an equilibrium is denied, or missed by enumeration in floating point.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import contactqp as cq
+from benchmarks.friction_families import CONTACT_FAMILIES, FAMILIES, Posed, contact_problem, local_problem
+from benchmarks.friction_law import broken, broken_locally, plain_answer, seen
+
+ALGORITHMS = ("default", "tresca", "aclm", "newton", "nsgs", "admm")
+CLASSICAL = ("lagrange-multiplier", "augmented-lagrangian", "master-slave")
+BREAKS = 1e-9
+# Displacements that differ by this part of the largest are one; conditions of random problems reach 1e6.
+SAME = 1e-7
+# Rational enumeration of four contacts takes seconds.
+MOST_EXACT = 3
+
+
+@dataclass
+class Report:
+    """What one problem showed."""
+
+    family: str
+    seed: int
+    outcomes: dict[str, str] = field(default_factory=dict)  # solved, refused, denied, unsupported
+    wrong: list[str] = field(default_factory=list)
+    states: int | None = None  # in the plane: how many equilibria there are
+    continuum: bool = False
+    exists: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def _attempt(report: Report, name: str, problem: Any) -> Any:
+    arguments: dict[str, Any] = {}
+    if name in CLASSICAL:
+        arguments["method"] = name
+    elif name != "default":
+        space = problem.dimension == 3 if isinstance(problem, cq.LocalProblem) else problem.slip_origin.shape[1] == 2
+        arguments["algorithm"] = name
+        if name in ("tresca", "aclm") and space:
+            arguments["method"] = "clarabel"
+    started = time.perf_counter()
+    try:
+        solution = cq.solve(problem, **arguments)
+        report.outcomes[name] = "solved"
+        return solution
+    except (cq.NoEquilibrium, cq.SeveralEquilibria) as error:
+        report.outcomes[name] = "denied" if isinstance(error, cq.NoEquilibrium) else "refused"
+    except (cq.NotConverged, cq.NotCertified, cq.BackendFailed):
+        report.outcomes[name] = "refused"
+    except cq.Unsupported:
+        report.outcomes[name] = "unsupported"
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # LinAlgError and InvalidProblem are such
+        report.outcomes[name] = "crashed"
+        report.wrong.append(f"{name}: crashed: {type(error).__name__}: {error}")
+    finally:
+        report.seconds[name] = time.perf_counter() - started
+    return None
+
+
+def judge(family: str, seed: int) -> Report:
+    """One problem by every algorithm."""
+    report = Report(family, seed)
+    if family in CONTACT_FAMILIES:
+        _judge_contact(report, contact_problem(family, seed))
+    else:
+        _judge_local(report, *local_problem(family, seed))
+    for name, outcome in report.outcomes.items():
+        if outcome == "denied" and report.exists:
+            report.wrong.append(f"{name}: denies an equilibrium that exists")
+    return report
+
+
+def _judge_contact(report: Report, posed: Posed) -> None:
+    report.exists = posed.solvable
+    problem, flat = posed.problem, posed.plain.slip_origin.shape[1] == 1  # type: ignore[union-attr]
+    known: list[np.ndarray] = []
+    project = seen(posed.plain)
+    if flat:
+        exact = cq.exact_equilibria(posed.plain) if problem.contacts <= MOST_EXACT else None
+        known = _listed(report, posed, exact, project)
+    for name in (*ALGORITHMS, *CLASSICAL):
+        solution = _attempt(report, name, problem)
+        if solution is None:
+            continue
+        if (worst := broken(posed, solution)) > BREAKS or not cq.certify(
+            problem, solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force
+        ).passed:
+            report.wrong.append(f"{name}: breaks the law by {worst:.2g}")
+            continue
+        report.exists = True
+        if flat and not report.continuum and not _among(project @ plain_answer(posed, solution)[0], known):
+            report.wrong.append(f"{name}: not among all {len(known)} equilibria")
+        if len(known) > 1 and not _says_several(solution.certificate.uniqueness):
+            report.wrong.append(f"{name}: called the only one of {len(known)}")
+
+
+def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> list[np.ndarray]:
+    """All equilibria, and what enumeration in floating point makes of them."""
+    try:
+        found = cq.equilibria(posed.problem)
+    except cq.ContactQPError as error:
+        report.wrong.append(f"enumeration: {type(error).__name__}: {error}")
+        return []
+    for solution in found:
+        if (worst := broken(posed, solution)) > BREAKS:
+            report.wrong.append(f"enumeration: breaks the law by {worst:.2g}")
+    floats = [project @ plain_answer(posed, solution)[0] for solution in found]
+    if exact is None:
+        report.states, report.exists = len(floats), report.exists or bool(floats)
+        return floats
+    report.states, report.exists = len(exact), bool(exact)
+    report.continuum = any(one.continuum for one in exact)
+    if posed.solvable and not exact:
+        report.exists = True  # made around an answer that rounding has moved out of reach
+    known = [project @ one.displacement.astype(float) for one in exact]
+    for one, u in zip(exact, known, strict=True):
+        if not one.continuum and not _among(u, floats):
+            report.wrong.append(f"enumeration: misses one of {len(known)} equilibria")
+    for u in floats:
+        if not report.continuum and not _among(u, known):
+            report.wrong.append(f"enumeration: finds what is none of {len(known)} equilibria")
+    return known
+
+
+def _judge_local(report: Report, problem: cq.LocalProblem, solvable: bool) -> None:
+    report.exists = solvable
+    known: list[np.ndarray] = []
+    flat = problem.dimension == 2
+    if flat:
+        found = cq.equilibria(problem)
+        known = [solution.velocity.ravel() for solution in found]
+        report.states = len(known)
+        for solution in found:
+            if (worst := broken_locally(problem, solution)) > BREAKS:
+                report.wrong.append(f"enumeration: breaks the law by {worst:.2g}")
+        if solvable and not found:
+            report.wrong.append("enumeration: misses the answer that the problem was made from")
+        report.exists = solvable or bool(found)
+    deficient = "rank-deficient" in report.family
+    for name in ALGORITHMS:
+        solution = _attempt(report, name, problem)
+        if solution is None:
+            continue
+        if (worst := broken_locally(problem, solution)) > BREAKS or not solution.certificate.passed:
+            report.wrong.append(f"{name}: breaks the law by {worst:.2g}")
+            continue
+        report.exists = True
+        # A singular operator may leave a continuum of velocities.
+        if flat and not deficient and not _among(solution.velocity.ravel(), known):
+            report.wrong.append(f"{name}: not among all {len(known)} equilibria")
+
+
+def _among(u: np.ndarray, known: list[np.ndarray]) -> bool:
+    size = max(float(np.max(abs(u), initial=0.0)), 1e-3)
+    return any(float(np.max(abs(u - other), initial=0.0)) <= SAME * size for other in known)
+
+
+def _says_several(findings: tuple[str, ...]) -> bool:
+    return any(finding.startswith("several answers") for finding in findings)
+
+
+def table(reports: list[Report]) -> list[str]:
+    """Counts for each algorithm, in the plane and in space."""
+    lines = []
+    for kind, chosen in (
+        ("contact problems in the plane", [r for r in reports if r.family in CONTACT_FAMILIES and "2D" in r.family]),
+        ("contact problems in space", [r for r in reports if r.family in CONTACT_FAMILIES and "3D" in r.family]),
+        ("local problems in the plane", [r for r in reports if r.family not in CONTACT_FAMILIES and "2D" in r.family]),
+        ("local problems in space", [r for r in reports if r.family not in CONTACT_FAMILIES and "3D" in r.family]),
+    ):
+        if not chosen:
+            continue
+        exists = sum(r.exists for r in chosen)
+        several = sum((r.states or 0) > 1 for r in chosen)
+        head = f"{len(chosen)} {kind}; {exists} have an equilibrium that is known"
+        if chosen[0].states is not None:
+            head += f", {several} several, {sum(r.continuum for r in chosen)} a continuum"
+        lines += ["", head, f"{'':22}{'solved':>16}{'refused, exists':>17}{'refused rightly':>17}{'seconds':>9}"]
+        for name in (*ALGORITHMS, *CLASSICAL):
+            counts = Counter((r.outcomes[name], r.exists) for r in chosen if name in r.outcomes)
+            total = sum(counts.values()) - counts["unsupported", True] - counts["unsupported", False]
+            if not total:
+                continue
+            solved = counts["solved", True]
+            missed = sum(counts[what, True] for what in ("refused", "denied", "crashed"))
+            rightly = counts["refused", False] + counts["denied", False]
+            spent = sum(r.seconds.get(name, 0.0) for r in chosen)
+            lines.append(
+                f"{name:22}{f'{solved} = {solved / max(exists, 1):.2%}':>16}{missed:17}{rightly:17}{spent:9.1f}"
+            )
+    return lines
+
+
+def _task(task: tuple[str, int]) -> Report:
+    return judge(*task)
+
+
+def run(problems: int, families: tuple[str, ...] = FAMILIES, jobs: int = 2) -> list[Report]:
+    """`problems` problems spread evenly over the families, in a fixed order."""
+    tasks = [(family, seed) for seed in range(-(-problems // len(families))) for family in families]
+    if jobs < 2:
+        return [_task(task) for task in tasks]
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the processes that are about to start
+    reports = []
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        for report in pool.imap(_task, tasks, chunksize=4):
+            reports.append(report)
+            if len(reports) % 100 == 0:
+                print(f"{len(reports)} of {len(tasks)} problems", file=sys.stderr)
+    return reports
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=2200, help="in all, spread evenly over the families")
+    parser.add_argument("--family", action="append", choices=FAMILIES, help="only this one; may be repeated")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--missed", action="store_true", help="list where the default refuses though one exists")
+    chosen = parser.parse_args(arguments)
+    started = time.perf_counter()
+    reports = run(chosen.problems, tuple(chosen.family or FAMILIES), chosen.jobs)
+    print(f"{len(reports)} problems, {time.perf_counter() - started:.0f} s")
+    print("\n".join(table(reports)))
+    missed = [r for r in reports if r.exists and r.outcomes["default"] in ("refused", "denied")]
+    if chosen.missed:
+        print("\n".join(f"missed by default: {r.family!r} {r.seed}" for r in missed))
+    wrong = [f"{r.family!r} {r.seed}: {line}" for r in reports for line in r.wrong]
+    print("\n" + ("\n".join(f"WRONG: {line}" for line in wrong) or "nothing wrong"))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,57 @@
+"""The campaign of random frictional problems: a part of it, and that its own checks can fail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from benchmarks.friction_families import FAMILIES, contact_problem, local_problem
+from benchmarks.friction_law import broken, broken_locally
+from benchmarks.friction_random import judge, table
+
+
+def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer() -> None:
+    reports = [judge(family, 0) for family in FAMILIES[::2]]
+    assert [line for report in reports for line in report.wrong] == []
+    assert sum(report.exists for report in reports) >= 9
+    assert all(report.outcomes["default"] == "solved" for report in reports if report.exists)
+    assert any("local problems in space" in line for line in table(reports))
+
+
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [
+        ("more singular 2D", 4),  # a contact that rigid motions alone move: its compliance is rounding
+        ("local unsymmetric 3D", 1),  # Gauss-Seidel stops where the certificate just passes
+    ],
+)
+def test_what_the_campaign_found(family: str, seed: int) -> None:
+    assert judge(family, seed).wrong == []
+
+
+def test_the_law_written_out_refuses_what_is_spoiled() -> None:
+    posed = contact_problem("made around an answer 2D", 1)
+    right = cq.solve(posed.problem)
+    assert np.any(right.friction_force != 0)
+    assert broken(posed, right) < 1e-12
+    assert broken(posed, replace(right, friction_force=-right.friction_force)) > 1e-3
+    assert broken(posed, replace(right, normal_force=1.001 * right.normal_force)) > 1e-5
+    assert broken(posed, replace(right, displacement=right.displacement + 1e-3)) > 1e-5
+    problem, _ = local_problem("local unsymmetric 2D", 1)
+    found = cq.solve(problem)
+    assert broken_locally(problem, found) < 1e-12
+    assert broken_locally(problem, replace(found, force=-found.force)) > 1e-3
+    assert broken_locally(problem, replace(found, force=found.force + 1e-3)) > 1e-5
+
+
+def test_bad_units_change_no_answer() -> None:
+    posed = contact_problem("bad units 2D", 2)
+    plain = cq.equilibria(posed.plain)
+    assert posed.units.length != 1
+    found = [one.displacement / posed.units.unknown / posed.units.length for one in cq.equilibria(posed.problem)]
+    assert len(found) == len(plain)
+    for u, known in zip(found, plain, strict=True):
+        np.testing.assert_allclose(u, known.displacement, rtol=1e-12)
