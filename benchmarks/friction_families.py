@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import contactqp as cq
 
-COEFFICIENTS = (0.0, 0.1, 0.3, 0.7, 1.0, 1.5, 3.0, 5.0)
+COEFFICIENTS = (0.0, 0.125, 0.25, 0.75, 1.0, 1.5, 3.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -76,19 +76,16 @@ def _contact(
     if redundant:
         gap[-1], origin[-1], mu[-1] = gap[twin], origin[twin], mu[twin]
     if around:
-        u, nu = rng.normal(size=n), rng.normal(size=k)
-        pressed, slips, part = rng.uniform(0.5, 2.0, m), rng.random(m) < 0.5, rng.uniform(0.0, 0.9, m)
-        closed = rng.random(m) < 0.7
+        # Eighths and slips along an axis: with a stiffness of integers the load is exact, and so is the answer.
+        u, nu, pressed = rng.integers(-8, 9, n) / 8, rng.integers(-8, 9, k) / 8, rng.integers(4, 17, m) / 8
+        slips, part, closed = rng.random(m) < 0.5, rng.integers(-7, 8, m) / 8, rng.random(m) < 0.7
+        direction = np.eye(t)[rng.integers(0, t, m)] * rng.choice([-1.0, 1.0], size=m)[:, None]
         if redundant:
-            slips[-1], closed[-1] = slips[twin], closed[twin]
-        direction = rng.normal(size=(m, t))
-        if redundant:
-            direction[-1] = direction[twin]
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
+            slips[-1], closed[-1], direction[-1] = slips[twin], closed[twin], direction[twin]
         pressed = np.where(closed, pressed, 0.0)
         rubbed = (mu * pressed * np.where(slips, 1.0, part))[:, None] * direction
         moved = np.where(slips | ~closed, 0.5, 0.0)[:, None] * direction
-        gap, origin = normal @ u + np.where(closed, 0.0, 0.4), (tangent @ u).reshape(m, t) - moved
+        gap, origin = normal @ u + np.where(closed, 0.0, 0.375), (tangent @ u).reshape(m, t) - moved
         load = K @ u + normal.T @ pressed + tangent.T @ rubbed.ravel() + tie.T @ nu
         value = tie @ u
     return cq.ContactProblem(

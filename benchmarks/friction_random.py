@@ -129,8 +129,6 @@ def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> li
         return floats
     report.states, report.exists = len(exact), bool(exact)
     report.continuum = any(one.continuum for one in exact)
-    if posed.solvable and not exact:
-        report.exists = True  # made around an answer that rounding has moved out of reach
     known = [project @ one.displacement.astype(float) for one in exact]
     for one, u in zip(exact, known, strict=True):
         if not one.continuum and not _among(u, floats):
