@@ -29,6 +29,9 @@ from contactqp.violations import Answer, lengths_that_meet, ratio
 ROUNDING = 1e-13
 # Where combinations come back: refinement, which judges each contact in its own measure, has the last word.
 DOUBTFUL = 1e-11
+# What fails by more than this part of the answer itself is no rounding of it: on bodies that next to nothing holds, the
+# displacement without contact forces, in which ROUNDING is measured, may be larger than the answer by all its digits.
+DROWNED = 1e-6
 # A slip of this part of the lengths that meet is none.
 STILL = 1e-12
 # Suggestions in a row, and changes of one contact each for every contact, before it is given up.
@@ -125,13 +128,13 @@ def search(
         # A combination that has no answer may be passed through, and is none.
         worst = max(float(np.max(wrong, initial=0.0)), found.left if found.left > DOUBTFUL * size else 0.0)
         if worst <= ROUNDING * size:
-            return found, steps
+            return _not_drowned(system, lengths, found, held_open), steps
         if best is None or worst / size < best[0]:
             best = worst / size, found
         following = np.where(wrong > 0, suggested(system, found), status).astype(np.int8)
         if not single and following.tobytes() in seen:
             if best[0] <= DOUBTFUL:
-                return best[1], steps
+                return _not_drowned(system, lengths, best[1], held_open), steps
             single, seen = True, set()
             left = CHANGES_A_CONTACT * system.contacts if max_iter is None else left
             status = best[1].status
@@ -142,8 +145,20 @@ def search(
                 break
         status = following
     if best is not None and best[0] <= DOUBTFUL:
-        return best[1], steps
+        return _not_drowned(system, lengths, best[1], held_open), steps
     raise NotConverged(f"newton: no combination of open, stick and slip whose signs hold ({steps} tried)")
+
+
+def _not_drowned(
+    system: ForceSystem, lengths: Lengths, found: CombinationAnswer, held_open: NDArray[np.bool_] | None
+) -> CombinationAnswer:
+    """An answer whose signs fail by no more than rounding, unless that is as large as the answer."""
+    wrong = np.where(False if held_open is None else held_open, 0.0, found.worst(system.coefficient))
+    fails = max(float(np.max(wrong, initial=0.0)), found.left)
+    parts = (lengths.target, found.normal, found.friction, found.gap, found.slip)
+    if fails > DROWNED * max(float(np.max(abs(part), initial=0.0)) for part in parts):
+        raise NotConverged("newton: beside the displacement without contact forces nothing is left of the answer")
+    return found
 
 
 def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
