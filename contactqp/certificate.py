@@ -18,6 +18,7 @@ from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import read_array
 from contactqp.uniqueness import UNKNOWN, uniqueness
 from contactqp.violations import (
     FIGURES,
@@ -242,10 +243,7 @@ def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
+    array = read_array(name, value)
     flat = (int(np.prod(shape)),)
     if array.shape not in (shape, flat):
         raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")

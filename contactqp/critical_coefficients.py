@@ -120,18 +120,22 @@ def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFri
 
 
 def _made(problem: ContactProblem, mu: Vector, compliance: ContactCompliance) -> CriticalFriction:
-    m = problem.contacts
-    d = len(compliance.W) // m
-    blocks = compliance.W.reshape(m, d, m, d)
+    return of_operator(compliance.W, mu, problem.contacts, floats=compliance.floats)
+
+
+def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:
+    """`critical_friction` of a Delassus operator W (d m, d m), normal rows first; kappa is of symmetric ones only."""
+    m, d = contacts, len(W) // contacts
+    blocks = W.reshape(m, d, m, d)
     own = blocks[np.arange(m), :, np.arange(m), :]
     coupling = np.linalg.norm(own[:, 0, 1:], axis=1)
     # Coupling beneath the rounding of the block is none.
     coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
     single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
-    kappa = np.inf if compliance.floats else _kappa(blocks, mu)
+    kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
     unique, examined = kappa < 1.0, "kappa"
-    if not unique and d == 2 and m <= MOST_COMBINED and not compliance.floats:
-        unique, examined = _one_sign(compliance.W, mu), "determinants of all combinations of open, stick and slip"
+    if not unique and d == 2 and m <= MOST_COMBINED and not floats:
+        unique, examined = _one_sign(W, mu), "determinants of all combinations of open, stick and slip"
     contraction = float(np.max(mu / single, initial=0.0))
     return CriticalFriction(single, contraction, kappa, unique, examined, mu)
 

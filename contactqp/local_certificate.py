@@ -7,7 +7,7 @@ w_i the largest |entry| of its own block of W. A velocity is measured as its siz
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.coulomb_cone import directions, lengths, natural_map
 from contactqp.errors import InvalidProblem
 from contactqp.local_problem import LocalProblem
-from contactqp.problem_data import Vector
+from contactqp.local_uniqueness import local_uniqueness
+from contactqp.problem_data import Vector, read_array
 from contactqp.published_errors import siconos_local_error
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
@@ -34,6 +35,9 @@ class LocalCertificate:
     slip_direction: float  # min(|u_T|, |r_T + mu r_N u_T/|u_T||), each in its own measure
     joints: float  # |V'r + R l + s| / (|V|'|r| + |R||l| + |s|)
     failures: tuple[str, ...]
+    uniqueness: tuple[
+        str, ...
+    ]  # with friction, what speaks against these being the only forces; no part of the verdict
     notes: tuple[str, ...]
     tolerance: float
     passed: bool
@@ -68,6 +72,18 @@ def certify_local(
     InvalidProblem
         Wrong shapes, or a tolerance that is no positive number. NaN is no error here: it fails.
     """
+    certificate = judged(problem, force, joint_force, tolerance)
+    r, joint = _read(problem, force, joint_force)
+    if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
+        return certificate
+    others = local_uniqueness(problem, *_Measured(problem, r, joint).state(tolerance))
+    return replace(certificate, uniqueness=others.findings, notes=others.notes)
+
+
+def judged(
+    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
+) -> LocalCertificate:
+    """`certify_local` without a word on other answers, which costs more than the rest."""
     if isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {tolerance!r}")
     r, joint = _read(problem, force, joint_force)
@@ -86,6 +102,7 @@ def certify_local(
         **errors,
         **figures,
         failures=tuple(failures),
+        uniqueness=(),
         notes=(),
         tolerance=tolerance,
         passed=not failures,
@@ -121,6 +138,7 @@ class _Measured:
         self._problem = problem
         shape = (problem.contacts, problem.dimension)
         u = problem.velocity(r, joint)
+        self._velocity = u
         met = abs(problem.delassus) @ abs(r).ravel() + abs(problem.bilateral) @ abs(joint) + abs(problem.offset)
         L = np.max(met.reshape(shape), axis=1, initial=0.0)
         w = own_blocks(problem)
@@ -128,6 +146,7 @@ class _Measured:
         bound = problem.friction * np.maximum(r[:, 0], 0.0)
         size, wrong = lengths(r[:, 1:]), r[:, 1:] + bound[:, None] * directions(u[:, 1:])
         self.slip = lengths(u[:, 1:]) * per_length
+        self.gap = abs(u[:, 0]) * per_length
         self.push = w * r[:, 0] * per_length
         self.penetration = np.maximum(-u[:, 0], 0.0) * per_length
         self.tension = np.maximum(-self.push, 0.0)
@@ -138,6 +157,13 @@ class _Measured:
         meeting = abs(problem.bilateral).T @ abs(r).ravel() + abs(problem.bilateral_delassus) @ abs(joint)
         meeting = meeting + abs(problem.bilateral_offset)
         self.joints = np.divide(left, meeting, out=np.zeros_like(left), where=meeting > 0)
+
+    def state(self, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
+        """(m,) which are closed, which of them stick, and (m, d) along what those that slip push."""
+        closed = (self.push > tolerance) | (self.gap <= tolerance)
+        stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
+        rubs = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
+        return closed, stuck, np.column_stack([np.ones(len(rubs)), -rubs])
 
     def failure(self, name: str, tolerance: float) -> str:
         values = getattr(self, name)
@@ -158,11 +184,8 @@ def own_blocks(problem: LocalProblem) -> Vector:
 
 def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[NDArray[np.float64], Vector]:
     shape = (problem.contacts, problem.dimension)
-    try:
-        r = np.array(force, dtype=float)
-        joint = np.array([] if joint_force is None else joint_force, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidProblem(f"force: expected real numbers ({error})") from None
+    r = read_array("force", force)
+    joint = read_array("joint_force", [] if joint_force is None else joint_force)
     if r.shape not in (shape, (r.size,)) or r.size != shape[0] * shape[1]:
         raise InvalidProblem(f"force: expected shape {shape}, got {r.shape}")
     if joint.shape != (problem.joints,):
@@ -178,6 +201,7 @@ def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
         siconos_error=infinite,
         **dict.fromkeys(FIGURES, infinite),
         failures=("force: it is not finite",),
+        uniqueness=(),
         notes=(),
         tolerance=tolerance,
         passed=False,

@@ -14,7 +14,7 @@ from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.friction.local_enumeration import enumerated, not_enumerated
 from contactqp.friction.local_form import LocalForm
-from contactqp.local_certificate import certify_local
+from contactqp.local_certificate import certify_local, judged
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution, local_status
 from contactqp.methods import Settings, find
@@ -81,7 +81,7 @@ def solve_local(
         size = max(1.0, float(np.max(abs(iterate.force), initial=0.0)))
         if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * size:
             return False
-        return certify_local(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
+        return judged(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
 
     with on_one_thread(WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY):
         if algorithm is None:

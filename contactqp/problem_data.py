@@ -22,7 +22,8 @@ LARGEST_ENTRY = 1e150
 DEFINITENESS_CHECK_SIZE = 200
 
 
-def _array(name: str, value: Any) -> NDArray[np.float64]:
+def read_array(name: str, value: Any) -> NDArray[np.float64]:
+    """Real numbers of any shape, NaN included."""
     try:
         raw = np.asarray(value)
         if np.iscomplexobj(raw):
@@ -45,7 +46,7 @@ def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
-    vector = _array(name, value)
+    vector = read_array(name, value)
     if vector.shape != (size,):
         raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
     _finite(name, vector)
@@ -59,7 +60,7 @@ def _sparse(name: str, value: Any) -> Any:
             raise InvalidProblem(f"{name}: expected real numbers, got complex numbers")
         rows = sp.csr_array(value, dtype=float, copy=True)
     else:
-        dense = _array(name, value)
+        dense = read_array(name, value)
         if dense.ndim != 2:
             raise InvalidProblem(f"{name}: expected a matrix, got {dense.ndim} dimension(s) of shape {dense.shape}")
         rows = sp.csr_array(dense)
@@ -156,7 +157,7 @@ def read_friction(
         raise InvalidProblem(f"tangent: expected {m} rows (2D) or {2 * m} rows (3D), got {E_T.shape[0]}")
     per_contact = E_T.shape[0] // m if m else 1
     coefficient = read_coefficient(0.0 if friction is None else friction, m)
-    origin = np.zeros((m, per_contact)) if slip_origin is None else _array("slip_origin", slip_origin)
+    origin = np.zeros((m, per_contact)) if slip_origin is None else read_array("slip_origin", slip_origin)
     if (
         origin.size != m * per_contact
         or origin.ndim not in (1, 2)
@@ -171,7 +172,9 @@ def read_friction(
 
 def read_coefficient(friction: ArrayLike, m: int) -> Vector:
     """Coulomb's coefficient of every contact, from one for all or one for each."""
-    coefficient = _array("friction", friction)
+    coefficient = read_array("friction", friction)
+    if np.asarray(friction).dtype == bool:
+        raise InvalidProblem(f"friction: expected a coefficient, got {friction!r}")
     if coefficient.ndim == 0:
         coefficient = np.full(m, float(coefficient))
     coefficient = read_vector("friction", coefficient, m)
@@ -189,7 +192,7 @@ def read_matrix(name: str, value: Any) -> Any:
 def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
     if value is None:
         return None
-    motions = _array(name, value)
+    motions = read_array(name, value)
     if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
         raise InvalidProblem(f"{name}: expected shape ({n}, q), one motion a column, got {motions.shape}")
     _finite(name, motions)

@@ -16,7 +16,7 @@ from contactqp.coulomb_cone import natural_map
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
-from contactqp.problem_data import Vector
+from contactqp.problem_data import Vector, read_array
 
 # Siconos divides by no scale that is smaller than these.
 LEAST_LOCAL_SCALE = float(np.finfo(float).eps)
@@ -140,10 +140,7 @@ def _joints(problem: LocalProblem, joint_force: ArrayLike | None) -> Vector:
 
 
 def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidProblem(f"{name}: expected real numbers ({error})") from None
+    array = read_array(name, value)
     if array.shape not in (shape, (int(np.prod(shape)),)):
         raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
     return array.reshape(shape)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contactqp.answer_count import MOST_COUNTED, several_answers
 from contactqp.condensation import Condensation
 from contactqp.contact_compliance import contact_compliance
-from contactqp.coulomb_cone import directions
+from contactqp.coulomb_cone import directions, lengths
 from contactqp.critical_coefficients import CriticalFriction, critical, too_many
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
@@ -87,7 +87,7 @@ class _State:
         self.dragged = self.closed[moves[self.closed]]
         slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
         self.direction = directions(slip)
-        self.slip = np.linalg.norm(slip, axis=1)
+        self.slip = lengths(slip)
         self.force = answer.normal_force
 
 
@@ -197,7 +197,10 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     for k, i in enumerate(state.slides):
         own, direction = slice(k * (d - 1), (k + 1) * (d - 1)), state.direction[i]
         # In the units of the compliance: forces times sqrt(W_NN), lengths over it.
-        turned = compliance.scale[i] ** 2 * mu[i] * max(state.force[i], 0.0) / state.slip[i]
+        with np.errstate(over="ignore", divide="ignore"):
+            turned = float(compliance.scale[i] ** 2 * mu[i] * max(state.force[i], 0.0) / state.slip[i])
+        if not np.isfinite(turned):
+            return None
         rows = slice(first + own.start, first + own.stop)
         matrix[rows] += turned * (np.eye(d - 1) - np.outer(direction, direction)) @ flexible[own]
         right[rows, k] = mu[i] * direction

@@ -27,6 +27,8 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.scaling import nondimensional
 
 FACETS = 16
+# A polygon of this many sides is the disc to 1e-7 of its radius.
+MOST_FACETS = 10_000
 POLYGONS = ("inscribed", "circumscribed")
 
 
@@ -63,8 +65,12 @@ class ConvexSteps:
             raise InvalidProblem("facets, polygon: expected none, a cone in the plane has two sides of its own")
         self.facets = FACETS if self.facets is None else self.facets
         self.polygon = "inscribed" if self.polygon is None else self.polygon
-        if isinstance(self.facets, bool) or not isinstance(self.facets, int) or self.facets < 3:
-            raise InvalidProblem(f"facets: expected a whole number of at least 3, got {self.facets!r}")
+        if (
+            isinstance(self.facets, bool)
+            or not isinstance(self.facets, (int, np.integer))
+            or not 3 <= self.facets <= MOST_FACETS
+        ):
+            raise InvalidProblem(f"facets: expected a whole number from 3 to {MOST_FACETS}, got {self.facets!r}")
         if self.polygon not in POLYGONS:
             raise InvalidProblem(f"polygon: expected one of {', '.join(POLYGONS)}, got {self.polygon!r}")
         if not self._method.exact:

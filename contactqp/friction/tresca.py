@@ -83,7 +83,12 @@ def solve_tresca(
     for step in range(1, limit + 1):
         try:
             found = run.with_bound(bound)
-        except (NoEquilibrium, NotConverged, BackendFailed) as error:
+        except NoEquilibrium as error:
+            # Its unknowns are scaled, and some of them no displacements: their names would mislead.
+            raise NotConverged(
+                f"tresca: the friction bounds of step {step} do not hold the bodies", tuple(changes)
+            ) from error
+        except (NotConverged, BackendFailed) as error:
             raise NotConverged(
                 f"tresca: the friction bounds of step {step} lead nowhere: {error}", tuple(changes)
             ) from error

@@ -313,7 +313,7 @@ def test_arguments_are_refused_by_name() -> None:
     problem, _, _ = made(0)
     with pytest.raises(cq.InvalidProblem, match="algorithm: expected one of"):
         cq.solve(problem, algorithm="lemke")
-    with pytest.raises(cq.InvalidProblem, match="facets: expected a whole number of at least 3, got 2"):
+    with pytest.raises(cq.InvalidProblem, match="facets: expected a whole number from 3 to 10000, got 2"):
         cq.solve(problem, algorithm="tresca", facets=2)
     with pytest.raises(cq.InvalidProblem, match="polygon: expected one of"):
         cq.solve(problem, algorithm="tresca", polygon="round")
