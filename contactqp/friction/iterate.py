@@ -32,9 +32,10 @@ class Iterate:
 
     @classmethod
     def nothing(cls, form: LocalForm) -> Iterate:
-        """No force anywhere."""
+        """No force anywhere, bodies at rest or, where that is better, where joints have them."""
         none = np.zeros((form.m, form.d))
-        return cls.at(form, none, form.joint_force(none))
+        starts = (cls.at(form, none, joint) for joint in (np.zeros(form.joints), form.joint_force(none)))
+        return min(starts, key=lambda one: one.error)
 
 
 class Deadline:
