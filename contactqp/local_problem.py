@@ -86,6 +86,7 @@ class LocalProblem:
     ) -> None:
         if isinstance(dimension, bool) or dimension not in (2, 3):
             raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
+        dimension = int(dimension)
         W = read_matrix("delassus", delassus)
         size = W.shape[0]
         if W.shape != (size, size) or size % dimension:
@@ -111,7 +112,7 @@ class LocalProblem:
             delassus=W,
             offset=read_vector("offset", offset_, size),
             friction=read_coefficient(friction, m),
-            dimension=int(dimension),
+            dimension=dimension,
             bilateral=V,
             bilateral_delassus=R,
             bilateral_offset=read_vector(

@@ -114,6 +114,8 @@ class FrictionSteps(Sequence[Solution]):
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
     """Raise on options that `solve` refuses, and on a start that the path has itself."""
+    if options.get("algorithm") == "associated":
+        raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
     if "warm_start" in options:
         raise InvalidProblem("warm_start: a path starts each step from the one before")
     known = {name: options[name] for name in ARGUMENTS if name in options}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, pairwise
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +130,11 @@ class History(Sequence[Solution]):
         if any(solution.friction_force is None for solution in self):
             return None
         return np.array([solution.friction_force for solution in self])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or pickled: every solution looked at, and the events found."""
+        found = dict(_solutions=list(self), _find_events=partial(tuple, self.events))
+        return self.__dict__ | found
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"

@@ -196,6 +196,8 @@ class _Steps(Sequence[Solution]):
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:
+    if not isinstance(loads, Sequence | np.ndarray):
+        raise InvalidProblem(f"loads: expected a sequence of load vectors, got {loads!r}")
     if len(loads) == 0:
         raise InvalidProblem("loads: expected at least one load vector, got none")
     return [np.zeros(problem.dimension), *(problem.replace(load=load).load for load in loads)]

@@ -136,7 +136,8 @@ class BlockSystem:
             from scipy.linalg.lapack import dgetrf
 
             blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
-            factor, pivots, info = dgetrf(blocks)
+            # LAPACK complains of matrices without rows.
+            factor, pivots, info = dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
             if info > 0:
                 raise np.linalg.LinAlgError(f"pivot {info} is zero")
             self._factor = (factor, pivots)
@@ -144,7 +145,9 @@ class BlockSystem:
     def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:
         """x (d m,) and l (p,)."""
         right = np.concatenate([top, bottom])
-        if self._sparse:
+        if not len(right):
+            solution = right
+        elif self._sparse:
             solution = self._factor.solve(right)
         else:
             from scipy.linalg import lu_solve

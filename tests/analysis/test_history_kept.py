@@ -1,0 +1,63 @@
+"""A history is data: it can be pickled, copied and sliced; what is no path is refused in one line."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+LOADS = [[-1.0, -3.0], [-1.0, 3.0]]
+
+
+def klarbring() -> cq.ContactProblem:
+    return cq.ContactProblem(
+        stiffness=[[5.0, -2.0], [-2.0, 1.0]],
+        load=[0.0, 0.0],
+        normal=[[-1.0, 0.0]],
+        gap=[0.1],
+        tangent=[[0.0, 1.0]],
+        friction=0.3,
+    )
+
+
+@pytest.mark.parametrize("way", [dict(steps=3), dict(events="exact"), dict(steps=3, algorithm="aclm")], ids=str)
+def test_a_history_survives_pickling_and_copying(way: dict[str, Any]) -> None:
+    history = cq.follow_path(klarbring(), loads=LOADS, **way)
+    for kept in (pickle.loads(pickle.dumps(history)), copy.deepcopy(history)):
+        assert len(kept) == len(history)
+        assert kept.events == history.events
+        assert kept.energies == history.energies
+        np.testing.assert_array_equal(kept.times, history.times)
+        np.testing.assert_array_equal(kept.displacements, history.displacements)
+
+
+def test_a_frictionless_history_survives_pickling() -> None:
+    smooth = cq.ContactProblem(stiffness=[[2.0]], load=[0.0], normal=[[1.0]], gap=[0.5])
+    for way in (dict(steps=3), dict(events="exact")):
+        history = cq.follow_path(smooth, loads=[[3.0]], **way)
+        kept = pickle.loads(pickle.dumps(history))
+        assert kept.events == history.events
+        np.testing.assert_array_equal(kept.normal_forces, history.normal_forces)
+
+
+def test_the_associated_relaxation_takes_no_path() -> None:
+    with pytest.raises(cq.Unsupported, match="associated"):
+        cq.follow_path(klarbring(), loads=LOADS, steps=2, algorithm="associated")
+
+
+def test_loads_that_are_none() -> None:
+    with pytest.raises(cq.InvalidProblem, match="loads: expected a sequence of load vectors, got None"):
+        cq.follow_path(klarbring(), loads=None)
+
+
+def test_dimensions_and_empty_problems(capfd: pytest.CaptureFixture[str]) -> None:
+    data = dict(delassus=[[1.0, 2.0], [2.0, 5.0]], offset=[-7.0, -17.0], friction=0.3)
+    assert cq.LocalProblem(**data, dimension=2.0).contacts == 1
+    nothing = cq.LocalProblem(delassus=np.zeros((0, 0)), offset=[], friction=0.3, dimension=3)
+    assert cq.solve(nothing, algorithm="admm").force.shape == (0, 3)
+    assert capfd.readouterr() == ("", "")
