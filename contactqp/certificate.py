@@ -13,7 +13,7 @@ from contactqp.bounds import Bounds, bounds
 from contactqp.candidates import believed_candidates, bounds_among
 from contactqp.condensation import Condensation, condense
 from contactqp.coulomb_residual import IMPLIED, coulomb_residual
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
 from contactqp.iteration import iterated, iteration
@@ -133,6 +133,7 @@ def certify(
     """
     refuse_not_positive("tolerance", tolerance)
     refuse_not_positive("error_tolerance", error_tolerance)
+    refuse_other("certify", problem, ContactProblem)
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)

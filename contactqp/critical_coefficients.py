@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation, condense
 from contactqp.contact_compliance import ContactCompliance, contact_compliance
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.factorization import Array
 from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
@@ -88,6 +88,7 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     >>> found.single.round(9), round(found.contraction, 9), found.unique
     (array([0.5]), 1.6, False)
     """
+    refuse_other("critical_friction", problem, ContactProblem)
     if not problem.frictional:
         raise InvalidProblem("critical_friction: expected a problem with friction")
     if iterated(problem):

@@ -62,3 +62,10 @@ class BackendFailed(ContactQPError):
 
 class Unsupported(ContactQPError):
     """The method exists and cannot do this: the message names the method and the feature."""
+
+
+def refuse_other(who: str, value: object, *kinds: type) -> None:
+    """Raise InvalidProblem where a value is of none of the kinds."""
+    if not isinstance(value, kinds):
+        expected = " or ".join(kind.__name__ for kind in kinds)
+        raise InvalidProblem(f"{who}: expected a {expected}, got {type(value).__name__}")

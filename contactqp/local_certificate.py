@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.coulomb_cone import directions, lengths, natural_map
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.local_problem import LocalProblem
 from contactqp.local_uniqueness import local_uniqueness
 from contactqp.problem_data import Vector, read_array
@@ -72,6 +72,7 @@ def certify_local(
     InvalidProblem
         Wrong shapes, or a tolerance that is no positive number. NaN is no error here: it fails.
     """
+    refuse_other("certify_local", problem, LocalProblem)
     certificate = judged(problem, force, joint_force, tolerance)
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):

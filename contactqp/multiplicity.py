@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from typing import overload
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.friction_attempt import found_by_enumeration
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
@@ -63,6 +63,7 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     """
     if isinstance(problem, LocalProblem):
         return local_equilibria(problem)
+    refuse_other("equilibria", problem, ContactProblem, LocalProblem)
     if not problem.frictional:
         raise InvalidProblem(
             "equilibria: expected a problem with friction; without it the minimum is what solve returns"

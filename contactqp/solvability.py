@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.condensation import condense
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.friction.contact_form import ContactForm
 from contactqp.friction.existence_test import interior_margin
 from contactqp.friction.local_form import LocalForm
@@ -40,6 +40,7 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     >>> existence_margin(LocalProblem(delassus=W, offset=[-0.1, 0.0, -0.1, 0.0], friction=0.5, dimension=2)) < 0
     True
     """
+    refuse_other("existence_margin", problem, ContactProblem, LocalProblem)
     form = LocalForm(problem if isinstance(problem, LocalProblem) else _local(problem))
     if np.any(form.joint_signs < 0):
         raise Unsupported("existence_margin: bodies that float, or joints without compliance (the theorem has neither)")

@@ -13,7 +13,7 @@ from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
 from contactqp.enforced_attempt import EnforcedAttempt
-from contactqp.errors import NotCertified, NotConverged
+from contactqp.errors import NotCertified, NotConverged, refuse_other
 from contactqp.friction_attempt import attempt_friction
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
@@ -112,6 +112,7 @@ def solve(
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if isinstance(problem, LocalProblem):
         return solve_local(problem, method, warm_start=warm_start, **same)
+    refuse_other("solve", problem, ContactProblem, LocalProblem)
     same["condense"] = condense
     start = warm_candidate(problem, warm_start)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:

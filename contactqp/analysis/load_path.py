@@ -15,7 +15,7 @@ from contactqp.analysis.history import Event, History
 from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.iteration import iterated
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -103,6 +103,7 @@ def follow_path(
     >>> [(event.kind, event.time) for event in history.events], round(history.energies[-1].dissipated, 12)
     ([('closed', 0.0), ('slip', 1.3)], 0.105)
     """
+    refuse_other("follow_path", problem, ContactProblem)
     corners = _corners(problem, loads)
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")

@@ -1,0 +1,32 @@
+"""A local problem where a contact problem is expected, or the other way round, is refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import contactqp as cq
+
+LOCAL = cq.LocalProblem(delassus=[[1.0, 0.0], [0.0, 1.0]], offset=[-1.0, 0.1], friction=0.3, dimension=2)
+BODIES = cq.ContactProblem(
+    stiffness=[[1.0, 0.0], [0.0, 1.0]], load=[0, 0], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]], friction=0.3
+)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: cq.certify(LOCAL, [0.0], [0.0]), "certify: expected a ContactProblem, got LocalProblem"),
+        (lambda: cq.certify_local(BODIES, [0.0, 0.0]), "certify_local: expected a LocalProblem, got ContactProblem"),
+        (lambda: cq.equilibria(None), "equilibria: expected a ContactProblem or LocalProblem, got NoneType"),
+        (lambda: cq.critical_friction(LOCAL), "critical_friction: expected a ContactProblem, got LocalProblem"),
+        (lambda: cq.follow_path(LOCAL, loads=[[1.0, 1.0]]), "follow_path: expected a ContactProblem, got LocalProblem"),
+        (lambda: cq.existence_margin(3), "existence_margin: expected a ContactProblem or LocalProblem, got int"),
+        (lambda: cq.solve(None), "solve: expected a ContactProblem or LocalProblem, got NoneType"),
+    ],
+)
+def test_the_other_kind_is_refused(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match=message):
+        call()
