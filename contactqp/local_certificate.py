@@ -8,6 +8,7 @@ w_i the largest |entry| of its own block of W. A velocity is measured as its siz
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,7 +86,8 @@ def judged(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
 ) -> LocalCertificate:
     """`certify_local` without a word on other answers, which costs more than the rest."""
-    if isinstance(tolerance, bool) or not 0 < tolerance < np.inf:
+    given: Any = tolerance
+    if isinstance(given, bool) or not isinstance(given, (int, float, np.number)) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {tolerance!r}")
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):

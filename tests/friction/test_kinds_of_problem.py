@@ -24,6 +24,10 @@ BODIES = cq.ContactProblem(
         (lambda: cq.critical_friction(LOCAL), "critical_friction: expected a ContactProblem, got LocalProblem"),
         (lambda: cq.follow_path(LOCAL, loads=[[1.0, 1.0]]), "follow_path: expected a ContactProblem, got LocalProblem"),
         (lambda: cq.existence_margin(3), "existence_margin: expected a ContactProblem or LocalProblem, got int"),
+        (
+            lambda: cq.certify_local(LOCAL, [1.0, -0.1], tolerance="tight"),  # type: ignore[arg-type]
+            "tolerance: expected a positive number, got 'tight'",
+        ),
         (lambda: cq.solve(None), "solve: expected a ContactProblem or LocalProblem, got NoneType"),
     ],
 )
