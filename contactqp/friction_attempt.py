@@ -1,4 +1,4 @@
-"""An answer with Coulomb friction: by Newton's method, by Tresca's fixed point, or the only one of enumeration."""
+"""An answer with Coulomb friction, by the algorithm asked for or by the first that finds one."""
 
 from __future__ import annotations
 
