@@ -145,17 +145,16 @@ class _Measured:
         met = abs(problem.delassus) @ abs(r).ravel() + abs(problem.bilateral) @ abs(joint) + abs(problem.offset)
         L = np.max(met.reshape(shape), axis=1, initial=0.0)
         w = own_blocks(problem)
-        per_length = np.divide(1.0, L, out=np.zeros_like(L), where=L > 0)
         bound = problem.friction * np.maximum(r[:, 0], 0.0)
         size, wrong = lengths(r[:, 1:]), r[:, 1:] + bound[:, None] * directions(u[:, 1:])
-        self.slip = lengths(u[:, 1:]) * per_length
-        self.gap = abs(u[:, 0]) * per_length
-        self.push = w * r[:, 0] * per_length
-        self.penetration = np.maximum(-u[:, 0], 0.0) * per_length
+        self.slip = _part(lengths(u[:, 1:]), L)
+        self.gap = _part(abs(u[:, 0]), L)
+        self.push = _part(w * r[:, 0], L)
+        self.penetration = _part(np.maximum(-u[:, 0], 0.0), L)
         self.tension = np.maximum(-self.push, 0.0)
-        self.complementarity = np.maximum(np.minimum(u[:, 0] * per_length, self.push), 0.0)
-        self.cone = np.maximum(size - bound, 0.0) * w * per_length
-        self.slip_direction = np.minimum(self.slip, lengths(wrong) * w * per_length)
+        self.complementarity = np.maximum(np.minimum(_part(u[:, 0], L), self.push), 0.0)
+        self.cone = _part(np.maximum(size - bound, 0.0) * w, L)
+        self.slip_direction = np.minimum(self.slip, _part(lengths(wrong) * w, L))
         left = abs(problem.bilateral.T @ r.ravel() + problem.bilateral_delassus @ joint + problem.bilateral_offset)
         meeting = abs(problem.bilateral).T @ abs(r).ravel() + abs(problem.bilateral_delassus) @ abs(joint)
         meeting = meeting + abs(problem.bilateral_offset)
@@ -173,6 +172,11 @@ class _Measured:
         worst = int(np.argmax(values))
         where = f"joint {worst}" if name == "joints" else self._problem.contact_name(worst)
         return f"{name.replace('_', ' ')}: {values[worst]:.3g} at {where} (tolerance {tolerance:g})"
+
+
+def _part(size: Vector, whole: Vector) -> Vector:
+    """size / whole with 0/0 = 0, also where the reciprocal of the whole is no double."""
+    return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
 def own_blocks(problem: LocalProblem) -> Vector:

@@ -90,6 +90,9 @@ class History(Sequence[Solution]):
     def energies(self) -> tuple[Energies, ...]:
         """Of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
 
+        Between exact events work = elastic + dissipated since the start. In steps, of which the friction at the end
+        counts, work is at least that: no step and no cycle of steps creates energy.
+
         Friction does l_T . s at every contact, s = E_T u - slip_origin the slip of a step: with l_T at its end in
         steps, with the mean of both ends between exact events. l_T is what the body does to the obstacle, along its
         own slip, and l_T . s is never negative. With the contact springs of a penalty method s is the slip of their
@@ -132,9 +135,11 @@ class History(Sequence[Solution]):
         return np.array([solution.friction_force for solution in self])
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: every solution looked at, and the events found."""
+        """What is copied or pickled: every solution looked at, events and notes found."""
         found = dict(_solutions=list(self), _find_events=partial(tuple, self.events))
-        return self.__dict__ | found
+        if self._find_energies is not None:
+            found["_find_energies"] = partial(tuple, self.energies)
+        return self.__dict__ | found | dict(_find_notes=partial(tuple, self.notes))
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
@@ -143,11 +148,17 @@ class History(Sequence[Solution]):
 def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:
     """Energies of a quasi-static sequence.
 
-    The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between.
+    The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between. In
+    steps with friction, whose dissipation is taken at their end, it is f_b'v - v'Kv/2, v = u_b - u_a: the same where
+    nothing changes its state, and elsewhere never less than what is stored and dissipated.
     """
     work = dissipated = 0.0
     for before, now in pairwise(chain(solutions[:1], solutions)):
-        work += float((before.problem.load + now.problem.load) @ (now.displacement - before.displacement)) / 2
+        v, K = now.displacement - before.displacement, now.problem.stiffness
+        if now.friction_force is None or linear:
+            work += float((before.problem.load + now.problem.load) @ v) / 2
+        else:
+            work += float(now.problem.load @ v - v @ (K @ v) / 2)
         if before is not now:
             dissipated += _friction_work(before, now, linear)
         elastic = float(now.displacement @ (now.problem.stiffness @ now.displacement)) / 2

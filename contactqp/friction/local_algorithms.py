@@ -159,6 +159,8 @@ def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accep
             return found
         if best is None or found.iterate.error < best.iterate.error:
             best = found
+    if best is None and deadline.passed:
+        raise NotConverged(f"friction: stopped at the time limit of {settings.time_limit:g} s")
     if best is None:
         raise NotConverged("friction: no algorithm came to an answer")
     return best

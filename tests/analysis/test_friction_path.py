@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, jenkins, pulled, rolling_block, truss_from_rest
-from tests.friction.problems import TOUCH, rough_truss, two_masses
+from tests.friction.problems import TOUCH, random_problem, rough_truss, two_masses
 
 CLOSING = 458394666339 / 639328600000
 COUNTS = (1, 2, 7, 40)
@@ -199,8 +199,10 @@ def test_no_equilibrium_is_told_at_its_load() -> None:
 
 
 def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
-    with pytest.raises(cq.Unsupported, match="exact convex method"):
+    with pytest.raises(cq.Unsupported, match="no method is called 'NAME'"):
         cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="NAME")
+    with pytest.raises(cq.Unsupported, match=r"singular stiffness|semidefinite|exact convex method"):
+        cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], method="projected-gauss-seidel")
     with pytest.raises(cq.InvalidProblem, match="warm_start"):
         cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], warm_start=cq.solve(rough_truss()))
     with pytest.raises(cq.InvalidProblem, match="penalty"):
@@ -212,3 +214,24 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
     space = cq.ContactProblem(np.eye(3), np.zeros(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential rows"):
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
+
+
+@pytest.mark.parametrize("steps", [1, 3, 10])
+def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
+    """However coarse: what the loads do is at least what is stored and dissipated, and in a cycle not negative."""
+    random, cycles = np.random.default_rng(5), 0
+    for _ in range(25):
+        problem = random_problem(random)
+        corners = [random.normal(size=problem.dimension) * np.max(abs(problem.load)) for _ in range(3)]
+        try:
+            history = cq.follow_path(problem, [*corners, corners[0]], steps=steps)
+            energies = history.energies[steps:]  # from the first corner on, and back to it
+        except cq.ContactQPError:
+            continue
+        cycles += 1
+        size = max(one.elastic for one in energies)
+        given = np.diff([one.work for one in energies])
+        kept = np.diff([one.elastic + one.dissipated for one in energies])
+        assert np.all(given >= kept - 1e-9 * size)
+        assert energies[-1].work - energies[0].work >= energies[-1].elastic - energies[0].elastic - 1e-9 * size
+    assert cycles > 15

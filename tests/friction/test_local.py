@@ -325,6 +325,16 @@ def test_arguments_are_refused_by_name() -> None:
         cq.solve(problem, warm_start=3)
 
 
+def test_offsets_may_be_as_small_as_doubles_go() -> None:
+    """A third of the contacts hears of nothing but numbers whose reciprocals are no doubles."""
+    problem = cq.LocalProblem(
+        delassus=np.eye(6), offset=[-1e-18, 2e-18, 0.0, -1e-310, 3e-310, 0.0], friction=0.3, dimension=3
+    )
+    for algorithm in (None, "admm", "nsgs"):
+        found = cq.solve(problem, algorithm=algorithm)
+        assert np.allclose(found.force[0], [1e-18, -3e-19, 0.0], rtol=1e-9, atol=0.0)
+
+
 def test_nothing_pushes_nothing() -> None:
     problem = cq.LocalProblem(delassus=np.eye(3), offset=np.zeros(3), friction=0.3, dimension=3)
     assert np.allclose(cq.solve(problem).force, 0.0)
