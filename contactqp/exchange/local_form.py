@@ -105,7 +105,7 @@ class _Inverse:
         self._scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))
         if not self._size:
             return
-        scaled = sp.csc_matrix(sp.diags_array(self._scale) @ M @ sp.diags_array(self._scale))
+        scaled = sp.csc_matrix(sp.diags(self._scale) @ M @ sp.diags(self._scale))
         try:
             self._factor = splu(scaled)
         except RuntimeError:  # SuperLU's word for an exactly zero pivot

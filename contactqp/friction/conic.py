@@ -130,4 +130,4 @@ def _cvxpy(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector] |
 
 def diagonal_rows(values: Array) -> Any:
     """A sparse diagonal of an array, flattened."""
-    return sp.diags_array(np.ravel(values), format="csc")
+    return sp.csc_array(sp.diags(np.ravel(values)))

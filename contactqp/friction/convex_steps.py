@@ -54,7 +54,7 @@ class ConvexSteps:
         W = form.symmetric_part
         if self._soft.size:
             inner = form.R[np.ix_(self._soft, self._soft)]
-            W = sp.block_array([[sp.csr_array(W), V], [V.T, (inner + inner.T) / 2]])
+            W = sp.bmat([[sp.csr_array(W), V], [V.T, (inner + inner.T) / 2]])
         self._P = sp.csc_array(W)
 
     def _read_polygon(self) -> None:

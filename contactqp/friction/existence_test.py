@@ -40,9 +40,9 @@ def refuse_unbalanced(form: LocalForm) -> Array | None:
     # min 1/2 |w|^2 over w = V'r + s: sparse, as 1/2 |V'r + s|^2 is not.
     cones = sp.hstack([sp.vstack([normal, -diagonal_rows(slope)]), sp.csr_array((form.m + size, p))])
     program = ConicProgram(
-        P=sp.diags_array(np.append(np.zeros(size), np.ones(p)), format="csc"),
+        P=sp.csc_array(sp.diags(np.append(np.zeros(size), np.ones(p)))),
         c=np.zeros(size + p),
-        A=sp.csc_array(sp.vstack([sp.hstack([sp.csr_array(V.T), -sp.eye_array(p)]), cones])),
+        A=sp.csc_array(sp.vstack([sp.hstack([sp.csr_array(V.T), -sp.identity(p)]), cones])),
         b=np.append(-s, np.zeros(form.m + size)),
         zeros=p,
         nonnegatives=form.m,

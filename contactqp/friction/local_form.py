@@ -127,7 +127,7 @@ class BlockSystem:
         if form.sparse:
             from scipy.sparse.linalg import splu
 
-            blocks = sp.block_array([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
+            blocks = sp.bmat([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
             try:
                 self._factor: Any = splu(sp.csc_matrix(blocks))
             except RuntimeError as error:

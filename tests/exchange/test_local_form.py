@@ -69,7 +69,7 @@ def test_a_solution_of_the_bodies_solves_the_local_form_and_its_contrary_does_no
 
 def test_bodies_that_are_not_connected_leave_W_sparse():
     n = 600
-    chains = sp.block_diag([sp.diags_array([2.0, 3.0])] * (n // 2), format="csr")
+    chains = sp.block_diag([sp.diags([2.0, 3.0])] * (n // 2), format="csr")
     H = sp.identity(n, format="csr")
     local = cq.local_form_of(cq.GlobalProblem(chains, H, np.ones(n), np.zeros(n), 0.3, 2))
     assert local.delassus.nnz == n
