@@ -12,7 +12,7 @@ from tests.friction.problems import TOUCH, random_problem, rough_truss, two_mass
 
 
 def require_same(one: cq.Solution, other: cq.Solution, tolerance: float) -> None:
-    """Displacements and forces, each kind relative to its largest; where there is no force, to rounding of the loads."""
+    """Displacements and forces, each kind relative to its largest; where there is no force, to the loads' rounding."""
     rounding = 1e-6 * np.max(abs(one.problem.load), initial=0.0)
     for part in ("displacement", "normal_force", "friction_force", "tie_force"):
         here, there = getattr(one, part), getattr(other, part)
