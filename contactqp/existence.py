@@ -34,15 +34,15 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
     Z = Z / np.max(abs(Z), axis=0)
     balanced = max(BALANCED, condensation.rigid.uncertainty)
     drive = problem.load @ Z
-    if np.all(abs(drive) <= balanced * (abs(problem.load) @ abs(Z))):
+    if np.all(abs(drive) <= balanced * (problem.load_size @ abs(Z))):
         return
     normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
     coordinates = _without_artefacts(_steepest(drive, normal, tie), normal, tie)
     motion = Z @ coordinates
     scale = unknown_scale(problem)
     rounding = max(
-        balanced * (abs(problem.load) @ abs(motion)),
-        condensation.rigid.uncertainty * np.linalg.norm(scale * problem.load) * np.linalg.norm(motion / scale),
+        balanced * (problem.load_size @ abs(motion)),
+        condensation.rigid.uncertainty * np.linalg.norm(scale * problem.load_size) * np.linalg.norm(motion / scale),
     )
     if problem.load @ motion > rounding and drive @ coordinates > DRIVEN * np.max(abs(drive)):
         raise NoEquilibrium(

@@ -73,3 +73,16 @@ def test_a_step_of_a_path_whose_free_motion_drowns_its_answer_is_solved_another_
     )
     history = cq.follow_path(problem, loads=[rng.normal(size=6) - [1.0, 0, 1.0, 0, 0, 0]], steps=1)
     assert all(solution.certificate.passed for solution in history)
+
+
+def test_a_load_that_condensation_cancels_drives_no_motion() -> None:
+    # One spring between three unknowns, in units far from one: what is left of the load on the contacts' unknowns is
+    # the rounding of the condensation, and drives none of the two motions that the spring leaves free.
+    way = np.array([96.0, 1.0, -8.0])
+    stiffness, load = 2.0**-52 * np.outer(way, way), way * 2.32830644e-09
+    rows = dict(normal=[[-256.0, 0, 0]], gap=[2.0**23], tangent=[[0, 8.0, 0]], friction=0.125, slip_origin=[2.0**27])
+    problem = cq.ContactProblem(stiffness=stiffness, load=load, **rows)
+    assert cq.solve(problem, algorithm="tresca").contact_status.tolist() == ["open"]
+    driven = problem.replace(load=[load[0] * (1 + 1e-9), *load[1:]])
+    with pytest.raises(cq.NoEquilibrium, match="drives a rigid motion"):
+        cq.solve(driven, algorithm="tresca")
