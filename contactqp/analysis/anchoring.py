@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.lazy_solutions import Unfinished
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.factorization import Array
 from contactqp.problem import Vector
-from contactqp.solution import Solution
 
 Mask = NDArray[np.bool_]
 
@@ -29,13 +28,6 @@ MOST_LOADS = 60
 JUMP = 1e-13
 # Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
 HALVINGS = 30
-
-
-class Step(Protocol):
-    """An answer that may not have been looked at."""
-
-    def finish(self) -> Solution:
-        """Refine, expand and certify it, unless that is done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +41,7 @@ class State:
     slides: Mask  # (m,) which of them slip
     touching: Mask  # (m,) closed, or with no gap but rounding
     overlap: Mask  # (m,) held open, and too far in to be rounding
-    step: Step
+    step: Unfinished
 
 
 # The equilibrium at a fraction of the leg, from slip origins (m, d-1), with contacts held open.

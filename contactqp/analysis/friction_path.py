@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
 from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_steps import FrictionSteps
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.step_jumps import step_notes
 from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
@@ -68,11 +69,11 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
     return History(instants, times, lambda: events, linear=True)
 
 
-class _Instants(Sequence[Solution]):
+class _Instants(LazySolutions):
     """Solutions at instants between which all is linear, certified when they are looked at."""
 
     def __init__(self, first: Solution) -> None:
-        self._solutions: list[Solution | Begun] = [first]
+        super().__init__([first])
         self._displacement = first.displacement
 
     def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
@@ -90,22 +91,5 @@ class _Instants(Sequence[Solution]):
                 break
         attempt = attempt_with(here, answer, "exact events")
         method = replace(find("active-set"), name=attempt.name)
-        self._solutions.append(Begun(here, method, attempt, True, 0.0))
+        self.append(Begun(here, method, attempt, True, 0.0))
         self._displacement = answer.displacement
-
-    def __len__(self) -> int:
-        return len(self._solutions)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        step = self._solutions[index]
-        solution = step if isinstance(step, Solution) else step.finish()
-        self._solutions[index] = solution
-        return solution

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Anchors, Mask, State, Step, step_to
+from contactqp.analysis.anchoring import Anchors, Mask, State, step_to
 from contactqp.analysis.friction_stepping import PlaneStepper, SolveStepper, Stepper
 from contactqp.analysis.history import Event
+from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.iteration import iterated
 from contactqp.methods import Method, Settings, find
 from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported
 
 # Of `solve`, and what they are if nobody says.
@@ -26,7 +26,7 @@ DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, ti
 ARGUMENTS = tuple(DEFAULTS)
 
 
-class FrictionSteps(Sequence[Solution]):
+class FrictionSteps(LazySolutions):
     """The solutions at the steps; refined, expanded and certified when they are looked at.
 
     The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
@@ -40,10 +40,10 @@ class FrictionSteps(Sequence[Solution]):
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         if problem.slip_origin is None:
             raise ValueError("a path with friction of a problem without tangential rows")
+        super().__init__()
         self._problem = problem
         self._stepper = _stepper(problem, method, options)
         self._leg = -1
-        self._steps: list[Step | Solution] = []
         self._states: list[tuple[Mask, Mask]] = []
         nothing = np.zeros(problem.dimension)
         self._stepper.turn(nothing, nothing)
@@ -84,7 +84,7 @@ class FrictionSteps(Sequence[Solution]):
     def _keep(self, state: State, anchors: Anchors) -> None:
         self._before = state = self._stepper.accept(state)
         self._anchors = anchors
-        self._steps.append(state.step)
+        self.append(state.step)
         self._states.append((state.pushes, state.slides))
 
     def changes(self, times: Sequence[float]) -> Iterator[Event]:
@@ -93,23 +93,6 @@ class FrictionSteps(Sequence[Solution]):
             for i in range(self._problem.contacts):
                 for kind in _kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
                     yield Event(kind, i, time, self._problem.contact_name(i))
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        step = self._steps[index]
-        solution = step if isinstance(step, Solution) else step.finish()
-        self._steps[index] = solution
-        return solution
 
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:

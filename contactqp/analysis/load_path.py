@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from contactqp.analysis.events import events_of_leg
 from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
@@ -20,7 +21,7 @@ from contactqp.iteration import iterated
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Solution
-from contactqp.solving import Begun, begin, solve
+from contactqp.solving import begin, solve
 
 DEFAULT_STEPS = 100
 
@@ -139,12 +140,12 @@ def _walked(
     return History(solutions, times, lambda: found if exactly else _changes(solutions, times))
 
 
-class _Steps(Sequence[Solution]):
+class _Steps(LazySolutions):
     """The solutions along a path; polished, expanded and certified when they are looked at."""
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        super().__init__()
         self._problem, self._method, self._options = problem, method, options
-        self._steps: list[Begun | Solution] = []
         self._start: Candidate | None = None
         # Without a condensation of all contacts there is nothing small to step on.
         self._whole = iterated(problem) or first_candidates(problem) is not None
@@ -171,29 +172,12 @@ class _Steps(Sequence[Solution]):
     def _step(self, load: Vector) -> None:
         problem = self._problem.replace(load=load)
         if self._whole:
-            before = self[-1] if self._steps else None
-            self._steps.append(solve(problem, self._method, warm_start=before, **self._options))
+            before = self[-1] if len(self) else None
+            self.append(solve(problem, self._method, warm_start=before, **self._options))
             return
         begun = begin(problem, self._method, self._start, **self._options)
         self._start = begun.attempt.start
-        self._steps.append(begun)
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        step = self._steps[index]
-        if isinstance(step, Begun):
-            step = self._steps[index] = step.finish()
-        return step
+        self.append(begun)
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:

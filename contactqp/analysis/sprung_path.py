@@ -9,13 +9,15 @@ sliders were at the instant before, or where they stick.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, overload
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.friction_steps import refuse_options
 from contactqp.analysis.history import History
+from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
 from contactqp.friction.contact_springs import with_contact_springs, without_contact_springs
@@ -56,7 +58,7 @@ def follow_on_springs(
             _refuse_rigid(problem, chosen.name, stiffness, option)
     loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
     whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
-    bodies = _Bodies(problem, whole, chosen.name)
+    bodies = LazySolutions(_WithoutSprings(problem, whole, i, chosen.name) for i in range(len(whole)))
     times = whole.times.tolist()
     return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
 
@@ -73,32 +75,19 @@ def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: st
         )
 
 
-class _Bodies(Sequence[Solution]):
-    """The solutions of bodies on springs without their springs, certified when they are looked at."""
+@dataclass(frozen=True, eq=False)
+class _WithoutSprings:
+    """The bodies at one instant, without the springs with which they were followed."""
 
-    def __init__(self, problem: ContactProblem, on_springs: Sequence[Solution], name: str) -> None:
-        self._problem, self._on_springs, self._name = problem, on_springs, name
-        self._known: dict[int, Solution] = {}
+    problem: ContactProblem
+    on_springs: Sequence[Solution]
+    instant: int
+    name: str  # of the method
 
-    def __len__(self) -> int:
-        return len(self._on_springs)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        places = range(len(self))[index]
-        if isinstance(places, range):
-            return [self[i] for i in places]
-        if places not in self._known:
-            self._known[places] = self._solution(self._on_springs[places])
-        return self._known[places]
-
-    def _solution(self, on_springs: Solution) -> Solution:
-        whole, n = on_springs.problem, self._problem.dimension
-        with self._problem.lock, one_blas_thread(self._problem):
-            own = self._problem.replace(load=whole.load[:n], slip_origin=whole.slip_origin)
-            return without_contact_springs(own, on_springs, self._name)
+    def finish(self) -> Solution:
+        """What the method itself makes of the instant, certified."""
+        on_springs, n = self.on_springs[self.instant], self.problem.dimension
+        whole = on_springs.problem
+        with self.problem.lock, one_blas_thread(self.problem):
+            own = self.problem.replace(load=whole.load[:n], slip_origin=whole.slip_origin)
+            return without_contact_springs(own, on_springs, self.name)
