@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate, certify
+from contactqp.certificate import certify
 from contactqp.errors import ContactQPError, Unsupported
 from contactqp.exchange.refusal import naming, read_bytes, wrong
 from contactqp.problem import ContactProblem
@@ -18,7 +18,8 @@ from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import run_model
 from contactqp.solution import Solution
-from contactqp.study.friction_files import DEFAULT_METHOD, figures, finite
+from contactqp.study.friction_files import DEFAULT_METHOD, finite
+from contactqp.study.verdict import Verdict, finite_list
 
 EXPECTED = "a JSON file with displacement and normal_force"
 # Forces that differ by less than this part of the largest are shown as the same.
@@ -35,49 +36,22 @@ class ContactComparison:
     right_normal_force: float
     right_friction_force: NDArray[np.float64] | None
 
+    def data(self) -> dict[str, Any]:
+        return {
+            "contact": self.name,
+            "normal_force": finite(self.normal_force),
+            "friction_force": finite_list(self.friction_force),
+            "right_normal_force": finite(self.right_normal_force),
+            "right_friction_force": finite_list(self.right_friction_force),
+        }
+
 
 @dataclass(frozen=True, eq=False)
-class CaseVerdict:
-    """What is said of a candidate."""
+class CaseVerdict(Verdict):
+    """What is said of an answer to a case."""
 
-    problem_file: str
-    candidate_file: str
     problem: ContactProblem
-    certificate: Certificate
     worst: tuple[ContactComparison, ...]  # contacts whose forces differ from the right ones, most first
-    right: Solution | None  # looked for where the candidate is wrong
-    why_not: str | None  # why there is no solution to set beside it
-
-    @property
-    def passed(self) -> bool:
-        return self.certificate.passed
-
-    def data(self) -> dict[str, Any]:
-        """All that is known, for JSON."""
-        certificate = self.certificate
-        return {
-            "problem": self.problem_file,
-            "candidate": self.candidate_file,
-            "contacts": self.problem.contacts,
-            "right": self.passed,
-            "proven": certificate.proven,
-            "tolerance": certificate.tolerance,
-            "certificate": {name: finite(value) for name, value in figures(certificate).items()},
-            "failures": list(certificate.failures),
-            "notes": list(certificate.notes),
-            "worst": [
-                {
-                    "contact": one.name,
-                    "normal_force": finite(one.normal_force),
-                    "friction_force": _list(one.friction_force),
-                    "right_normal_force": finite(one.right_normal_force),
-                    "right_friction_force": _list(one.right_friction_force),
-                }
-                for one in self.worst
-            ],
-            "right_values": None if self.right is None else {"method": self.right.method},
-            "no_right_values": self.why_not,
-        }
 
 
 def check_case(problem_file: str, candidate_file: str, tolerance: float = 1e-9) -> CaseVerdict:
@@ -173,7 +147,3 @@ def _worst(problem: ContactProblem, given: Mapping[str, Any], right: Solution) -
         )
         for i in beyond[np.argsort(-apart[beyond], kind="stable")]
     )
-
-
-def _list(values: NDArray[np.float64] | None) -> list[float | None] | None:
-    return None if values is None else [finite(float(value)) for value in values]

@@ -27,8 +27,7 @@ def print_check(console: Console, verdict: ForcesVerdict | CaseVerdict) -> None:
         console.print(f"  {name.replace('_', ' ')}: {value:.3g}")
     for failure in verdict.certificate.failures:
         console.print(escape(f"  wrong: {failure}"), soft_wrap=True)
-    notes = verdict.notes if isinstance(verdict, ForcesVerdict) else ()
-    for note in (*notes, *verdict.certificate.notes):
+    for note in (*verdict.notes, *verdict.certificate.notes):
         console.print(escape(f"  note: {note}"), soft_wrap=True)
     if isinstance(verdict, ForcesVerdict):
         _print_forces(console, verdict)

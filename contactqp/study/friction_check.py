@@ -18,7 +18,8 @@ from contactqp.local_certificate import LocalCertificate, certify_local, contact
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
 from contactqp.solving import solve
-from contactqp.study.friction_files import figures, finite
+from contactqp.study.friction_files import finite
+from contactqp.study.verdict import Verdict, finite_list
 
 # A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
 OTHER_VELOCITY = 1e-6
@@ -42,46 +43,18 @@ class WorstContact:
             "contact": self.name,
             "figure": self.figure,
             "size": finite(self.size),
-            "force": _list(self.force),
-            "velocity": _list(self.velocity),
-            "right_force": None if self.right_force is None else _list(self.right_force),
-            "right_velocity": None if self.right_velocity is None else _list(self.right_velocity),
+            "force": finite_list(self.force),
+            "velocity": finite_list(self.velocity),
+            "right_force": finite_list(self.right_force),
+            "right_velocity": finite_list(self.right_velocity),
         }
 
 
 @dataclass(frozen=True, eq=False)
-class ForcesVerdict:
-    """What is said of a candidate."""
+class ForcesVerdict(Verdict):
+    """What is said of forces for a file."""
 
-    problem_file: str
-    candidate_file: str
-    problem: LocalProblem
-    certificate: LocalCertificate
     worst: tuple[WorstContact, ...]  # worst first; all that are beyond the tolerance
-    right: LocalSolution | None  # looked for where the candidate is wrong
-    why_not: str | None  # why there is no solution to set beside it
-    notes: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        return self.certificate.passed
-
-    def data(self) -> dict[str, Any]:
-        """All that is known, for JSON."""
-        certificate = self.certificate
-        return {
-            "problem": self.problem_file,
-            "candidate": self.candidate_file,
-            "contacts": self.problem.contacts,
-            "right": self.passed,
-            "tolerance": certificate.tolerance,
-            "certificate": {name: finite(value) for name, value in figures(certificate).items()},
-            "failures": list(certificate.failures),
-            "notes": [*self.notes, *certificate.notes],
-            "worst": [one.data() for one in self.worst],
-            "right_values": None if self.right is None else {"method": self.right.method},
-            "no_right_values": self.why_not,
-        }
 
 
 def check_forces(problem_file: str, candidate_file: str, tolerance: float = 1e-9) -> ForcesVerdict:
@@ -171,7 +144,3 @@ def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
         if not apart <= OTHER_VELOCITY * size:
             notes.append(f"the velocities in the file are not those of its forces: |u - (W r + q)| = {apart:.3g}")
     return tuple(notes)
-
-
-def _list(values: NDArray[np.float64]) -> list[float | None]:
-    return [finite(float(value)) for value in values]
