@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 
@@ -16,17 +14,18 @@ from contactqp.condensation import condense as condensation_of
 from contactqp.elimination import LARGE
 from contactqp.errors import BackendFailed, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
-from contactqp.factorization import DENSE_SIZE, Array
+from contactqp.factorization import Array
+from contactqp.metering import Meter, MeteredAttempt
 from contactqp.methods import Method, Settings
 from contactqp.polishing import closed_contacts, least_displacement, polish, shift_to_least_norm, without_noise
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import saddle_point
 from contactqp.scaling import nondimensional
-from contactqp.solution import Candidate, Final, FreeMotion, Work
+from contactqp.solution import Candidate, Final, FreeMotion
 from contactqp.violations import Answer, lay_out
 
 
-class CondensedAttempt:
+class CondensedAttempt(MeteredAttempt):
     """What a method made of a problem, condensed or whole, as far as it has been looked at.
 
     Raises
@@ -73,14 +72,6 @@ class CondensedAttempt:
     def start(self) -> Candidate:
         """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
         return self.candidate if self._whole else self._way.spread_candidate(self.candidate)
-
-    def counting(self) -> object:
-        """A context whose work counts as this attempt's."""
-        return self._meter.running()
-
-    def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-        return self._meter.read(self.candidate.iterations, corrections)
 
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium if the constraints conflict."""
@@ -156,35 +147,3 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
     if settings.warm_start is not None:
         settings = replace(settings, warm_start=scaling.scale(settings.warm_start))
     return scaling.unscale(method.solve(twin, settings))
-
-
-class Meter:
-    """Counts what one answer costs, the condensation included where it is the first to need it."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self._problem = problem
-        self._factorisations = self._back_substitutions = 0
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        factorisations, back_substitutions = self._counts()
-        yield
-        now = self._counts()
-        self._factorisations += now[0] - factorisations
-        self._back_substitutions += now[1] - back_substitutions
-
-    def _counts(self) -> tuple[int, int]:
-        known: Condensation | None = self._problem._shared.get("condensation")
-        return (known.factorisations, known.back_substitutions) if known else (0, 0)
-
-    def read(self, iterations: int | None, corrections: int) -> Work:
-        way = condensation_of(self._problem)
-        interior = self._problem.dimension - len(way.retained)
-        return Work(
-            factorisations=self._factorisations,
-            back_substitutions=self._back_substitutions,
-            iterations=iterations,
-            retained=len(way.retained),
-            polish_corrections=corrections,
-            solver="dense" if way.solver == "superlu" and interior <= DENSE_SIZE else way.solver,
-        )

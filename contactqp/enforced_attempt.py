@@ -9,17 +9,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.condensation import condense, unknown_scale
-from contactqp.condensed_attempt import Meter
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.existence import refuse_conflict
 from contactqp.iteration import iterated
+from contactqp.metering import Meter, MeteredAttempt
 from contactqp.methods import Method, Settings
 from contactqp.polishing import INVISIBLE
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Final, Work
+from contactqp.whole_attempt import WholeAttempt
 
 
-class EnforcedAttempt:
+class EnforcedAttempt(WholeAttempt, MeteredAttempt):
     """The method's candidate as it came: textbook systems in the numbers of the problem, nothing condensed or polished.
 
     Raises
@@ -61,23 +62,9 @@ class EnforcedAttempt:
         status = None if self._method.exact else self.candidate.contact_status
         return Final(u, normal, tie, friction_force=friction[:, None], contact_status=status)
 
-    @property
-    def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem."""
-        return self.candidate
-
-    @property
-    def start(self) -> Candidate:
-        """What another load may start from."""
-        return self.candidate
-
-    def counting(self) -> object:
-        """A context whose work counts as this attempt's."""
-        return self._meter.running()
-
     def work(self, corrections: int) -> Work:
         """What it has cost so far."""
-        return replace(self._meter.read(self.candidate.iterations, corrections), retained=self._problem.dimension)
+        return replace(super().work(corrections), retained=self._problem.dimension)
 
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium if the constraints conflict."""

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from contactqp.associated_attempt import solve_associated
 from contactqp.condensation import condense
-from contactqp.condensed_attempt import Meter, described
+from contactqp.condensed_attempt import described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.existence import refuse_conflict
 from contactqp.friction.combinations import MOST_CONTACTS
@@ -17,10 +17,12 @@ from contactqp.friction.newton import refined, solve_newton
 from contactqp.friction.on_contacts import solve_on_contacts
 from contactqp.friction.tresca import solve_tresca
 from contactqp.iteration import iterated
+from contactqp.metering import Meter, MeteredAttempt
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem
-from contactqp.solution import Candidate, Final, Work
+from contactqp.solution import Candidate, Final
 from contactqp.violations import Answer
+from contactqp.whole_attempt import WholeAttempt
 
 ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")
 # Algorithms of convex steps.
@@ -28,7 +30,7 @@ CONVEX = ("tresca", "aclm")
 DEFAULT_METHOD = "active-set"
 
 
-class FrictionAttempt:
+class FrictionAttempt(WholeAttempt, MeteredAttempt):
     """One answer to a frictional problem, refined to the last digits by the algorithm that found it."""
 
     exact = True  # whether the algorithm promises Coulomb's answer
@@ -61,24 +63,6 @@ class FrictionAttempt:
             free_motions=described(self._problem, free),
             friction_force=answer.friction_force,
         )
-
-    @property
-    def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem."""
-        return self.candidate
-
-    @property
-    def start(self) -> Candidate:
-        """What another load may start from."""
-        return self.candidate
-
-    def counting(self) -> object:
-        """A context whose work counts as this attempt's."""
-        return self._meter.running()
-
-    def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-        return self._meter.read(self.candidate.iterations, corrections)
 
     def refuse_conflict(self) -> None:
         """Constraints that conflict get no answer this far."""

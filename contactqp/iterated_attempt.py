@@ -9,12 +9,13 @@ from contactqp.inexact_active_set import solve_by_iteration
 from contactqp.iteration import Iteration, iteration
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem
-from contactqp.solution import Candidate, Final, Work
+from contactqp.solution import Final, Work
+from contactqp.whole_attempt import WholeAttempt
 
 _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
 
 
-class IteratedAttempt:
+class IteratedAttempt(WholeAttempt):
     """The answer, its last system solved to the accuracy that the certificate asks for.
 
     Raises
@@ -42,16 +43,6 @@ class IteratedAttempt:
         """The answer that is to be certified: the candidate."""
         del polished
         return Final(self.candidate.displacement, self.candidate.normal_force, self.candidate.tie_force)
-
-    @property
-    def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem."""
-        return self.candidate
-
-    @property
-    def start(self) -> Candidate:
-        """What another load may start from."""
-        return self.candidate
 
     def counting(self) -> object:
         """A context whose work counts as this attempt's."""

@@ -11,13 +11,13 @@ import numpy as np
 from contactqp.analysis.anchoring import Mask, State
 from contactqp.blas_threads import one_blas_thread
 from contactqp.condensation import condense
-from contactqp.condensed_attempt import Meter
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.newton import combination_of, search
 from contactqp.friction.states import OPEN, STICK, Status
 from contactqp.friction_attempt import attempt_on
+from contactqp.metering import Meter
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
