@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -33,6 +32,7 @@ from contactqp.methods.textbook_algebra import (
     spread,
     springs,
 )
+from contactqp.methods.textbook_ending import Budget
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.solution import Candidate
@@ -150,8 +150,7 @@ def _uzawa(
     violation: Callable[[Candidate], float],
 ) -> Candidate:
     """Repeat the penalty method's `answer` with forces kept, from `force` on, until neither forces nor laws are off."""
-    started, history = time.perf_counter(), list[float]()
-    limit = settings.max_iter or 1000
+    budget, history = Budget(settings, 1000), list[float]()
     status, inner = "", dataclasses.replace(settings, max_iter=None)
     while not status:
         step = answer(force, inner)
@@ -162,10 +161,8 @@ def _uzawa(
             status = step.status
         elif history[-1] <= settings.tolerance:
             status = f"{NAME}: converged to {history[-1]:.1e}"
-        elif len(history) >= limit:
-            status = f"{NAME}: stopped after {limit} iterations at {history[-1]:.1e}"
-        elif settings.time_limit is not None and time.perf_counter() - started > settings.time_limit:
-            status = f"{NAME}: stopped after {settings.time_limit:g} s at {history[-1]:.1e}"
+        elif spent := budget.spent(len(history)):
+            status = f"{NAME}: {spent} at {history[-1]:.1e}"
     claimed = history[-1] <= settings.tolerance and step.claimed
     return dataclasses.replace(
         step,

@@ -10,8 +10,8 @@ a critical coefficient of friction there may be no answer or several (Klarbring 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,7 @@ from contactqp.methods.stick_and_slip import (
     status_rows,
 )
 from contactqp.methods.textbook_algebra import Indices, Mask, SingularSystem
+from contactqp.methods.textbook_ending import Budget, last_candidate
 from contactqp.methods.textbook_rounding import Sizes
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
@@ -98,8 +99,7 @@ class _Loop:
         self._sizes = Sizes.of(problem, self._bodies)
         self._tangent, self._origin = sp.csr_array(problem.tangent), origins(problem)
         self._friction = coefficients(problem)
-        self._started = time.perf_counter()
-        self._limit = settings.max_iter or 50 * problem.contacts + 200
+        self._budget = Budget(settings, 50 * problem.contacts + 200)
         self._together: int | None = None  # iterations that changed all wrong contacts, once the loop has ended that
         self._tried: set[bytes] = set()
         self._singular: SingularSystem | None = None  # the first that was met
@@ -220,29 +220,15 @@ class _Loop:
 
     def _stop(self, wrong: Mask) -> str:
         """Why the loop ends here, or nothing."""
-        limit = self._settings.time_limit
         if not wrong.any():
             return "open, stick and slip no longer change"
-        if len(self.history) >= self._limit:
-            return f"stopped after {self._limit} iterations, while {self._named(wrong)} still changed"
-        if limit is not None and time.perf_counter() - self._started > limit:
-            return f"stopped after {limit:g} s, while {self._named(wrong)} still changed"
-        return ""
+        spent = self._budget.spent(len(self.history))
+        return f"{spent}, while {self._named(wrong)} still changed" if spent else ""
 
     def _candidate(self, step: FrictionalStep, reason: str) -> Candidate:
-        if self._together is not None:
-            reason += f" (one contact at a time after {self._together} iterations)"
-        return Candidate(
-            step.displacement,
-            step.normal_force,
-            step.tie_force,
-            iterations=len(self.history),
-            claimed=self.history[-1] == 0,
-            status=f"{self._name}: {reason}",
-            history=tuple(self.history),
-            friction_force=step.friction_force[:, None],
-            contact_status=status_names(step.status),
-        )
+        found = last_candidate(self._name, step, reason, self.history, self._together)
+        friction = step.friction_force[:, None]
+        return replace(found, friction_force=friction, contact_status=status_names(step.status))
 
     def _named(self, contacts: Mask) -> str:
         indices = np.flatnonzero(contacts)

@@ -9,14 +9,13 @@ penalty, perturbed and augmented Lagrangian differ, so each is one function from
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.methods.criss_cross import Enforcement, Sets, Step
 from contactqp.methods.method import Settings
 from contactqp.methods.textbook_algebra import Mask, SingularSystem
+from contactqp.methods.textbook_ending import Budget, last_candidate
 from contactqp.methods.textbook_rounding import Sizes
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
@@ -70,8 +69,7 @@ class _Loop:
         self._name, self._problem, self._settings = name, problem, settings
         self._sets = Sets(name, problem, enforce)
         self._stiffness, self._sizes = stiffness, Sizes.of(problem, self._sets.bodies)
-        self._started = time.perf_counter()
-        self._limit = settings.max_iter or 50 * problem.contacts + 200
+        self._budget = Budget(settings, 50 * problem.contacts + 200)
         self._textbook_steps: int | None = None  # how many there were, once the loop goes one contact at a time
         self._seen: set[bytes] = set()
         self.history: list[float] = []
@@ -83,7 +81,7 @@ class _Loop:
             self.history.append(float(np.count_nonzero(incoming | outgoing)))
             status = self._stop(step.bound)
             if status:
-                return self._candidate(step, status)
+                return last_candidate(self._name, step, status, self.history, self._textbook_steps)
             self._seen.add(step.bound.tobytes())
             step = self._next_step(step, incoming, outgoing)
 
@@ -112,29 +110,11 @@ class _Loop:
 
     def _stop(self, bound: Mask) -> str:
         """Why the loop ends here, or nothing."""
-        limit = self._settings.time_limit
         if self.history[-1] == 0:
             return "the set of closed contacts no longer changes"
         if bound.tobytes() in self._seen:
             return "the active-set loop cycles, even one contact at a time"
-        if len(self.history) >= self._limit:
-            return f"stopped after {self._limit} iterations"
-        if limit is not None and time.perf_counter() - self._started > limit:
-            return f"stopped after {limit:g} s"
-        return ""
-
-    def _candidate(self, step: Step, status: str) -> Candidate:
-        if self._textbook_steps is not None:
-            status += f" (one contact at a time after {self._textbook_steps} iterations)"
-        return Candidate(
-            step.displacement,
-            step.normal_force,
-            step.tie_force,
-            iterations=len(self.history),
-            claimed=self.history[-1] == 0,
-            status=f"{self._name}: {status}",
-            history=tuple(self.history),
-        )
+        return self._budget.spent(len(self.history))
 
 
 def _warm_set(problem: ContactProblem, settings: Settings) -> Mask:
