@@ -119,12 +119,7 @@ def _enforce(problem: ContactProblem, beta: Vector, closed: Mask, preference: In
     bound = spread(np.ones(contacts.size), contacts, problem.contacts) > 0
     matrix, load = springs(problem, bound, beta)
     displacement, force = solve_bordered(NAME, matrix, load, rows, values, refined=True)
-    return Step(
-        displacement,
-        normal_force=spread(force[ties.size :], contacts, problem.contacts),
-        tie_force=spread(force[: ties.size], ties, problem.ties),
-        bound=bound,
-    )
+    return Step.on_rows(problem, displacement, force, ties, contacts)
 
 
 def _uzawa_frictionless(problem: ContactProblem, settings: Settings, beta: Vector) -> Candidate:

@@ -17,7 +17,7 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.methods.floating_bodies import NEGLIGIBLE, FloatingBodies
-from contactqp.methods.textbook_algebra import Indices, Mask, SingularSystem
+from contactqp.methods.textbook_algebra import Indices, Mask, SingularSystem, spread
 from contactqp.problem import ContactProblem, Vector
 
 
@@ -29,6 +29,20 @@ class Step:
     normal_force: Vector  # (m,), zero on the open contacts
     tie_force: Vector  # (k,)
     bound: Mask  # (m,) the closed contacts that took part; dependent rows may leave some out
+
+    @classmethod
+    def on_rows(
+        cls, problem: ContactProblem, displacement: Vector, force: Vector, ties: Indices, contacts: Indices
+    ) -> Step:
+        """The answer whose rows, of these ties and then of these contacts, carry the forces (r,)."""
+        bound = np.zeros(problem.contacts, dtype=bool)
+        bound[contacts] = True
+        return cls(
+            displacement,
+            normal_force=spread(force[ties.size :], contacts, problem.contacts),
+            tie_force=spread(force[: ties.size], ties, problem.ties),
+            bound=bound,
+        )
 
 
 # A mask of the closed contacts, and an order of preference among them should their rows be dependent.

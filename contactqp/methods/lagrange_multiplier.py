@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.status_loop import status_loop
 from contactqp.methods.stick_and_slip import FrictionalStep, status_rows
-from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered, spread
+from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate
@@ -40,12 +38,7 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
 def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step:
     rows, values, ties, contacts = binding_rows(NAME, problem, closed, preference)
     displacement, force = solve_bordered(NAME, problem.stiffness, problem.load, rows, values, refined=True)
-    return Step(
-        displacement,
-        normal_force=spread(force[ties.size :], contacts, problem.contacts),
-        tie_force=spread(force[: ties.size], ties, problem.ties),
-        bound=spread(np.ones(contacts.size), contacts, problem.contacts) > 0,
-    )
+    return Step.on_rows(problem, displacement, force, ties, contacts)
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:

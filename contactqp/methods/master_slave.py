@@ -18,7 +18,6 @@ from contactqp.methods.textbook_algebra import (
     binding_rows,
     independent_rows,
     solve_linear,
-    spread,
 )
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Matrix, Vector
@@ -55,12 +54,7 @@ def _enforce(problem: ContactProblem, closed: Mask, preference: Indices) -> Step
     reduced = B.T @ (K @ B) if sp.issparse(K) else B.T @ (B.T @ K).T
     displacement = B @ solve_linear(NAME, reduced, B.T @ (problem.load - K @ offset), refined=True) + offset
     force = np.linalg.solve(rows[:, slaves].toarray().T, (problem.load - K @ displacement)[slaves])
-    return Step(
-        displacement,
-        normal_force=spread(force[ties.size :], contacts, problem.contacts),
-        tie_force=spread(force[: ties.size], ties, problem.ties),
-        bound=spread(np.ones(contacts.size), contacts, problem.contacts) > 0,
-    )
+    return Step.on_rows(problem, displacement, force, ties, contacts)
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:

@@ -11,7 +11,7 @@ from contactqp.methods.criss_cross import Step
 from contactqp.methods.method import Method, Settings
 from contactqp.methods.status_loop import status_loop
 from contactqp.methods.stick_and_slip import FrictionalStep, status_rows
-from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, contact_stiffness, solve_bordered, spread
+from contactqp.methods.textbook_algebra import Indices, Mask, binding_rows, contact_stiffness, solve_bordered
 from contactqp.methods.textbook_loop import active_set_loop
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
@@ -54,12 +54,7 @@ def _enforce(problem: ContactProblem, kappa: Vector, closed: Mask, preference: I
     values = np.concatenate([values, problem.gap[contacts]])
     corner = np.concatenate([np.zeros(ties.size), -1.0 / kappa[contacts]])
     displacement, force = solve_bordered(NAME, problem.stiffness, problem.load, rows, values, corner)
-    return Step(
-        displacement,
-        normal_force=spread(force[ties.size :], contacts, problem.contacts),
-        tie_force=spread(force[: ties.size], ties, problem.ties),
-        bound=closed,
-    )
+    return Step.on_rows(problem, displacement, force, ties, contacts)
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
