@@ -13,13 +13,11 @@ import numpy as np
 
 from contactqp.coulomb_cone import lengths, onto_discs
 from contactqp.factorization import Array
+from contactqp.friction.aitken import RELAXATION, aitken
 from contactqp.friction.convex_steps import ConvexSteps
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_form import LocalForm
 from contactqp.problem_data import Vector
-
-# Relaxation of the bounds by Aitken's factor stays between these.
-RELAXATION = (0.05, 1.0)
 
 
 def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:
@@ -45,16 +43,6 @@ def tresca_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> I
         missing = form.mu * np.maximum(r[:, 0], 0.0) - bound
         relaxation = aitken(relaxation, before, missing)
         bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
-
-
-def aitken(relaxation: float, before: Vector, missing: Vector) -> float:
-    """The next relaxation factor (Irons and Tuck 1969)."""
-    if not before.size:
-        return relaxation
-    change = missing - before
-    size = float(change @ change)
-    wanted = relaxation if size == 0 else -relaxation * float(before @ change) / size
-    return float(np.clip(wanted, *RELAXATION))
 
 
 def _shift(form: LocalForm, iterate: Iterate) -> Vector:

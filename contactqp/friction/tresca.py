@@ -22,6 +22,7 @@ from contactqp.condensation import Condensation, condense
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.existence import refuse_driven_motion
 from contactqp.factorization import Array, RigidMotions
+from contactqp.friction.aitken import RELAXATION, aitken
 from contactqp.friction.rows import FrictionalRows
 from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.methods import Method, Settings
@@ -31,8 +32,6 @@ from contactqp.violations import Answer
 
 # Enough for contractions up to 0.9; what is slower is not getting there.
 MAX_STEPS = 100
-# Aitken's factor stays between these: a full step, and one small enough for mu = 20 mu_c.
-RELAXATION = (0.05, 1.0)
 # A bound of this part of the largest is none.
 NO_BOUND = 1e-14
 # Bounds that change by less than this part of the largest have converged; the combination they suggest is then final.
@@ -103,18 +102,9 @@ def solve_tresca(
             raise NotConverged(
                 "tresca: the bounds have settled where the signs of friction do not hold", tuple(changes)
             )
-        relaxation = _aitken(relaxation, before, missing)
+        relaxation = aitken(relaxation, before, missing)
         bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
     raise NotConverged(f"tresca: {_pace(changes)}", tuple(changes))
-
-
-def _aitken(relaxation: float, before: Vector, missing: Vector) -> float:
-    if not before.size:
-        return relaxation
-    change = missing - before
-    size = float(change @ change)
-    wanted = relaxation if size == 0 else -relaxation * float(before @ change) / size
-    return float(np.clip(wanted, *RELAXATION))
 
 
 def _pace(changes: list[float]) -> str:
