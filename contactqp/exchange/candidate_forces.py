@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.exchange.fclib import StoredAnswer, read_solution_for
 from contactqp.exchange.hdf5_file import is_hdf5
-from contactqp.exchange.refusal import Path, read_bytes, wrong
+from contactqp.exchange.refusal import Path, is_number, read_bytes, wrong
 from contactqp.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"
@@ -114,7 +114,7 @@ def _number(path: Path, word: str, place: str) -> float:
 def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDArray[np.float64]:
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
     rows = [row for row in rows if any(row)]
-    header = rows.pop(0) if rows and not _is_number(rows[0][-1]) else []
+    header = rows.pop(0) if rows and not is_number(rows[0][-1]) else []
     named = bool(header) and header[0].lower() == "contact"
     width = problem.dimension + named
     for k, row in enumerate(rows):
@@ -122,14 +122,6 @@ def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDAr
             raise wrong(path, f"row {k + 1}", f"{width} cells", len(row))
     values = np.array([[_number(path, cell, f"row {k + 1}") for cell in row[named:]] for k, row in enumerate(rows)])
     return values[_order(path, [row[0] for row in rows], problem)] if named else values
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:

@@ -50,6 +50,15 @@ def check_friction(path: Path, place: str, friction: NDArray[np.float64]) -> Non
         raise wrong(path, place, "coefficients of friction >= 0", f"{friction[worst]:.6g} at contact {worst}")
 
 
+def is_number(word: str) -> bool:
+    """Whether a word of a text is one, be it NaN."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Put the file's name before what a problem refuses of its data."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.refusal import Path, check_finite, read_bytes, wrong
+from contactqp.exchange.refusal import Path, check_finite, is_number, read_bytes, wrong
 
 EXPECTED = "a Siconos file (text)"
 
@@ -112,7 +112,7 @@ def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int 
     try:
         values = np.array([float(word) for word in taken])
     except ValueError:
-        bad = next(k for k, word in enumerate(taken) if not _is_number(word))
+        bad = next(k for k, word in enumerate(taken) if not is_number(word))
         raise words.unexpected(what, "a number", first + bad * step) from None
     check_finite(words.path, what, values)
     return values
@@ -123,11 +123,3 @@ def _is_integer(word: str) -> bool:
         return abs(int(word)) <= np.iinfo(np.int64).max
     except ValueError:
         return False
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
