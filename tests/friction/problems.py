@@ -64,6 +64,19 @@ def one_contact(compliance: ArrayLike, free: ArrayLike, friction: float) -> cq.C
     )
 
 
+def walls_that_conflict() -> cq.ContactProblem:
+    """A point between two walls that overlap."""
+    return cq.ContactProblem(
+        stiffness=np.eye(2),
+        load=[0.0, 1.0],
+        normal=[[1.0, 0.0], [-1.0, 0.0]],
+        gap=[-0.1, -0.1],
+        tangent=[[0.0, 1.0]] * 2,
+        friction=0.3,
+        contact_names=["left", "right"],
+    )
+
+
 def random_problem(rng: np.random.Generator) -> cq.ContactProblem:
     """One to three contacts, weakly to strongly coupled, mu from 0 to 5, some bodies floating, some tied."""
     m = int(rng.integers(1, 4))
@@ -109,6 +122,33 @@ class Known:
         )
 
 
+def made_around(
+    answer: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    slip: np.ndarray,
+    stiffness: np.ndarray,
+    rows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    gap: np.ndarray,
+    friction: np.ndarray,
+) -> Known:
+    """The load, slip origins and tie values that make u, l_N, l_T, nu with this slip (m, d-1) the answer.
+
+    Rows are normal, tangential and of ties.
+    """
+    (u, pressed, rubbed, nu), (normal, tangent, tie) = answer, rows
+    problem = cq.ContactProblem(
+        stiffness=stiffness,
+        load=stiffness @ u + normal.T @ pressed + tangent.T @ rubbed.ravel() + tie.T @ nu,
+        normal=normal,
+        gap=gap,
+        tangent=tangent,
+        friction=friction,
+        slip_origin=(tangent @ u).reshape(slip.shape) - slip,
+        tie=tie if len(tie) else None,
+        tie_value=tie @ u if len(tie) else None,
+    )
+    return Known(problem, u, pressed, rubbed, nu)
+
+
 def known_answer(rng: np.random.Generator, dimension: int, stiff: float = 0.0, m: int | None = None) -> Known:
     """Contacts of all states at random, in the plane or in space; unknowns are scaled by up to 10^(+-stiff)."""
     m = int(rng.integers(1, 5)) if m is None else m
@@ -131,15 +171,4 @@ def known_answer(rng: np.random.Generator, dimension: int, stiff: float = 0.0, m
     slip = np.where(state == "stick", 0.0, rng.uniform(0.1, 1.0, m))[:, None] * direction
     gap = normal @ u + np.where(state == "open", rng.uniform(0.1, 1.0, m), 0.0)
     nu = rng.normal(size=k)
-    problem = cq.ContactProblem(
-        stiffness=K,
-        load=K @ u + normal.T @ pressed + tangent.T @ rubbed.ravel() + tie.T @ nu,
-        normal=normal,
-        gap=gap,
-        tangent=tangent,
-        friction=mu,
-        slip_origin=(tangent @ u).reshape(m, t) - slip,
-        tie=tie if k else None,
-        tie_value=tie @ u if k else None,
-    )
-    return Known(problem, u, pressed, rubbed, nu)
+    return made_around((u, pressed, rubbed, nu), slip, K, (normal, tangent, tie), gap, mu)

@@ -13,7 +13,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from tests.friction.problems import Known
+from tests.friction.problems import Known, made_around
 
 # Every way to ask for an answer in space: method, its options.
 WAYS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -77,18 +77,7 @@ def several(seed: int, contacts: int = 6, ties: int = 0, softness: float = 0.2) 
             rubbed[i] = mu[i] * pressed[i] * (1.0 if i % 3 == 1 else rng.uniform(0.0, 0.9)) * way
             slip[i] = rng.uniform(0.1, 1.0) * way * (i % 3 == 1)
     tie, nu = rng.normal(size=(ties, n)), rng.normal(size=ties)
-    problem = cq.ContactProblem(
-        stiffness=K,
-        load=K @ u + normal.T @ pressed + tangent.T @ rubbed.ravel() + tie.T @ nu,
-        normal=normal,
-        gap=gap,
-        tangent=tangent,
-        friction=mu,
-        slip_origin=(tangent @ u).reshape(contacts, 2) - slip,
-        tie=tie if ties else None,
-        tie_value=tie @ u if ties else None,
-    )
-    return Known(problem, u, pressed, rubbed, nu)
+    return made_around((u, pressed, rubbed, nu), slip, K, (normal, tangent, tie), gap, mu)
 
 
 def elastic_block(

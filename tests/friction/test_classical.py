@@ -10,7 +10,15 @@ import pytest
 
 import contactqp as cq
 from contactqp.methods.textbook_algebra import solve_linear
-from tests.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, two_masses
+from tests.friction.problems import (
+    TOUCH,
+    one_contact,
+    pad,
+    random_problem,
+    rough_truss,
+    two_masses,
+    walls_that_conflict,
+)
 from tests.friction.test_exact import PULLS, STATES
 from tests.friction.test_several import FAMILIES, _breaks_coulomb
 
@@ -347,15 +355,7 @@ def test_what_is_no_answer_has_a_history_and_names() -> None:
 
 
 def test_walls_that_conflict_are_named() -> None:
-    squeezed = cq.ContactProblem(
-        stiffness=np.eye(2),
-        load=[0.0, 1.0],
-        normal=[[1.0, 0.0], [-1.0, 0.0]],
-        gap=[-0.1, -0.1],
-        tangent=[[0.0, 1.0]] * 2,
-        friction=0.3,
-        contact_names=["left", "right"],
-    )
+    squeezed = walls_that_conflict()
     for name in EXACT:
         with pytest.raises(cq.NoEquilibrium, match="left, right"):
             solved(name, squeezed)

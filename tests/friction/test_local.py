@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import contactqp as cq
 from contactqp.coulomb_cone import lengths
+from tests.friction.problems import walls_that_conflict
 
 ALGORITHMS = ("newton", "nsgs", "ppa", "admm", "aclm", "tresca")
 # Order (N, T), Klarbring's (1990) contact.
@@ -165,12 +166,12 @@ def test_the_existence_test_takes_contact_problems_too() -> None:
         K, K @ problem.offset, -rows[[0, 3]], [0.0, 0.0], tangent=rows[[1, 2, 4, 5]], friction=problem.friction
     )
     assert cq.existence_margin(held) > 0
-    walls = dict(normal=[[1.0, 0.0], [-1.0, 0.0]], gap=[-0.1, -0.1], tangent=[[0.0, 1.0]] * 2)
-    assert cq.existence_margin(cq.ContactProblem(np.eye(2), [0.0, 1.0], **walls, friction=0.3)) < 0
+    walls = walls_that_conflict()
+    assert cq.existence_margin(walls) < 0
     with pytest.raises(cq.Unsupported, match="float"):
-        cq.existence_margin(cq.ContactProblem(np.zeros((2, 2)), [0.0, 1.0], **walls, friction=0.3))
+        cq.existence_margin(walls.replace(stiffness=np.zeros((2, 2))))
     with pytest.raises(cq.InvalidProblem, match="with friction"):
-        cq.existence_margin(cq.ContactProblem(np.eye(2), [0.0, 1.0], **walls, friction=0.0))
+        cq.existence_margin(walls.replace(friction=0.0))
 
 
 def test_a_hanging_block_has_any_wall_force_and_no_velocity() -> None:

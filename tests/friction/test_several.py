@@ -8,7 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.friction.states import holds
 from contactqp.violations import Answer
-from tests.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss
+from tests.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 
 # Klarbring's (1990) family; critical coefficient W_nn/|W_nt| = 1/2. Free displacement q = W f.
 KLARBRING = [[1.0, 2.0], [2.0, 5.0]]
@@ -77,18 +77,9 @@ def test_a_contact_that_is_there_twice_shares_its_force() -> None:
 
 
 def test_walls_that_conflict_are_named() -> None:
-    squeezed = cq.ContactProblem(
-        stiffness=np.eye(2),
-        load=[0.0, 1.0],
-        normal=[[1.0, 0.0], [-1.0, 0.0]],
-        gap=[-0.1, -0.1],
-        tangent=[[0.0, 1.0]] * 2,
-        friction=0.3,
-        contact_names=["left", "right"],
-    )
     for algorithm in (None, "tresca", "enumeration"):
         with pytest.raises(cq.NoEquilibrium, match="left, right"):
-            cq.solve(squeezed, algorithm=algorithm)
+            cq.solve(walls_that_conflict(), algorithm=algorithm)
 
 
 def test_what_is_not_there_says_so() -> None:
