@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from contactqp.errors import NotConverged as NotConverged
     from contactqp.errors import SceneError as SceneError
     from contactqp.errors import SeveralEquilibria as SeveralEquilibria
+    from contactqp.errors import TimeStepWarning as TimeStepWarning
     from contactqp.errors import Unsupported as Unsupported
     from contactqp.exchange.fclib import read_fclib as read_fclib
     from contactqp.exchange.fclib import read_fclib_guesses as read_fclib_guesses
@@ -97,10 +98,12 @@ _HOME = {
     "Scene": "scene.schema",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
+    "MotionHistory": "analysis.motion",
     "SignedDistance": "elements.signed_distance",
     "Solution": "solution",
     "Sphere": "elements.round_obstacle",
     "Surface": "elements.surface",
+    "TimeStepWarning": "errors",
     "Units": "problem",
     "Unsupported": "errors",
     "acary_bremond_huber_error": "published_errors",
@@ -114,6 +117,7 @@ _HOME = {
     "existence_margin": "solvability",
     "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
+    "impact": "analysis.impact",
     "load_scene": "scene.loading",
     "local_form_of": "exchange.local_form",
     "methods": "methods",
@@ -127,6 +131,7 @@ _HOME = {
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos_text",
     "run": "scene.running",
+    "redistributed_mass": "analysis.mass",
     "siconos_global_error": "published_errors",
     "siconos_local_error": "published_errors",
     "solve": "solving",

@@ -30,11 +30,12 @@ class SeveralEquilibria(ContactQPError):
 
 
 class NotConverged(ContactQPError):
-    """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any."""
+    """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any.
 
-    def __init__(
-        self, message: str, history: tuple[Any, ...] = (), solution: Solution | LocalSolution | None = None
-    ) -> None:
+    Of a motion `history` is the `History` until then.
+    """
+
+    def __init__(self, message: str, history: Any = (), solution: Solution | LocalSolution | None = None) -> None:
         super().__init__(message)
         self.history = history
         self.solution = solution
@@ -62,6 +63,10 @@ class BackendFailed(ContactQPError):
 
 class Unsupported(ContactQPError):
     """The method exists and cannot do this: the message names the method and the feature."""
+
+
+class TimeStepWarning(UserWarning):
+    """The time step of a motion is too long for what happens in it; the message has both times."""
 
 
 def refuse_other(who: str, value: object, *kinds: type) -> None:

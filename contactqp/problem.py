@@ -215,7 +215,7 @@ class ContactProblem:
 
     @property
     def load_size(self) -> Vector:
-        """(n,) sizes of the loads that add up to `load`: in a condensed problem more than |load|, where they cancel."""
+        """(n,) sizes of the forces that add up to `load`; of a condensed problem more than |load|, where they cancel."""
         return np.asarray(self._shared.get("load_size", abs(self.load)))
 
     @property
@@ -251,6 +251,12 @@ class ContactProblem:
         if "units" in changes:
             checked["units"] = _units(changes["units"])
         return ContactProblem._of_checked(checked, self._shared)
+
+    def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
+        """The same problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
+        problem = self.replace(load=load)
+        object.__setattr__(problem, "_shared", self._shared | {"load_size": size})
+        return problem
 
     def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
         """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""

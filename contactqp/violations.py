@@ -1,6 +1,7 @@
 """What an answer violates: the worst contact or unknown, without dimension, in any units and any scale of rows.
 
-With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j and
+With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j (of a
+load that is known to be a sum, |f| is the sum of the sizes) and
 L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
 both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0.
 """
@@ -144,7 +145,7 @@ def stiffness_sizes(problem: ContactProblem) -> Any:
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     """F without |K||u|: what acts on the bodies from outside."""
-    outer = abs(problem.load) + abs(problem.normal).T @ abs(answer.normal_force)
+    outer = problem.load_size + abs(problem.normal).T @ abs(answer.normal_force)
     outer = outer + abs(problem.tie).T @ abs(answer.tie_force)
     if problem.tangent is not None and answer.friction_force is not None:
         outer = outer + abs(problem.tangent).T @ abs(answer.friction_force).ravel()

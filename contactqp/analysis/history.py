@@ -26,7 +26,9 @@ class Energies:
     elastic: float  # 1/2 u'Ku, with contact springs also 1/2 l_N^2 / beta + 1/2 |l_T|^2 / beta_T
     kinetic: float
     work: float  # of the loads since the start
-    dissipated: float  # by friction since the start: the sum of l_T . s, never negative
+    dissipated: float  # by friction since the start: the sum of l_T . s, never negative on a load path
+    impact: float = 0.0  # taken by normal forces since the start, in motions; negative where a scheme creates energy
+    drift: float = 0.0  # total - total at the start - work + dissipated + impact: what the scheme makes of energy
 
     @property
     def total(self) -> float:

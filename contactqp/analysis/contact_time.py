@@ -1,0 +1,58 @@
+"""How long a contact lasts: half a period of the slowest vibration that an impact excites.
+
+A rod of length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end
+held. On matrices: omega the lowest frequency with the closed contacts held that is not zero and that the velocities at
+the impact excite, time pi / omega. It comes from Lanczos' method on the operator of a time step, which is factorised
+already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from contactqp.problem import Vector
+
+# Enough to part the slowest vibration from others where the step is long.
+LANCZOS_STEPS = 24
+# Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
+RESOLVED = 1e-9
+# A vector that this part is left of lies in the space that was spanned before.
+SPANNED = 1e-12
+
+
+def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: float, velocity: Vector) -> float | None:
+    """omega [1 / time], or None where all motions are rigid.
+
+    Parameters
+    ----------
+    respond : function
+        x = (M s + K)^-1 y with the closed contacts held, s = `inertia`: its frequencies are those of s / (s + omega^2)
+        as the eigenvalues of x = respond(s M x).
+    mass : (n, n) matrix
+    inertia : float
+        s [1 / time^2].
+    velocity : (n,) array
+        What the impact excites: vibrations that have no part in it are not found.
+    """
+    basis: list[Vector] = []
+    images: list[Vector] = []
+    vector = respond(inertia * (mass @ velocity))
+    for _ in range(LANCZOS_STEPS):
+        for other in 2 * basis:
+            vector = vector - (other @ (mass @ vector)) * other
+        size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
+        reference = np.sqrt(float(images[-1] @ (mass @ images[-1]))) if images else size
+        if not np.isfinite(size) or size <= SPANNED * reference or size == 0:
+            break
+        basis.append(vector / size)
+        images.append(respond(inertia * (mass @ basis[-1])))
+        vector = images[-1]
+    if not basis:
+        return None
+    operator = np.array([[a @ (mass @ b) for b in images] for a in basis])
+    shares = np.linalg.eigvalsh((operator + operator.T) / 2)
+    slow = shares[(shares > 0) & (shares < 1 - RESOLVED)]
+    return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None

@@ -1,0 +1,202 @@
+"""Impact: the motion of bodies that touch, one contact problem a time step, all with one factorisation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.analysis.mass import massless, read_mass, redistributed_mass, touched
+from contactqp.analysis.motion import MotionHistory
+from contactqp.analysis.motion_run import MotionRun
+from contactqp.analysis.schemes import SCHEMES, Kind, Knobs
+from contactqp.analysis.schemes.scheme import Body
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.methods import find
+from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import read_vector
+
+# A start may overlap or miss a tie by this part of the lengths that meet there.
+ROUNDING = 1e-9
+
+
+def impact(
+    problem: ContactProblem,
+    mass: Any,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    duration: float,
+    time_step: float,
+    scheme: str = "moreau-jean",
+    *,
+    load: Callable[[float], ArrayLike] | None = None,
+    theta: float = 0.5,
+    restitution: float = 0.0,
+    penalty: float | None = None,
+    start_time: float = 0.0,
+    method: str = "active-set",
+    **options: Any,
+) -> MotionHistory:
+    """The motion of bodies with contact and impact from a displacement and a velocity.
+
+        M dv/dt + K u + E_N'l_N + E_T'l_T + A'nu = f,    E_N u <= g,  l_N >= 0,  l_N (g - E_N u) = 0,    A u = b
+
+    with Coulomb's law of l_T and the velocity of slip. Each step is one `ContactProblem` (two in the scheme of
+    Deuflhard, Krause and Ertel) with the same stiffness, made of K, M and the step: it is factorised once, and a step
+    costs a back-substitution and a small problem of the contacts that it may close. Every step is certified, 64 at
+    once, by equilibrium, penetration, tension, complementarity, cone, slip and ties of what the scheme posed.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
+    mass : (n, n) matrix or (n,) diagonal [force time^2 / length]
+        M, symmetric positive semidefinite; singular only where the scheme allows it.
+    displacement, velocity : (n,) arrays
+        u and v at the start, within the constraints.
+    duration, time_step : float
+        The motion has ceil(duration / time_step) steps.
+    scheme : str
+        "moreau-jean": impulses and Newton's impact law (`theta`, `restitution`); robust, first order at contact.
+        "modified-mass": trapezoidal rule, contact nodes without mass (taken from M by `redistributed_mass` where M has
+        not been); no spurious oscillations of the contact force, energy kept. "modified-mass-central": the same with
+        central differences, explicit but for the contact nodes. "paoli-schatzman": central differences with a
+        projection (`restitution`). "deuflhard-krause-ertel": contact-stabilised Newmark. "newmark": the trapezoidal
+        rule with Signorini's conditions at the end of the step; its energy blows up at impacts. "backward-euler":
+        loses energy everywhere. "penalty": central differences with contact springs `penalty`.
+    load : function of time, optional
+        f (n,) at any instant.
+    theta : float
+        Of Moreau's and Jean's scheme, from 1/2 (keeps energy) to 1.
+    restitution : float
+        e from 0 to 1.
+    start_time : float
+        The time of the start. `MotionHistory.resume` goes on from where a motion ended, or failed.
+    method, **options
+        Of the small problem of each step, as in `solve`: any exact method.
+
+    Returns
+    -------
+    MotionHistory
+        A `History` with `velocities`, `tie_forces`, energies that also have `impact`, taken by the contact forces, and
+        `drift`, what the scheme has made of energy: total = start + work - dissipated - impact + drift.
+
+    Warns
+    -----
+    TimeStepWarning
+        The step is too long to resolve how long a contact lasts, or, of the penalty scheme, longer than what is stable
+        in contact. The message has both numbers, and `history.notes` keeps it.
+
+    Raises
+    ------
+    InvalidProblem
+        Bad arguments; a start that overlaps; a mass that the scheme cannot use; central differences with a step beyond
+        their critical one.
+    NotConverged, NotCertified
+        A step has no answer, or a wrong one, or the motion has left all numbers; `history` is that so far.
+    Unsupported
+        A method that is approximate by design; friction with penalty.
+
+    Notes
+    -----
+    Moreau 1988; Jean 1999; Newmark 1959; Khenous, Laborde and Renard 2008; Paoli and Schatzman 2002; Deuflhard, Krause
+    and Ertel 2008; Doyen, Ern and Piperno 2011 compare them. Course chapter, section 2.6, whose wave equation has the
+    wrong sign.
+
+    Examples
+    --------
+    A mass thrown at a wall comes back with half of its speed:
+
+    >>> ball = ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0])
+    >>> thrown = impact(ball, [2.0], [0.0], [4.0], duration=1.0, time_step=0.1, restitution=0.5)
+    >>> float(thrown.velocities[-1, 0]), [event.kind for event in thrown.events][0]
+    (-2.0, 'closed')
+    >>> round(thrown.energies[-1].impact, 12)
+    12.0
+    """
+    refuse_other("impact", problem, ContactProblem)
+    kind = _kind(scheme)
+    knobs = _knobs(kind, scheme, theta, restitution, penalty)
+    _refuse_not_positive("duration", duration)
+    _refuse_not_positive("time_step", time_step)
+    n = problem.dimension
+    u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
+    _refuse_start(problem, u, v)
+    chosen = find(method)
+    if not chosen.exact:
+        raise Unsupported(f"{method}: approximate by design; contact springs are the scheme 'penalty'")
+    if scheme == "penalty" and problem.frictional:
+        raise Unsupported("penalty: friction with contact springs; take an exact scheme")
+    M = _mass(kind, scheme, read_mass(mass, n), problem)
+    body = Body(problem, M, float(time_step))
+    run = MotionRun(kind.make(body, knobs), _loads(problem, load), float(start_time), method, options)
+    if kind.explicit:
+        run.mind_critical_step(penalty)
+    run.start(u, v)
+    return run.lasting(duration)
+
+
+def _kind(scheme: str) -> Kind:
+    if not isinstance(scheme, str) or scheme not in SCHEMES:
+        raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
+    return SCHEMES[scheme]
+
+
+def _knobs(kind: Kind, scheme: str, theta: Any, restitution: Any, penalty: Any) -> Knobs:
+    given = {"theta": theta != 0.5, "restitution": restitution != 0.0, "penalty": penalty is not None}
+    for name, is_given in given.items():
+        if is_given and name not in kind.knobs:
+            takers = ", ".join(other for other, its in SCHEMES.items() if name in its.knobs)
+            raise InvalidProblem(f"{name}: the scheme {scheme!r} has none; {takers} take one")
+    for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= 1:
+            raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
+    if penalty is not None:
+        _refuse_not_positive("penalty", penalty)
+    return Knobs(float(theta), float(restitution), None if penalty is None else float(penalty))
+
+
+def _refuse_not_positive(name: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
+        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
+
+
+def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
+    """A start outside of the constraints has no motion."""
+    room = problem.gap - problem.normal @ u
+    size = abs(problem.normal) @ abs(u) + abs(problem.gap)
+    if np.any(room < -ROUNDING * size):
+        i = int(np.argmin(np.where(size > 0, room / np.where(size > 0, size, 1.0), 0.0)))
+        raise InvalidProblem(f"displacement: {problem.contact_name(i)} overlaps by {-room[i]:.6g} at the start")
+    for name, value, limit in (("displacement", u, problem.tie_value), ("velocity", v, np.zeros(problem.ties))):
+        missed = abs(problem.tie @ value - limit)
+        if np.any(missed > ROUNDING * (abs(problem.tie) @ abs(value) + abs(limit))):
+            raise InvalidProblem(f"{name}: tie {int(np.argmax(missed))} is missed by {np.max(missed):.6g} at the start")
+
+
+def _mass(kind: Kind, scheme: str, M: Any, problem: ContactProblem) -> Any:
+    """The mass that a scheme steps with."""
+    bare = massless(M)
+    if not kind.bare:
+        if kind.explicit and np.any(bare):
+            raise InvalidProblem(
+                f"mass: {scheme} needs mass at every unknown; {problem.dof_name(int(np.argmax(bare)))} has none"
+            )
+        return M
+    touching = np.zeros(problem.dimension, dtype=bool)
+    touching[touched(problem)] = True
+    return M if np.all(bare[touching]) else redistributed_mass(M, problem)
+
+
+def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -> Callable[[float], Vector]:
+    if load is None:
+        return lambda _: problem.load
+    if not callable(load):
+        raise InvalidProblem(f"load: expected a function of time, got {load!r}")
+
+    def at(instant: float) -> NDArray[np.float64]:
+        return read_vector(f"load at time {instant:g}", load(instant), problem.dimension)
+
+    return at

@@ -1,0 +1,133 @@
+"""The mass matrix of a motion: what is accepted as one, and mass taken from the nodes that touch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.factorization import null_space
+from contactqp.problem import ContactProblem, Vector
+
+# Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
+ASYMMETRY = 1e-6
+# Rigid motions keep their mass to this part of it.
+KEPT = 1e-9
+
+
+def read_mass(mass: Any, n: int) -> Any:
+    """M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, values that are not finite, an asymmetric matrix, a negative diagonal, mass that couples to an
+        unknown that has none.
+    """
+    values = mass if sp.issparse(mass) else np.asarray(mass)
+    if not sp.issparse(values) and (values.dtype.kind not in "iuf" or values.ndim not in (1, 2)):
+        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {mass!r}")
+    M = sp.csr_matrix(sp.diags(values.astype(float)) if values.ndim == 1 else values, dtype=float)
+    if M.shape != (n, n):
+        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got shape {values.shape}")
+    if not np.all(np.isfinite(M.data)):
+        raise InvalidProblem("mass: expected finite numbers")
+    diagonal = M.diagonal()
+    if np.any(diagonal < 0):
+        j = int(np.argmin(diagonal))
+        raise InvalidProblem(f"mass: expected no negative diagonal, got {diagonal[j]:g} at unknown {j}")
+    entries = M.tocoo()
+    scale = np.sqrt(diagonal[entries.row] * diagonal[entries.col])
+    if np.any((scale == 0) & (entries.data != 0)):
+        raise InvalidProblem("mass: an unknown without mass of its own is coupled to others: not positive semidefinite")
+    difference = abs(M - M.T).tocoo()
+    beside = np.sqrt(diagonal[difference.row] * diagonal[difference.col])
+    if np.any(difference.data > ASYMMETRY * beside):
+        raise InvalidProblem("mass: expected a symmetric matrix")
+    return sp.csr_matrix((M + M.T) / 2)
+
+
+def massless(mass: Any) -> NDArray[np.bool_]:
+    """(n,) the unknowns without mass."""
+    return np.asarray(mass.diagonal() == 0)
+
+
+def touched(problem: ContactProblem) -> NDArray[np.intp]:
+    """The unknowns that contacts act on: those of E_N, with friction also those of E_T."""
+    rows = [problem.normal]
+    if problem.frictional and problem.tangent is not None:
+        rows.append(problem.tangent)
+    return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+
+
+def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
+    """A mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
+
+    Their rows and columns become zero. What they had goes to their neighbours, as a diagonal change of least size that
+    keeps z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
+    those that the stiffness couples, then the neighbours of these, until the conditions can be met. Of a body that is
+    held, whose rigid motions matrices do not tell, the sum of the rows is kept.
+
+    Parameters
+    ----------
+    mass : (n, n) matrix or (n,) diagonal
+    problem : ContactProblem
+
+    Returns
+    -------
+    (n, n) CSR matrix, positive semidefinite.
+
+    Raises
+    ------
+    InvalidProblem
+        All unknowns of a body touch, or the mass that is left would be negative.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    M = read_mass(mass, problem.dimension)
+    kept = np.ones(problem.dimension, dtype=bool)
+    kept[touched(problem)] = False
+    left = sp.csr_matrix(sp.diags(kept.astype(float)) @ M @ sp.diags(kept.astype(float)))
+    graph = abs(problem.stiffness_rows) + abs(M)
+    Z, body = null_space(problem.stiffness_rows).motions, connected_components(graph, directed=False)[1]
+    change = np.zeros(problem.dimension)
+    for number in np.unique(body[~kept]):
+        members = body == number
+        motions = Z[:, np.any(Z[members] != 0, axis=0)] * members[:, None]
+        change += _on_neighbours(graph, M, left, members & ~kept, members & kept, motions)
+    diagonal = left.diagonal() + change
+    if np.any(diagonal[kept] < 0):
+        j = int(np.argmin(np.where(kept, diagonal, np.inf)))
+        raise InvalidProblem(
+            f"mass: {problem.dof_name(j)} would be left with the mass {diagonal[j]:g}; contacts act on too many "
+            "unknowns for their mass to be moved"
+        )
+    return sp.csr_matrix(left + sp.diags(change))
+
+
+def _on_neighbours(
+    graph: Any, M: Any, left: Any, bare: NDArray[np.bool_], kept: NDArray[np.bool_], Z: NDArray[np.float64]
+) -> Vector:
+    """The diagonal change (n,) on one body that keeps Z'MZ, on as few rings of neighbours as can."""
+    pairs = [(a, b) for a in range(Z.shape[1]) for b in range(a, Z.shape[1])]
+    missing = np.array([Z[:, a] @ ((M - left) @ Z[:, b]) for a, b in pairs])
+    rows = np.array([Z[:, a] * Z[:, b] for a, b in pairs]).reshape(len(pairs), len(bare))
+    size = abs(rows) @ np.asarray(M.diagonal())
+    if not pairs:  # a held body: what the bare rows sum to
+        missing, rows, size = np.array([np.sum(M[bare])]), np.ones((1, len(bare))), np.array([M.diagonal().sum()])
+    near = bare
+    while True:
+        reached = near | (np.asarray(graph @ near.astype(float)) > 0)
+        ring, change = reached & kept, np.zeros(len(bare))
+        if np.any(ring):
+            change[ring], *_ = np.linalg.lstsq(rows[:, ring], missing, rcond=None)
+            if np.all(abs(rows @ change - missing) <= KEPT * size):
+                return change
+        if np.array_equal(reached, near):
+            raise InvalidProblem(
+                "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body"
+            )
+        near = reached

@@ -1,0 +1,179 @@
+"""The steps of a motion: each posed by the scheme, solved, and certified with its neighbours."""
+
+from __future__ import annotations
+
+import copy
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from contactqp.analysis.contact_time import slowest_frequency
+from contactqp.analysis.critical_step import critical_step
+from contactqp.analysis.mass import touched
+from contactqp.analysis.motion import Motion, MotionHistory
+from contactqp.analysis.schemes.scheme import Scheme, State
+from contactqp.analysis.step_certificate import StepJudge
+from contactqp.analysis.step_contact import Answered, Posed, StepContact
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged, TimeStepWarning
+from contactqp.problem import Vector
+from contactqp.solution import Work
+
+# Steps certified at once.
+BLOCK = 64
+TOLERANCE = 1e-9
+# A duration that is this near to a whole number of steps is one.
+WHOLE = 1e-6
+# A contact that lasts less than so many steps is not resolved.
+RESOLVED = 10
+# Central differences may step at their critical step, known to this part.
+CRITICAL = 1e-6
+
+
+class MotionRun:
+    """One motion as it is made."""
+
+    def __init__(
+        self, scheme: Scheme, load: Callable[[float], Vector], start: float, method: str, options: dict[str, Any]
+    ) -> None:
+        self._scheme, self._load = scheme, load
+        self._contacts = tuple(StepContact(template, method, options) for template in scheme.templates)
+        self._judges = tuple(StepJudge(template) for template in scheme.templates)
+        self._pending: list[list[tuple[Posed, Answered]]] = [[] for _ in scheme.templates]
+        self._notes: list[str] = []
+        self._impacted = False
+        answer = lambda posed, i: self._contacts[i].solve(posed)  # noqa: E731
+        self._motion = Motion(scheme, [], load, start, method, [0.0], self._work, answer)
+
+    def start(self, u: Vector, v: Vector) -> None:
+        self._motion.states.append(self._scheme.first(u, v, self._load(self._motion.start)))
+
+    def lasting(self, duration: float) -> MotionHistory:
+        """The history so far and of the steps that a duration takes."""
+        if isinstance(duration, bool) or not isinstance(duration, (int, float, np.number)) or not 0 < duration < np.inf:
+            raise InvalidProblem(f"duration: expected a positive number, got {duration!r}")
+        ratio = duration / self._scheme.body.step
+        whole = abs(ratio - round(ratio)) <= WHOLE
+        return self._steps(max(round(ratio) if whole else int(np.ceil(ratio)), 1))
+
+    def _resumed(self, states: list[State], duration: float) -> MotionHistory:
+        """What `MotionHistory.resume` asks for: these states and more, the first history untouched."""
+        twin = copy.copy(self)
+        twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds))
+        twin._notes, twin._pending = list(self._notes), [[] for _ in self._pending]
+        return twin.lasting(duration)
+
+    def _steps(self, count: int) -> MotionHistory:
+        """So many steps, certified."""
+        began, motion = time.perf_counter() - self._motion.seconds[0], self._motion
+        first, state = len(motion.states), motion.states[-1]
+        load = self._load(motion.time(first - 1))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(first, first + count):
+                next_load = self._load(motion.time(k))
+                state = self._step(state, load, next_load)
+                motion.states.append(state)
+                load = next_load
+                if not self._impacted and np.any(state.normal_force > 0):
+                    self._impacted = True
+                    self._mind_contact_time(state, k)
+                if k % BLOCK == 0 or k == first + count - 1:
+                    motion.seconds[0] = time.perf_counter() - began
+                    self._judge(k)
+        return self.history
+
+    @property
+    def history(self) -> MotionHistory:
+        return MotionHistory(self._motion, lambda: tuple(self._notes), self._resumed)
+
+    def _step(self, state: State, load: Vector, next_load: Vector) -> State:
+        answers: tuple[Answered, ...] = ()
+        for contact, pending in zip(self._contacts, self._pending, strict=True):
+            posed = self._scheme.pose(state, load, next_load, answers)
+            try:
+                found = contact.solve(posed)
+            except (NotConverged, NotCertified) as error:
+                raise NotConverged(
+                    f"{self._scheme.name}: step {len(self._motion.states)}: {error}", self.history
+                ) from error
+            pending.append((posed, found))
+            answers = (*answers, found)
+        return self._scheme.accept(state, answers)
+
+    def _judge(self, last: int) -> None:
+        """Certify the steps since the last block."""
+        for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
+            first = last - len(pending) + 1
+            refused = judge.figures([p for p, _ in pending], [a for _, a in pending]).first_above(TOLERANCE)
+            pending.clear()
+            if refused is None:
+                continue
+            step, figure, worst = refused
+            instant = self._motion.time(first + step)
+            del self._motion.states[first + step :]
+            if not np.isfinite(worst):
+                raise NotConverged(
+                    f"{self._scheme.name}: the motion has left all numbers at time {instant:g}", self.history
+                )
+            raise NotConverged(
+                f"{self._scheme.name}: the certificate refuses the step that ends at time {instant:g}: {figure} is "
+                f"{worst:.3g}, tolerance {TOLERANCE:g} ({template!r})",
+                self.history,
+            )
+
+    def _work(self) -> Work:
+        return Work(
+            factorisations=sum(contact.factorisations for contact in self._contacts),
+            back_substitutions=sum(contact.back_substitutions for contact in self._contacts),
+            iterations=len(self._motion.states) - 1,
+            retained=len(touched(self._scheme.body.problem)),
+        )
+
+    def _mind_contact_time(self, state: State, k: int) -> None:
+        scheme, h = self._scheme, self._scheme.body.step
+        if scheme.inertia is None:
+            return
+        closed = np.flatnonzero(state.normal_force > 0)
+        share = scheme.inertia * scheme.body.mass + scheme.body.stiffness
+        contact, template = self._contacts[-1], scheme.templates[-1]
+        factor = float(template.stiffness.diagonal().max() / share.diagonal().max())
+        omega = slowest_frequency(
+            lambda y: factor * contact.held(y, closed),
+            scheme.body.mass,
+            scheme.inertia,
+            self._motion.states[k - 1].velocity,
+        )
+        if omega is None or np.pi / omega >= RESOLVED * h:
+            return
+        names = ", ".join(scheme.body.problem.contact_name(int(i)) for i in closed[:3])
+        self._warn(
+            f"time step {h:.3g} is too long to resolve the contact that closes at time {self._motion.time(k):.6g} "
+            f"({names}): it lasts about {np.pi / omega:.2g}, half a period of the slowest vibration that it starts; "
+            f"take steps of {np.pi / omega / RESOLVED:.2g} or less"
+        )
+
+    def mind_critical_step(self, penalty: float | None) -> None:
+        """Refuse an unstable step; of penalty springs warn, since they act in contact only."""
+        body = self._scheme.body
+        limit = critical_step(body.mass, body.stiffness)
+        if body.step > limit * (1 + CRITICAL):
+            raise InvalidProblem(
+                f"time_step: {self._scheme.name} is stable up to {limit:.6g} (2 over the highest frequency of "
+                f"stiffness and mass), got {body.step:.6g}"
+            )
+        if penalty is None or self._scheme.springs is None:
+            return
+        E = body.problem.normal
+        touching = critical_step(body.mass, body.stiffness + penalty * (E.T @ E))
+        if body.step > touching * (1 + CRITICAL):
+            self._warn(
+                f"time step {body.step:.6g} is unstable with all contacts closed: contact springs of {penalty:g} are "
+                f"stable up to {touching:.6g}"
+            )
+
+    def _warn(self, message: str) -> None:
+        self._notes.append(message)
+        warnings.warn(message, TimeStepWarning, stacklevel=4)

@@ -1,0 +1,65 @@
+"""Moreau's and Jean's scheme: impulses and velocities, with Newton's impact law.
+
+    M (v+ - v) + h K (theta u+ + (1 - theta) u) + E'P = h f,    u+ = u + h (theta v+ + (1 - theta) v)
+
+with, at contacts that the step would close (g - E_N (u + h/2 v) <= 0), Newton's law on the velocities of approach,
+
+    E_N v+ <= -e E_N v,  P_N >= 0,  complementary,
+
+and Coulomb's law of P_T and E_T v+. With theta = 1/2 and e <= 1 energy never grows (Moreau 1988; Jean 1999; Acary and
+Brogliato 2008, section 10.1). A contact closes in its velocity: an overlap of the order of h |E_N v| is left.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from contactqp.analysis.schemes.scheme import Block, Body, Scheme, State
+from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.problem import Vector
+
+# Up to so many unknowns that contacts touch their rows are kept dense.
+FEW = 60
+# A predicted gap that is this part of its own lengths is none.
+TOUCHING = 64 * np.finfo(float).eps
+
+
+class MoreauJean(Scheme):
+    """x = v+, forces are impulses."""
+
+    name = "moreau-jean"
+
+    def __init__(self, body: Body, theta: float, restitution: float) -> None:
+        self.body, self._theta, self._restitution = body, theta, restitution
+        self.templates = (body.template(body.mass + (theta * body.step) ** 2 * body.stiffness),)
+        self.keeps_energy = theta == 0.5
+        self.inertia = 1 / (theta * body.step) ** 2
+        self._touched = np.unique(body.problem.normal.indices)
+        self._normal: Any = body.problem.normal[:, self._touched]
+        if len(self._touched) <= FEW:
+            self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
+        self._normal_size = abs(self._normal)
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        del answers
+        body, theta, h = self.body, self._theta, self.body.step
+        u, v = state.displacement, state.velocity
+        mean = next_load if theta == 1 else theta * next_load + (1 - theta) * load
+        force = body.mass @ v - h * (body.stiffness @ (u + h * theta * (1 - theta) * v) - mean)
+        ahead = u[self._touched] + h / 2 * v[self._touched]
+        room = body.problem.gap - self._normal @ ahead
+        near = room <= TOUCHING * (self._normal_size @ abs(ahead) + abs(body.problem.gap))
+        return Posed(force, -self._restitution * (self._normal @ v[self._touched]), near)
+
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        found, h, theta = answers[-1], self.body.step, self._theta
+        u = state.displacement + h * (theta * found.unknown + (1 - theta) * state.velocity)
+        forces = found.normal / h, found.friction / h, found.tie / h
+        return State(u, found.unknown, *forces, state.displacement)
+
+    def contact_way(self, displacements: Block, velocities: Block) -> Block:
+        """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
+        del displacements
+        return self.body.step * (velocities[1:] + velocities[:-1]) / 2

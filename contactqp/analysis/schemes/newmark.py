@@ -1,0 +1,79 @@
+"""The trapezoidal rule (Newmark 1959, gamma = 1/2, beta = 1/4) with contact at the end of the step; backward Euler.
+
+    M (v+ - v) / h + K (u + u+) / 2 + E'(l + l+) / 2 + A'nu = (f + f+) / 2,    u+ = u + h (v + v+) / 2,
+    E_N u+ <= g,  l_N+ >= 0,  complementary
+
+With mass at the contacts it creates energy at impacts and its contact forces chatter: it is kept because people use it.
+Without (`modified_mass`) contact nodes are in static equilibrium, K u+ + E'l+ = f+ there, and both are cured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.analysis.mass import massless
+from contactqp.analysis.schemes.scheme import Body, Scheme, State
+from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.problem import Vector
+
+
+class Trapezoidal(Scheme):
+    """x = u+, forces are those at the end of the step."""
+
+    def __init__(self, body: Body, name: str) -> None:
+        self.body, self.name = body, name
+        self.inertia = 4 / body.step**2
+        self._inertia = self.inertia * body.mass
+        self.templates = (body.template(self._inertia + body.stiffness),)
+        self._massless = massless(body.mass)
+        self._any_massless = bool(np.any(self._massless))
+
+    def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
+        """The contact forces of bodies that rest on each other, from M a + E_N'l = f - K u, E_N a <= 0."""
+        state = super().first(displacement, velocity, load)
+        if not self._any_massless:
+            state.normal_force[:] = self.body.starting(displacement, velocity, load)[1]
+        return state
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        del answers
+        body, u = self.body, state.displacement
+        internal = body.stiffness @ u
+        force = load + next_load - 2 * internal - body.pull(state) + self._inertia @ (body.step * state.velocity)
+        if self._any_massless:
+            force[self._massless] = (next_load - internal)[self._massless]
+        return Posed(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
+
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        found, u, h = answers[-1], state.displacement, self.body.step
+        velocity = 2 / h * found.increment - state.velocity
+        if self._any_massless:
+            velocity[self._massless] = found.increment[self._massless] / h
+        return State(found.unknown, velocity, found.normal, found.friction, found.tie / 2, u)
+
+    def contact_weight(self) -> float:
+        """Half of a force works before its instant and half after; all of it where there is no mass."""
+        return 1.0 if self._any_massless else 0.5
+
+
+class BackwardEuler(Scheme):
+    """x = u+:  M (v+ - v) / h + K u+ + E'l + A'nu = f+,  u+ = u + h v+,  E_N u+ <= g. It loses energy everywhere."""
+
+    name = "backward-euler"
+    keeps_energy = False
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.inertia = 1 / body.step**2
+        self._inertia = self.inertia * body.mass
+        self.templates = (body.template(self._inertia + body.stiffness),)
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        del load, answers
+        body, u = self.body, state.displacement
+        force = next_load - body.stiffness @ u + self._inertia @ (body.step * state.velocity)
+        return Posed(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
+
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        found, u = answers[-1], state.displacement
+        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)

@@ -1,0 +1,81 @@
+"""Central differences with contact in the displacement (Paoli and Schatzman 2002), and with penalty springs.
+
+    M (u+ - 2u + u-) / h^2 + K u + E'l + A'nu = f,    E_N (u+ + e u-) / (1 + e) <= g,  l_N >= 0,  complementary
+
+The penalty scheme has l_N = beta (E_N u - g)+ instead, of the displacement at the start of the step. Both are stable up
+to h = 2 / omega, omega the highest frequency (with all contact springs, for the penalty).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.analysis.schemes.scheme import Body, State, TwoStep
+from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.problem import Vector
+
+
+class _Central(TwoStep):
+    """x = u+, forces are those of the start of the step."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self._inertia = body.mass / body.step**2
+
+    def _free(self, state: State, load: Vector) -> Vector:
+        u = state.displacement
+        return np.asarray(load - self.body.stiffness @ u + self._inertia @ (u - state.before))
+
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        found, u = answers[-1], state.displacement
+        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+
+
+class PaoliSchatzman(_Central):
+    """Contact by a projection, with restitution e."""
+
+    name = "paoli-schatzman"
+
+    def __init__(self, body: Body, restitution: float) -> None:
+        super().__init__(body)
+        self._restitution = restitution
+        self.templates = (body.template(self._inertia),)
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        del next_load, answers
+        problem, e = self.body.problem, self._restitution
+        gap = (1 + e) * problem.gap - e * (problem.normal @ state.before) if e else problem.gap
+        u = state.displacement
+        return Posed(self._free(state, load), gap, None, self.body.slip_from(u), problem.tie_value, u)
+
+
+class ExplicitPenalty(_Central):
+    """Contact by springs of stiffness beta, which overlap by l_N / beta."""
+
+    name = "penalty"
+
+    def __init__(self, body: Body, penalty: float) -> None:
+        super().__init__(body)
+        self._penalty = self.springs = penalty
+        self.keeps_energy = False
+        self.templates = (body.template(self._inertia).with_contacts(np.zeros(0, dtype=np.intp)),)
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        del next_load, answers
+        force = self._free(state, load) - self.body.problem.normal.T @ self._springs(state.displacement)
+        return Posed(force, np.zeros(0), None, None, self.body.problem.tie_value, state.displacement)
+
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        ended = super().accept(state, answers)
+        return State(
+            ended.displacement,
+            ended.velocity,
+            self._springs(ended.displacement),
+            ended.friction_force,
+            ended.tie_force,
+            ended.before,
+        )
+
+    def _springs(self, displacement: Vector) -> Vector:
+        problem = self.body.problem
+        return np.asarray(self._penalty * np.maximum(problem.normal @ displacement - problem.gap, 0.0))

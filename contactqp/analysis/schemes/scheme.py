@@ -1,0 +1,152 @@
+"""What a time-stepping scheme is: how it poses a step as a contact problem, and what it makes of the answer.
+
+Writing h for the time step, a motion satisfies
+
+    M dv/dt + K u + E_N'l_N + E_T'l_T + A'nu = f,    du/dt = v,
+    E_N u <= g,  l_N >= 0,  l_N (g - E_N u) = 0,    A u = b
+
+with Coulomb's law for l_T and the velocities of slip, and an impact law where velocities jump.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solving import solve
+
+Block = NDArray[np.float64]  # one row a step
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A motion at the end of a step, and what the next one needs of it."""
+
+    displacement: Vector  # u (n,)
+    velocity: Vector  # v (n,); of two-step schemes (u - before) / h, half a step earlier
+    normal_force: Vector  # l_N (m,) of the step that ended, an impulse over h where the scheme has impulses
+    friction_force: Vector  # l_T ((d-1) m,), none without friction
+    tie_force: Vector  # nu (k,)
+    before: Vector  # u one step earlier
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What every scheme steps: the problem, its mass matrix, and the step."""
+
+    problem: ContactProblem
+    mass: Any  # M (n, n) CSR
+    step: float  # h
+
+    @property
+    def stiffness(self) -> Any:
+        return self.problem.stiffness_rows
+
+    def template(self, stiffness: Any) -> ContactProblem:
+        """The contact problem of a step: the rows, friction and names of the body's with another stiffness."""
+        problem = self.problem
+        return problem.replace(stiffness=stiffness, near_null_space=None)
+
+    @property
+    def tangent(self) -> Any:
+        """E_T of contacts with friction; without, no rows."""
+        return self.problem.tangent if self.problem.frictional else sp.csr_matrix((0, self.problem.dimension))
+
+    def slip_from(self, displacement: Vector) -> Vector:
+        """E_T u, where the slip of a step starts."""
+        return np.asarray(self.tangent @ displacement)
+
+    def still(self, displacement: Vector, velocity: Vector, before: Vector) -> State:
+        """A state without forces."""
+        problem = self.problem
+        forces = np.zeros(problem.contacts), np.zeros(self.tangent.shape[0]), np.zeros(problem.ties)
+        return State(displacement, velocity, *forces, before)
+
+    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector]:
+        """The acceleration and the normal forces (m,) of bodies that rest on each other at the start.
+
+        M a + E_N'l + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move.
+        """
+        problem, force = self.problem, load - self.stiffness @ displacement
+        room, approach = problem.gap - problem.normal @ displacement, problem.normal @ velocity
+        resting = np.flatnonzero((room <= 0) & (approach == 0))
+        normal = np.zeros(problem.contacts)
+        start = solve(
+            ContactProblem(self.mass, force, problem.normal[resting], np.zeros(len(resting)), tie=problem.tie)
+        )
+        normal[resting] = start.normal_force
+        return start.displacement, normal
+
+    def pull(self, state: State) -> Vector:
+        """E_N'l_N + E_T'l_T of a state."""
+        return np.asarray(self.problem.normal.T @ state.normal_force + self.tangent.T @ state.friction_force)
+
+
+class Scheme(ABC):
+    """One way to step. All are linear but for contact, with one stiffness each for all their steps."""
+
+    name: str
+    body: Body
+    templates: tuple[ContactProblem, ...]  # one for each problem that a step solves, in their order
+    inertia: float | None = None  # s where the last template has a stiffness in proportion to s M + K; None: explicit
+    springs: float | None = None  # beta where contacts are springs, whose energy is elastic
+    keeps_energy: bool = True  # whether, without contact, `kinetic` + 1/2 u'Ku stays as it is under no load
+
+    def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
+        """The state that the first step starts from; the load is that of the start."""
+        del load
+        return self.body.still(displacement, velocity, displacement)
+
+    @abstractmethod
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+        """The next problem of the step from `state`; `answers` are those of its earlier problems."""
+
+    @abstractmethod
+    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+        """The state at the end of the step."""
+
+    def contact_way(self, displacements: Block, velocities: Block) -> Block:
+        """(steps, n) from those (steps + 1, n) of all states: the way along which contact forces work in a step."""
+        del velocities
+        return np.diff(displacements, axis=0)
+
+    def contact_weight(self) -> float:
+        """The part of a contact force that works in its own step; the rest works in the step after."""
+        return 1.0
+
+    def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
+        """(steps + 1,) 1/2 v'Mv of states given as (steps + 1, n) arrays."""
+        del displacements, loads
+        return np.asarray(np.einsum("ij,ij->i", velocities, (self.body.mass @ velocities.T).T) / 2)
+
+
+class TwoStep(Scheme):
+    """What central differences share: v = (u_k - u_(k-1)) / h, the velocity half a step before u_k."""
+
+    def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
+        """u before the start from u0 - h v0 + h^2/2 a0."""
+        before = displacement - self.body.step * velocity
+        before += self.body.step**2 / 2 * self.starting(displacement, velocity, load)
+        return self.body.still(displacement, velocity, before)
+
+    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
+        """a0."""
+        return self.body.starting(displacement, velocity, load)[0]
+
+    def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
+        """1/2 v'M v+, v and v+ = v + h a the velocities half a step before and after, a from K and f alone.
+
+        With the elastic energy 1/2 u'Ku this is what central differences keep exactly in free flight.
+        """
+        body = self.body
+        momentum = (body.mass @ velocities.T).T
+        push = loads - (body.stiffness @ displacements.T).T
+        push[:, body.mass.diagonal() == 0] = 0.0
+        return np.asarray(np.einsum("ij,ij->i", velocities, momentum + body.step * push) / 2)

@@ -1,0 +1,189 @@
+"""Many steps of a motion judged at once, by the figures of the certificate.
+
+All steps of a scheme share stiffness and rows: the figures of a block of them are those of `contactqp.violations`,
+formed by products with a whole block. Residuals are in double precision: each entry is known to a few dozen roundings
+of the sizes that meet there, far below any tolerance that passes. It judges what was posed; who answered does not
+matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.coulomb_cone import directions, lengths
+from contactqp.problem import ContactProblem
+from contactqp.violations import ROUNDING_OF_LENGTH, bodies, own_compliance, ratio
+
+FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+
+Block = NDArray[np.float64]  # one row a step
+
+
+@dataclass(frozen=True, eq=False)
+class StepFigures:
+    """The worst figures of each step of a block, (steps,) each; see `contactqp.certificate`."""
+
+    equilibrium: Block
+    penetration: Block
+    tension: Block
+    complementarity: Block
+    cone: Block
+    slip_direction: Block
+    tie: Block
+
+    def first_above(self, tolerance: float) -> tuple[int, str, float] | None:
+        """The first step with a figure above a tolerance, its worst figure and how large that is; NaN is infinite."""
+        values = np.array([getattr(self, name) for name in FIGURES])
+        values = np.where(np.isnan(values), np.inf, values)
+        beyond = np.flatnonzero(np.any(values > tolerance, axis=0))
+        if not len(beyond):
+            return None
+        step = int(beyond[0])
+        worst = int(np.argmax(values[:, step]))
+        return step, FIGURES[worst], float(values[worst, step])
+
+
+class StepJudge:
+    """What the figures need of a template."""
+
+    def __init__(self, template: ContactProblem) -> None:
+        self._problem = template
+        self._K, self._N, self._A = template.stiffness_rows, template.normal, template.tie
+        self._T = template.tangent if template.frictional else None
+        self._sizes = tuple(abs(matrix) for matrix in (self._K, self._N, self._A))
+        self._unit = np.sqrt(template.diagonal)
+        self._rest = {name: _Rest(template, rows) for name, rows in self._rows().items()}
+        self._entries = sp.coo_matrix(abs(self._N))
+
+    def _rows(self) -> dict[str, Any]:
+        return {"normal": self._N, "tie": self._A} | ({} if self._T is None else {"tangent": self._T})
+
+    def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
+        """The figures of a block of steps."""
+        problem = self._problem
+        x, (load, F) = np.column_stack([a.unknown for a in answered]), self._loads(posed)
+        normal, tie = np.column_stack([a.normal for a in answered]), np.column_stack([a.tie for a in answered])
+        friction, gap = np.column_stack([a.friction for a in answered]), np.column_stack([p.gap for p in posed])
+        looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
+        size = abs(x)
+        residual, F = load - self._K @ x, F + self._sizes[0] @ size
+        _, N, A = self._sizes
+        if np.any(normal):
+            residual, F = residual - self._N.T @ normal, F + N.T @ abs(normal)
+        if problem.ties:
+            residual, F = residual - self._A.T @ tie, F + A.T @ abs(tie)
+        if self._T is not None:
+            residual, F = residual - self._T.T @ friction, F + abs(self._T).T @ abs(friction)
+        moved = self._unit[:, None] * size
+        room = gap - self._N @ x
+        length = self._rest["normal"].lengths(N @ size + abs(gap), moved)
+        room_measure, push = ratio(abs(room), length), self._forces(normal, F)
+        held = np.zeros_like(tie)
+        if problem.ties:
+            value = np.array([np.zeros(problem.ties) if p.tie_value is None else p.tie_value for p in posed]).T
+            sizes = self._rest["tie"].lengths(A @ size + abs(value), moved)
+            held = ratio(abs(self._A @ x - value), sizes)
+        cone, direction = self._coulomb(posed, x, normal, friction, F, moved)
+        stray = ~looked & (normal != 0)  # a force where the step had no contact
+        return StepFigures(
+            _worst_part(residual, F),
+            _worst(np.where(looked & (room < 0), room_measure, 0.0)),
+            _worst(np.where((normal < 0) | stray, push, 0.0)),
+            _worst(np.where(looked & (room > 0) & (normal > 0), np.minimum(room_measure, push), 0.0)),
+            cone,
+            direction,
+            _worst(held),
+        )
+
+    def _loads(self, posed: list[Posed]) -> tuple[Block, Block]:
+        """f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x - base."""
+        load = np.column_stack([p.load for p in posed])
+        bases = [p.base for p in posed if p.base is not None]
+        if not bases:
+            return load, abs(load)
+        base = np.column_stack(bases)
+        return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
+
+    def _forces(self, force: Block, F: Block) -> Block:
+        """max_j |E_ij l_i| / F_j (m, steps)."""
+        measure = np.zeros_like(force)
+        acting = np.any(force != 0, axis=1)[self._entries.row]
+        row, column, size = self._entries.row[acting], self._entries.col[acting], self._entries.data[acting]
+        np.maximum.at(measure, row, ratio(size[:, None] * abs(force[row]), F[column]))
+        return measure
+
+    def _coulomb(
+        self, posed: list[Posed], x: Block, normal: Block, friction: Block, F: Block, moved: Block
+    ) -> tuple[Block, Block]:
+        """|l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its lengths."""
+        steps, m = x.shape[1], len(normal)
+        if self._T is None or not len(friction):
+            return np.zeros(steps), np.zeros(steps)
+        problem, width = self._problem, len(friction) // m
+        origin = np.array([np.zeros(len(friction)) if p.slip_origin is None else p.slip_origin for p in posed]).T
+
+        def by_contact(rows: Block) -> Block:
+            """(m steps, d-1) from (m (d-1), steps)."""
+            return np.moveaxis(rows.reshape(m, width, steps), 1, 2).reshape(-1, width)
+
+        slip, force = by_contact(self._T @ x - origin), by_contact(friction)
+        meeting_lengths = self._rest["tangent"].lengths(abs(self._T) @ abs(x) + abs(origin), moved)
+        size = lengths(by_contact(np.where(np.isfinite(meeting_lengths), meeting_lengths, 0.0)))
+        size = np.where(size > 0, size, np.inf)
+        bound = (problem.friction[:, None] * np.maximum(normal, 0.0)).ravel()  # type: ignore[index]
+        beyond = np.maximum(lengths(force) - bound, 0.0)
+        wrong = lengths(force - bound[:, None] * directions(slip))
+        meeting = self._meeting_at_tangents(F).ravel()
+        slip_measure = ratio(lengths(slip), size)
+        cone, direction = ratio(beyond, meeting), np.minimum(slip_measure, ratio(wrong, meeting))
+        return _worst(cone.reshape(m, steps)), _worst(direction.reshape(m, steps))
+
+    def _meeting_at_tangents(self, F: Block) -> Block:
+        """(m, steps) the least F_j / |E_T|_ij, the length of column j, of what the rows of a contact touch."""
+        assert self._T is not None
+        squares = sp.coo_matrix(self._T.multiply(self._T))
+        width = self._T.shape[0] // self._N.shape[0]
+        # |E_T'v|_j is at most |v| times the length of column j of the contact's rows.
+        shape = (self._N.shape[0], self._T.shape[1])
+        columns = sp.coo_matrix(sp.csr_matrix((squares.data, (squares.row // width, squares.col)), shape=shape))
+        least = np.full((self._N.shape[0], F.shape[1]), np.inf)
+        np.minimum.at(least, columns.row, F[columns.col] / np.sqrt(columns.data)[:, None])
+        return least
+
+
+class _Rest:
+    """Rows whose lengths are the rounding of what moves around them are at rest (`violations.lengths_that_meet`)."""
+
+    def __init__(self, template: ContactProblem, rows: Any) -> None:
+        self._rounding = ROUNDING_OF_LENGTH * np.sqrt(own_compliance(template, rows))[:, None]
+        label = bodies(template)
+        self._order = np.argsort(label, kind="stable")
+        self._starts = np.searchsorted(label[self._order], np.arange(label.max(initial=0) + 1))
+        entries = rows.tocoo()
+        self._row, self._body = entries.row, label[entries.col]
+
+    def lengths(self, length: Block, moved: Block) -> Block:
+        """The lengths (rows, steps), infinite where a row is at rest; `moved` (n, steps) are sqrt(K_jj) |x_j|."""
+        if not np.any(length <= self._rounding * np.max(moved, axis=0, initial=0.0)):
+            return length
+        largest = np.maximum.reduceat(moved[self._order], self._starts, axis=0)
+        around = np.zeros_like(length)
+        np.maximum.at(around, self._row, largest[self._body])
+        return np.where(length <= self._rounding * around, np.inf, length)
+
+
+def _worst_part(residual: Block, F: Block) -> Block:
+    """The worst |residual_j| / F_j of each step; without forces there is no residual."""
+    part = np.divide(residual, F, out=residual, where=F != 0)
+    return np.asarray(np.maximum(np.max(part, axis=0), -np.min(part, axis=0)))
+
+
+def _worst(values: Block) -> Block:
+    """The worst of each step, NaN included."""
+    return np.asarray(np.max(values, axis=0, initial=0.0))

@@ -1,0 +1,211 @@
+"""Contact within one time step: one factorisation for all steps, one back-substitution and a small problem in each.
+
+A scheme poses every step as a `ContactProblem` with the same stiffness and rows,
+
+    K x + E_N'l_N + E_T'l_T + A'nu = f,    E_N x <= g,  l_N >= 0,  l_N (g - E_N x) = 0,    A x = b
+
+with Coulomb's law for l_T. x is a displacement or a velocity, l a force or an impulse, whichever the scheme takes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.analysis.step_forces import frictional_forces, normal_forces
+from contactqp.condensation import condense
+from contactqp.errors import InvalidProblem
+from contactqp.factorization import Array, DenseCholesky
+from contactqp.problem import ContactProblem, Vector
+
+# Ties whose compliance on each other, scaled to a diagonal of one, has a pivot below this are dependent.
+DEPENDENT = 1e-10
+# An unknown whose own force S_jj x_j is this part of those that meet there is at rest: forces with friction are known
+# to some thousand roundings, and what is tolerated of residuals is a thousand times as much.
+AT_REST = 1e-12
+# Up to so many contact unknowns have their inverse formed; a correction makes its answers as good as those of factors.
+FEW = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """What one step asks; where there is a base, the load is f - K base, which cancels less than f does."""
+
+    load: Vector  # (n,) on x, or on x - base
+    gap: Vector  # (m,); has no meaning where a contact is not looked at
+    looked_at: NDArray[np.bool_] | None = None  # (m,) contacts that the step may close; None: all
+    slip_origin: Vector | None = None  # ((d-1) m,)
+    tie_value: Vector | None = None  # (k,); None: zero
+    base: Vector | None = None  # (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """What a step answers, in the scheme's unknowns."""
+
+    unknown: Vector  # x (n,)
+    normal: Vector  # (m,)
+    friction: Vector  # ((d-1) m,), zeros without friction
+    tie: Vector  # (k,)
+    increment: Vector  # x - base (n,)
+
+
+class StepContact:
+    """The steps of one template, whose stiffness, rows and friction are those of every step."""
+
+    def __init__(self, template: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self.template, self._method, self._options = template, method, options
+        self._way = way = condense(template)
+        if way.rigid.count:
+            raise InvalidProblem(
+                "mass: together with the stiffness it leaves motions without any inertia or stiffness; this scheme "
+                "needs a mass, or a stiffness, for every motion"
+            )
+        self._E, self._A = way.normal, way.tie
+        self._pushed = np.zeros(template.contacts, dtype=bool)
+        self._frictional = template.frictional
+        rows = self._E
+        if template.frictional and way.tangent is not None:
+            self._T = way.tangent.toarray()
+            rows = self._local_rows()
+        self._rubbing = len(self._T) if template.frictional else 0
+        self._rows = rows
+        self._prepare_ties()
+        self._W = rows @ self._compliance(rows.T)
+
+    @property
+    def factorisations(self) -> int:
+        return self._way.factorisations
+
+    @property
+    def back_substitutions(self) -> int:
+        return self._way.back_substitutions
+
+    def _local_rows(self) -> Array:
+        """(d m, p): contact by contact -E_N before E_T; they map x to gap and slip, forces on the body to loads."""
+        m = self.template.contacts
+        width = len(self._T) // max(m, 1)
+        rows = np.empty((m, 1 + width, self._E.shape[1]))
+        rows[:, 0], rows[:, 1:] = -self._E, self._T.reshape(m, width, -1)
+        return rows.reshape(-1, self._E.shape[1])
+
+    def _prepare_ties(self) -> None:
+        self._tied: DenseCholesky | None = None
+        if not len(self._A):
+            return
+        self._of_ties = self._respond(self._A.T)
+        self._tied = DenseCholesky(self._A @ self._of_ties)
+        if self._tied.smallest_pivot < DEPENDENT:
+            raise InvalidProblem("tie: expected independent rows, got rows that say the same or contradict each other")
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """S^-1 of few unknowns: a product costs less than LAPACK's door."""
+        return self._solved(np.eye(len(self._way.schur)))
+
+    def _solved(self, right: Array) -> Array:
+        scale = self._way.scale
+        return np.asarray((self._way.schur_factor().solve((right.T * scale).T).T * scale).T)
+
+    def _respond(self, right: Array) -> Array:
+        """S^-1 right, without ties."""
+        if not len(right) or len(right) > FEW:
+            return self._solved(right) if len(right) else right
+        x = self._inverse @ right
+        return np.asarray(x + self._inverse @ (right - self._way.schur @ x))
+
+    def _compliance(self, right: Array) -> Array:
+        """The response of the contact unknowns to loads on them, ties held."""
+        if not right.size:
+            return right.copy()
+        x = self._respond(right)
+        if self._tied is not None:
+            x = x - self._of_ties @ self._tied.solve(self._A @ x)
+        return x
+
+    def solve(self, posed: Posed) -> Answered:
+        """x and the forces of one step.
+
+        Raises
+        ------
+        NotConverged, NotCertified, BackendFailed
+            As `solve`, of the small problem.
+        """
+        way, template = self._way, self.template
+        reduced, inner = way.reduce_load(posed.load)
+        free = self._respond(reduced)
+        gap, origin, value = self._limits(posed)
+        tie = np.zeros(template.ties)
+        if self._tied is not None:
+            tie = self._tied.solve(self._A @ free - value)
+            free = free - self._of_ties @ tie
+        normal, friction = self._forces(gap - self._E @ free, posed.looked_at, free, origin)
+        if np.any(normal):
+            pull, size = self._E.T @ normal, abs(self._E).T @ normal
+            if self._frictional:
+                pull, size = pull + self._T.T @ friction, size + abs(self._T).T @ abs(friction)
+            response = self._respond(pull)
+            if self._tied is not None:
+                change = self._tied.solve(self._A @ response)
+                tie, response = tie - change, response - self._of_ties @ change
+            free = free - response
+            # What comes to rest does so exactly, and not up to the rounding of the forces that stop it.
+            free[way.schur.diagonal() * abs(free) <= AT_REST * (abs(reduced) + size)] = 0.0
+        x = way.expand(free, inner)
+        return Answered(x if posed.base is None else posed.base + x, normal, friction, tie, x)
+
+    def _limits(self, posed: Posed) -> tuple[Vector, Any, Any]:
+        """Gap, slip origin and tie value of x - base."""
+        gap, origin = posed.gap, 0.0 if posed.slip_origin is None else posed.slip_origin
+        value = 0.0 if posed.tie_value is None else posed.tie_value
+        if posed.base is None:
+            return gap, origin, value
+        base = posed.base[self._way.retained]
+        if self._frictional:
+            origin = origin - self._T @ base
+        return gap - self._E @ base, origin, value - self._A @ base
+
+    def held(self, load: Vector, closed: NDArray[np.intp]) -> Vector:
+        """x under a load with some contacts held closed, E_N x = 0, and ties at zero."""
+        way = self._way
+        reduced, inner = way.reduce_load(load)
+        rows = np.vstack([self._E[closed], self._A])
+        free = self._respond(reduced)
+        response = self._respond(rows.T)
+        force, *_ = np.linalg.lstsq(rows @ response, rows @ free, rcond=None)
+        return way.expand(free - response @ force, inner)
+
+    def _forces(
+        self, c: Vector, looked_at: NDArray[np.bool_] | None, free: Vector, origin: Any
+    ) -> tuple[Vector, Vector]:
+        """l_N and l_T of contacts whose gaps without forces are c."""
+        m = self.template.contacts
+        normal, friction = np.zeros(m), np.zeros(self._rubbing)
+        closing = c < 0 if looked_at is None else (c < 0) & looked_at
+        if not closing.any():
+            self._pushed[:] = False
+            return normal, friction
+        looked = np.arange(m) if looked_at is None else np.flatnonzero(looked_at)
+        if self._frictional:
+            self._rub(c, self._T @ free - origin, looked, normal, friction)
+        else:
+            W = self._W if len(looked) == m else self._W[np.ix_(looked, looked)]
+            normal[looked] = normal_forces(W, c[looked], self._pushed[looked], self._method, self._options)
+        self._pushed = normal > 0
+        return normal, friction
+
+    def _rub(self, c: Vector, slip: Vector, looked: NDArray[np.intp], normal: Vector, friction: Vector) -> None:
+        """Fill in the forces of contacts with friction."""
+        m, width = self.template.contacts, self._rubbing // self.template.contacts
+        offset = np.column_stack([c, slip.reshape(m, width)])[looked].ravel()
+        rows = (looked[:, None] * (1 + width) + np.arange(1 + width)).ravel()
+        coefficient = self.template.friction[looked]  # type: ignore[index]
+        pressed, rubbed = frictional_forces(
+            self._W[np.ix_(rows, rows)], offset, coefficient, self._method, self._options
+        )
+        normal[looked] = np.maximum(pressed, 0.0)
+        friction.reshape(m, width)[looked] = rubbed

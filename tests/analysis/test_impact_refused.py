@@ -1,0 +1,170 @@
+"""What `impact` refuses, warns of, and how it fails: with words, and with the history so far."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.analysis.contact_time import slowest_frequency
+from contactqp.analysis.critical_step import critical_step
+from tests.analysis.motions import LENGTH, WAVE, rod_at_wall, rod_matrices, thrown_rod
+
+BALL: dict[str, Any] = dict(
+    problem=cq.ContactProblem(stiffness=[[0.0]], load=[0.0], normal=[[1.0]], gap=[1.0], contact_names=["wall"]),
+    mass=[2.0],
+    displacement=[0.0],
+    velocity=[4.0],
+    duration=1.0,
+    time_step=0.1,
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(problem=3), "impact: expected a ContactProblem, got int"),
+        (dict(mass=[1.0, 2.0]), r"mass: expected a matrix \(1, 1\) or its diagonal \(1,\), got shape \(2,\)"),
+        (dict(mass="heavy"), "mass: expected a matrix"),
+        (dict(mass=[-1.0]), "mass: expected no negative diagonal, got -1 at unknown 0"),
+        (dict(mass=[np.nan]), "mass: expected finite numbers"),
+        (dict(mass=[0.0]), "without any inertia or stiffness"),
+        (dict(mass=[0.0], scheme="paoli-schatzman"), "paoli-schatzman needs mass at every unknown; unknown 0 has none"),
+        (dict(displacement=[1.5]), "displacement: wall overlaps by 0.5 at the start"),
+        (dict(displacement=[0.0, 1.0]), r"displacement: expected shape \(1,\), got \(2,\)"),
+        (dict(velocity=[np.inf]), "velocity"),
+        (dict(duration=0.0), "duration: expected a positive number, got 0.0"),
+        (dict(time_step=-1), "time_step: expected a positive number, got -1"),
+        (dict(scheme="magic"), "scheme: expected one of moreau-jean, .*, got 'magic'"),
+        (dict(theta=0.3), "theta: expected a number from 0.5 to 1, got 0.3"),
+        (dict(restitution=1.2), "restitution: expected a number from 0 to 1, got 1.2"),
+        (dict(restitution=0.5, scheme="newmark"), "restitution: the scheme 'newmark' has none; moreau-jean, paoli"),
+        (dict(penalty=1e3), "penalty: the scheme 'moreau-jean' has none; penalty take one"),
+        (dict(scheme="penalty"), "penalty: the scheme 'penalty' has no default stiffness"),
+        (dict(scheme="penalty", penalty=-1.0), "penalty: expected a positive number, got -1.0"),
+        (dict(load=3.0), "load: expected a function of time, got 3.0"),
+        (dict(load=lambda t: [0.0, t]), r"load at time 0: expected shape \(1,\), got \(2,\)"),
+        (dict(scheme="modified-mass"), "contacts act on so many unknowns that their mass cannot be moved"),
+    ],
+)
+def test_bad_arguments_get_one_clear_line(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match=message) as refused:
+        cq.impact(**(BALL | change))
+    assert "\n" not in str(refused.value)
+
+
+def test_methods_that_are_approximate_and_friction_with_springs_are_unsupported() -> None:
+    with pytest.raises(cq.Unsupported, match="penalty: approximate by design"):
+        cq.impact(**BALL, method="penalty")
+    rough = cq.ContactProblem([[1.0, 0], [0, 1.0]], [0, 0], [[1.0, 0]], [1.0], [[0, 1.0]], friction=0.3)
+    with pytest.raises(cq.Unsupported, match="friction with contact springs"):
+        cq.impact(rough, [1.0, 1.0], [0, 0], [0, 0], 1.0, 0.1, "penalty", penalty=1.0)
+    tied = cq.ContactProblem([[1.0, 0], [0, 1.0]], [0, 0], [[1.0, 0]], [1.0], tie=[[0, 1.0]])
+    with pytest.raises(cq.Unsupported, match="modified-mass-central: ties"):
+        cq.impact(tied, [0.0, 1.0], [0, 0], [0, 0], 1.0, 0.1, "modified-mass-central")
+
+
+def test_asymmetric_and_incomplete_masses_are_refused() -> None:
+    pair = cq.ContactProblem(np.eye(2), [0, 0], [[1.0, 0]], [1.0])
+    for mass, message in (
+        ([[1.0, 0.5], [0.0, 1.0]], "symmetric"),
+        ([[1.0, 0.5], [0.5, 0.0]], "not positive semidefinite"),
+    ):
+        with pytest.raises(cq.InvalidProblem, match=message):
+            cq.impact(pair, mass, [0, 0], [0, 0], 1.0, 0.1)
+
+
+def test_dependent_ties_are_refused() -> None:
+    tied = cq.ContactProblem(np.eye(2), [0, 0], [[1.0, 0]], [1.0], tie=[[0, 1.0], [0, 2.0]])
+    with pytest.raises(cq.InvalidProblem, match="tie: expected independent rows"):
+        cq.impact(tied, [1.0, 1.0], [0, 0], [0, 0], 1.0, 0.1)
+
+
+@pytest.mark.parametrize("scheme", ["paoli-schatzman", "modified-mass-central", "penalty"])
+def test_explicit_steps_beyond_their_limit_are_refused_with_both_numbers(scheme: str) -> None:
+    knobs = {"penalty": 1.0} if scheme == "penalty" else {}
+    with pytest.raises(cq.InvalidProblem, match=rf"{scheme} is stable up to 0\.00\d+ .*, got 0\.00[34]"):
+        thrown_rod(scheme, courant=1.05 if scheme != "modified-mass-central" else 1.2, **knobs)
+
+
+@pytest.mark.parametrize("elements", [50, 400])
+def test_the_critical_step_of_a_rod_is_a_wave_through_an_element(elements: int) -> None:
+    K, M = rod_matrices(elements)
+    assert critical_step(M, K) == pytest.approx(LENGTH / elements / WAVE, rel=1e-6)
+    assert critical_step(M, 0 * K) == np.inf
+
+
+def test_a_step_that_is_too_long_for_a_contact_is_named_with_both_times() -> None:
+    """The course's rod: 0.2 m of steel at 0.5 m/s, steps of 0.01 s where contact lasts 7.7e-5 s."""
+    length, modulus, density, area, n = 0.2, 2.1e11, 7850.0, np.pi * 0.008**2, 100
+    h, middle = length / n, np.r_[1.0, 2 * np.ones(n - 1), 1.0]
+    K = sp.csc_matrix(sp.diags([middle, -np.ones(n), -np.ones(n)], [0, 1, -1]) * modulus * area / h)
+    M = sp.diags(middle / 2 * density * area * h)
+    rows = sp.csr_matrix(([1.0], ([0], [n])), shape=(1, n + 1))
+    problem = cq.ContactProblem(K, np.zeros(n + 1), rows, [0.05])
+    still, velocity = np.zeros(n + 1), np.full(n + 1, 0.5)
+    for scheme in ("moreau-jean", "newmark", "backward-euler", "deuflhard-krause-ertel", "modified-mass"):
+        with pytest.warns(cq.TimeStepWarning, match=r"time step 0\.01 is too long .* lasts about 7\.7e-05") as caught:
+            history = cq.impact(problem, M, still, velocity, 0.15, 0.01, scheme)
+        assert history.notes == (str(caught[0].message),)
+    # Resolved: no warning, which the test settings would make an error.
+    assert cq.impact(problem, M, still, velocity, 0.1001, 1e-6).notes == ()
+
+
+def test_the_slowest_vibration_of_a_held_rod_is_found() -> None:
+    K, M = rod_matrices(100)
+    step = 3.0 * LENGTH / WAVE
+    inertia = 4 / step**2
+
+    def respond(y: np.ndarray) -> np.ndarray:
+        held = np.zeros(101)
+        held[1:] = sp.linalg.spsolve(sp.csc_matrix(inertia * M + K)[1:, 1:], y[1:])
+        return held
+
+    omega = slowest_frequency(respond, M, inertia, np.ones(101))
+    assert omega is not None
+    assert np.pi / omega == pytest.approx(2 * LENGTH / WAVE, rel=1e-3)
+    assert slowest_frequency(lambda y: y / inertia / M.diagonal(), M, inertia, np.ones(101)) is None  # rigid
+
+
+def test_a_motion_that_leaves_all_numbers_fails_with_its_history() -> None:
+    with pytest.raises(cq.NotConverged, match="newmark: the motion has left all numbers at time") as failed:
+        thrown_rod("newmark", duration=2.0, method="active-set", load=lambda t: np.full(101, 1e306 * t))
+    history = failed.value.history
+    assert isinstance(history, cq.MotionHistory)
+    assert 1 <= len(history) < 601
+    assert np.all(np.isfinite(history.displacements))
+
+
+def test_a_method_that_gives_up_fails_with_the_history_until_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    from contactqp.analysis import step_contact
+
+    def gives_up(*_: object) -> None:
+        raise cq.NotConverged("lemke: no")
+
+    monkeypatch.setattr(step_contact, "normal_forces", gives_up)
+    with pytest.raises(cq.NotConverged, match="moreau-jean: step 151: lemke: no") as failed:
+        thrown_rod("moreau-jean")
+    history = failed.value.history
+    assert len(history) == 151
+    assert history.times[-1] == pytest.approx(0.5)
+    monkeypatch.undo()
+    assert np.array_equal(history.resume(1.5).displacements, thrown_rod("moreau-jean")[0].displacements)
+
+
+def test_the_certificate_refuses_forces_that_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    from contactqp.analysis import step_contact
+
+    right = step_contact.normal_forces
+    monkeypatch.setattr(step_contact, "normal_forces", lambda *a: 1.001 * right(*a))
+    with pytest.raises(cq.NotConverged, match=r"refuses the step that ends at time 0\.503333: complementarity is"):
+        thrown_rod("moreau-jean")
+
+
+def test_a_start_inside_a_wall_is_not_rounding() -> None:
+    problem, mass = rod_at_wall(10, gap=0.0)
+    with pytest.raises(cq.InvalidProblem, match="contact 0 overlaps by 1e-06"):
+        cq.impact(problem, mass, np.full(11, -1e-6), np.zeros(11), 1.0, 0.01)
