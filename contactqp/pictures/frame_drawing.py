@@ -1,4 +1,4 @@
-"""Pictures of bars, springs and beams: undeformed and magnified, with supports, obstacles, contact forces and gaps."""
+"""Pictures of bars, springs, beams, strings: undeformed and magnified, with supports, obstacles, forces and gaps."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ LINES: dict[str, dict[str, Any]] = {
     "bar": dict(color="#0072B2", linewidth=2.2),
     "beam": dict(color="#0072B2", linewidth=3.0),
     "spring": dict(color="#009E73", linewidth=1.6, linestyle=":"),
+    "string": dict(color="#0072B2", linewidth=1.2),
     "matrix": dict(color="#56B4E9", linewidth=1.2, linestyle="-."),
 }
 GROUNDED = "spring to the ground"

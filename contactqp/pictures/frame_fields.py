@@ -1,4 +1,4 @@
-"""The fields of a solution of bars, springs, beams and matrices: displacements of nodes, forces and gaps."""
+"""The fields of a solution of bars, springs, beams, strings and matrices: displacements of nodes, forces and gaps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Member:
     Attributes
     ----------
     kind : str
-        "bar", "spring", "beam" or "matrix".
+        "bar", "spring", "beam", "string" or "matrix".
     nodes : tuple of int
         Those it connects, as places in FrameFields.nodes; a single one is connected to the ground.
     path, displacement : (k, d) arrays

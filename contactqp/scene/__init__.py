@@ -48,5 +48,6 @@ With friction the answer depends on the way of the loads, from corner to corner 
     derivation = "mu times the weight"
 
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
-``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published`` and ``remarks``.
+``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published``
+and ``remarks``.
 """

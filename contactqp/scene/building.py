@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import beam, node_contact, point_mass, spring, truss
+from contactqp.elements import beam, node_contact, point_mass, spring, string, truss
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
 from contactqp.problem import ContactProblem, Units
@@ -205,6 +205,10 @@ def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]
     for girder in scene.beams:
         names = tuple(name for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}"))
         yield names, _beam_stiffness(scene, girder)
+    for wire in scene.strings:
+        tension = _value(scene, wire.tension)
+        for segment in wire.segments:
+            yield _displacements(scene, segment), string.stiffness(tension, *_ends(scene, segment))
     for matrix in scene.matrices:
         unit = read_unit(matrix.unit)[0] / read_unit(scene.system.label(KINDS["stiffness"].dimension))[0]
         yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
@@ -214,15 +218,17 @@ def _displacements(scene: Scene, nodes: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for node in nodes for name in of_node(scene, node))
 
 
+def _ends(scene: Scene, nodes: Iterable[str]) -> Iterator[Numbers]:
+    return (point(scene, node) for node in nodes)
+
+
 def _bar_stiffness(scene: Scene, item: Bar) -> Numbers:
-    start, end = (point(scene, node) for node in item.nodes)
-    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), start, end)
+    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), *_ends(scene, item.nodes))
 
 
 def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:
     modulus, area, inertia = (_value(scene, q) for q in (item.modulus, item.area, item.inertia))
-    start, end = (point(scene, node) for node in item.nodes)
-    return beam.stiffness(modulus, area, inertia, start, end)
+    return beam.stiffness(modulus, area, inertia, *_ends(scene, item.nodes))
 
 
 def _assemble(scene: Scene) -> Stiffness:
@@ -240,6 +246,12 @@ def _loads(scene: Scene) -> Mapping[str | None, Row]:
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
         total[load.name][load.unknown] += _value(scene, load.value)
+    for line_load in scene.line_loads:
+        per_length = np.array([_value(scene, b) for b in line_load.value])
+        for segment in scene.string(line_load.string).segments:
+            forces = string.uniform_load(per_length, *_ends(scene, segment))
+            for name, force in zip(_displacements(scene, segment), forces, strict=True):
+                total[line_load.name][name] += force
     for mass in scene.masses:
         gravity = np.array([_value(scene, g) for g in scene.gravity or ()])
         weight = point_mass.weight(_value(scene, mass.mass), gravity)

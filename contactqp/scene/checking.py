@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import Scene, Tie
 
 _LISTS = (
-    "nodes", "bars", "springs", "beams", "masses", "matrices", "ties", "obstacles", "contacts", "bodies", "membranes",
-    "supports", "tractions", "pressures", "point_loads",
+    "nodes", "bars", "springs", "beams", "strings", "masses", "matrices", "ties", "obstacles", "contacts", "bodies",
+    "membranes", "supports", "line_loads", "tractions", "pressures", "point_loads",
 )  # fmt: skip
 
 
@@ -28,6 +29,7 @@ _VECTORS = {
     "contacts": ("direction", "slip_origin"),
     "supports": ("near",),
     "point_loads": ("near", "force"),
+    "line_loads": ("value",),
     "tractions": ("value",),
 }
 
@@ -45,6 +47,7 @@ def check(scene: Scene) -> None:
     check_no_bodies(scene)
     _nodes_exist(scene)
     _lengths_are_positive(scene)
+    _strings_are_straight(scene)
     unknowns = of_scene(scene)
     for part in (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, claims_fit):
         part(scene, unknowns)
@@ -65,6 +68,10 @@ def _dimensions_fit(scene: Scene) -> None:
     d = len(scene.axes)
     if scene.beams and d != 2:
         raise SceneError(f"beams: expected a scene with two axes, got {d}")
+    if scene.strings and d == 1:
+        raise SceneError(
+            "strings: expected a scene with two axes or three, since they deflect across themselves, got 1"
+        )
     for key, vector in _vectors(scene):
         if len(vector) != d:
             raise SceneError(
@@ -85,7 +92,7 @@ def _vectors(scene: Scene) -> Iterator[tuple[str, tuple[object, ...]]]:
 
 def _node_uses(scene: Scene) -> Iterator[tuple[str, str]]:
     """Every place that names a node, and the name."""
-    for key in ("bars", "springs", "beams", "contacts"):
+    for key in ("bars", "springs", "beams", "strings", "contacts"):
         for i, item in enumerate(getattr(scene, key)):
             for j, name in enumerate(item.nodes or ()):
                 yield f"{key}[{i}].nodes[{j}] ({item.name!r})", name
@@ -116,6 +123,27 @@ def _lengths_are_positive(scene: Scene) -> None:
     for i, mass in enumerate(scene.masses):
         if scene.gravity is None:
             raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
+
+
+def _strings_are_straight(scene: Scene) -> None:
+    """A tension that turns at a node would push it aside with no load at all."""
+    for i, string in enumerate(scene.strings):
+        where = f"strings[{i}].nodes ({string.name!r})"
+        for segment in string.segments:
+            _apart(scene, where, segment)
+        ways = [_way(scene, segment) for segment in string.segments]
+        for node, before, after in zip(string.nodes[1:], ways, ways[1:], strict=False):
+            along = sum(a * b for a, b in zip(before, after, strict=True))
+            squares = sum(a * a for a in before) * sum(b * b for b in after)
+            if along <= 0 or along**2 != squares:
+                raise SceneError(
+                    f"{where}: expected nodes one after another on a straight line, got a turn at {node!r}"
+                )
+
+
+def _way(scene: Scene, nodes: tuple[str, ...]) -> list[Fraction]:
+    start, end = (scene.node(name).at for name in nodes)
+    return [b.si - a.si for a, b in zip(start, end, strict=True)]
 
 
 def _obstacles_have_directions(scene: Scene) -> None:
@@ -233,9 +261,15 @@ def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
                 f'loads[{i}].value: expected {kind.article} such as "{kind.example}" on {load.unknown!r}, '
                 f"got {load.value}"
             )
+    strings = [string.name for string in scene.strings]
+    for i, line_load in enumerate(scene.line_loads):
+        if line_load.string not in strings:
+            raise SceneError(
+                f"line_loads[{i}].string ({line_load.name!r}): {unknown(line_load.string, strings, 'string')}"
+            )
     for name in {load.name for load in scene.loads}:
         _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
-    if scene.path is not None and not scene.loads and not scene.masses:
+    if scene.path is not None and not (scene.loads or scene.line_loads or scene.masses):
         raise SceneError("path: expected loads that grow along it, got none")
 
 

@@ -17,10 +17,12 @@ _OF_NODES = {
     "bars": "bodies and bars in one scene are not offered yet",
     "springs": "bodies and springs in one scene are not offered yet",
     "beams": "bodies and beams in one scene are not offered yet",
+    "strings": "bodies and strings in one scene are not offered yet",
     "masses": "a body weighs by its density",
     "matrices": "a body has its own stiffness",
     "ties": "ties between bodies are not offered yet",
     "fixed": "'supports' hold bodies",
+    "line_loads": "they act on strings",
     "loads": "'tractions', 'pressures' and 'point_loads' act on bodies",
 }
 _OF_BODIES = ("supports", "tractions", "pressures", "point_loads")

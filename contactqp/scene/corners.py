@@ -55,7 +55,7 @@ def factors_at(scene: Scene, time: Fraction) -> Factors:
 
 def load_names(scene: Scene) -> Iterator[tuple[str, str | None]]:
     """The key of every load, and what corners call it."""
-    for key in ("loads", "tractions", "pressures", "point_loads"):
+    for key in ("loads", "line_loads", "tractions", "pressures", "point_loads"):
         yield from ((f"{key}[{i}]", load.name) for i, load in enumerate(getattr(scene, key)))
     if scene.gravity is not None:
         yield "gravity", GRAVITY

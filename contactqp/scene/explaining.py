@@ -18,6 +18,7 @@ _ELEMENTS = (
     ("bars", "axial bars"),
     ("springs", "springs"),
     ("beams", "plane Euler-Bernoulli beams"),
+    ("strings", "strings under constant tension"),
     ("masses", "point masses"),
     ("matrices", "stiffness matrices from elsewhere"),
 )

@@ -49,7 +49,7 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
         kind = body.model if isinstance(body, Body) else "membrane"
         size = f"{body.mesh.elements} elements ({kinds}), {len(body.mesh.points)} nodes, {kind}"
         yield BuildingBlock(f"body {body.name}", True, size)
-    yield BuildingBlock("bars, springs, beams, point masses", False, "none in a scene of bodies")
+    yield BuildingBlock("bars, springs, beams, strings, point masses", False, "none in a scene of bodies")
     held = int(np.sum(~np.isnan(model.system.prescribed)))
     yield counted("supports", held, "held unknown", "nothing is held")
     for key, what in (("tractions", "traction"), ("pressures", "pressure"), ("point_loads", "point load")):

@@ -99,6 +99,7 @@ Density = Annotated[Quantity, PlainValidator(_reader("density")), AfterValidator
 Poisson = Annotated[Number, AfterValidator(_poisson)]
 Grading = Annotated[Number, AfterValidator(_grading)]
 Pressure = Annotated[Quantity, PlainValidator(_reader("pressure"))]
+PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), AfterValidator(_positive)]
 PureForce = Annotated[Quantity, PlainValidator(_reader("force"))]
 Acceleration = Annotated[Quantity, PlainValidator(_reader("acceleration"))]
 Force = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["force"], KINDS["moment"]]))]
@@ -106,5 +107,8 @@ Factor = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [
 TieValue = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["length"], KINDS["angle"]]))]
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
+LineForces = Annotated[
+    tuple[Annotated[Quantity, PlainValidator(_reader("force per length"))], ...], Field(min_length=2, max_length=3)
+]
 Tractions = Annotated[tuple[Pressure, ...], Field(min_length=2, max_length=3)]
 Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -70,6 +71,22 @@ class Beam(Block):
     modulus: fields.Modulus
 
 
+class String(Block):
+    """A string under a constant tension, through nodes on a straight line; it resists deflections across that line.
+
+    Along the line it resists nothing: there its nodes are fixed, or held by something else.
+    """
+
+    name: Name
+    nodes: Annotated[tuple[Name, ...], Field(min_length=2)]
+    tension: fields.PositiveForce
+
+    @property
+    def segments(self) -> tuple[tuple[Name, Name], ...]:
+        """The pairs of nodes next to each other."""
+        return tuple(pairwise(self.nodes))
+
+
 class PointMass(Block):
     """A mass at a node; in statics it weighs `mass` times the scene's gravity."""
 
@@ -119,6 +136,14 @@ class Load(Block):
     value: fields.Force
 
 
+class LineLoad(Block):
+    """A constant force per length on a string, along the axes."""
+
+    name: Name
+    string: Name
+    value: fields.LineForces
+
+
 # What loads are multiplied by, by their names.
 Corner = dict[Name, Number]
 
@@ -166,6 +191,7 @@ class Scene(Block):
     bars: tuple[Bar, ...] = ()
     springs: tuple[Spring, ...] = ()
     beams: tuple[Beam, ...] = ()
+    strings: tuple[String, ...] = ()
     masses: tuple[PointMass, ...] = ()
     matrices: tuple[StiffnessMatrix, ...] = ()
     fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
@@ -176,6 +202,7 @@ class Scene(Block):
     obstacles: tuple[Obstacle, ...] = ()
     contacts: tuple[Contact, ...] = ()
     loads: tuple[Load, ...] = ()  # on unknowns of nodes
+    line_loads: tuple[LineLoad, ...] = ()  # on strings
     tractions: tuple[Traction, ...] = ()  # on sides of bodies
     pressures: tuple[PressureLoad, ...] = ()
     point_loads: tuple[PointLoad, ...] = ()
@@ -223,6 +250,9 @@ class Scene(Block):
 
     def node(self, name: str) -> Node:
         return next(node for node in self.nodes if node.name == name)
+
+    def string(self, name: str) -> String:
+        return next(string for string in self.strings if string.name == name)
 
     def body(self, name: str) -> Body:
         return next(body for body in self.bodies if body.name == name)

@@ -98,6 +98,7 @@ KINDS = {
         Kind("energy", Dimension(1, 1, 0), "3 kN*m"),
         Kind("stiffness", Dimension(1, -1, 0), "1e5 kN/m"),
         Kind("tension", Dimension(1, -1, 0), "5 N/m"),
+        Kind("force per length", Dimension(1, -1, 0), "2 kN/m"),
         Kind("modulus", Dimension(1, -2, 0), "210 GPa"),
         Kind("pressure", Dimension(1, -2, 0), "1 MPa"),
         Kind("stress", Dimension(1, -2, 0), "1 MPa"),

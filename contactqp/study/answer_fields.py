@@ -24,9 +24,9 @@ BEAM_POINTS = 25
 def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
     """The fields of a scene's solution, in the scene's units.
 
-    The one place that decides what kind of picture a scene gets. Bars, springs, beams and matrices give FrameFields.
-    Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made of; draw,
-    write_vtu and the command line take either.
+    The one place that decides what kind of picture a scene gets. Bars, springs, beams, strings and matrices give
+    FrameFields. Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made
+    of; draw, write_vtu and the command line take either.
 
     Parameters
     ----------
@@ -75,6 +75,8 @@ def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:
         yield straight("bar", bar.nodes)
     for spring in scene.springs:
         yield straight("spring", spring.nodes)
+    for wire in scene.strings:
+        yield straight("string", wire.nodes)
     for girder in scene.beams:
         start, end = (_point(scene, name) for name in girder.nodes)
         at = np.linspace(0.0, 1.0, BEAM_POINTS)

@@ -27,11 +27,13 @@ springs = [
     { name = "soil", nodes = ["hinge"], direction = [0, 1], stiffness = "100 kN/m" },
     { name = "link", nodes = ["tip", "foot"], stiffness = "200 kN/m" },
 ]
+strings = [{ name = "wire", nodes = ["root", "tip", "foot"], tension = "5 kN" }]
 masses = [{ name = "weight", node = "foot", mass = "2 t" }]
 matrices = [{ name = "K", unknowns = ["foot.x", "foot.z"], unit = "kN/m", rows = [[100, 0], [0, 100]] }]
 obstacles = [{ name = "floor", point = ["0 m", "-1 mm"], normal = [0, 1] }]
 contacts = [{ name = "tip on floor", node = "tip", obstacle = "floor" }, { name = "pair", nodes = ["foot", "tip"] }]
 loads = [{ unknown = "tip.z", value = "-20 kN" }, { unknown = "tip.theta", value = "1 kN*m" }]
+line_loads = [{ name = "snow", string = "wire", value = ["0 kN/m", "-1 kN/m"] }]
 path = { steps = 4, events = "exact" }
 
 [[ties]]
@@ -76,6 +78,12 @@ MUTATIONS = {
     "no area": ('area = "15 cm^2"', 'area = "0 cm^2"', "expected a positive number"),
     "negative modulus": ('modulus = "210 GPa"', 'modulus = "-210 GPa"', "beams[0].modulus ('beam')"),
     "negative stiffness": ('stiffness = "100 kN/m"', 'stiffness = "-100 kN/m"', "springs[0].stiffness ('soil')"),
+    "no tension": ('tension = "5 kN"', 'tension = "0 kN"', "strings[0].tension ('wire'): expected a positive number"),
+    "tension of a membrane": (
+        'tension = "5 kN"',
+        'tension = "5 kN/m"',
+        "strings[0].tension ('wire'): expected a force",
+    ),
     "negative mass": ('mass = "2 t"', 'mass = "-2 t"', "masses[0].mass"),
     "negative inertia": ('inertia = "2000', 'inertia = "-2000', "beams[0].inertia"),
     "nan": ('"15 cm^2"', '"nan cm^2"', "expected an area"),
@@ -111,6 +119,30 @@ MUTATIONS = {
     "unknown node of a contact": ('node = "tip", obst', 'node = "tap", obst', "contacts[0].node ('tip on floor')"),
     "bar from a node to itself": ('nodes = ["tip", "hinge"]', 'nodes = ["tip", "tip"]', "two different nodes"),
     "zero-length bar": ('at = ["2 m", "1 m"]', 'at = ["2 m", "0 m"]', "zero length between 'tip' and 'hinge'"),
+    "string of one node": ('["root", "tip", "foot"]', '["root"]', "strings[0].nodes ('wire'): expected at least 2"),
+    "string to nowhere": (
+        '["root", "tip", "foot"]',
+        '["root", "toe"]',
+        "strings[0].nodes[1] ('wire'): there is no node",
+    ),
+    "string that stands still": (
+        '["root", "tip", "foot"]',
+        '["root", "tip", "tip"]',
+        "strings[0].nodes ('wire'): expected two",
+    ),
+    "string around a corner": ('["root", "tip", "foot"]', '["root", "tip", "hinge"]', "got a turn at 'tip'"),
+    "string that comes back": ('["root", "tip", "foot"]', '["root", "foot", "tip"]', "got a turn at 'foot'"),
+    "load on no string": (
+        'string = "wire"',
+        'string = "wier"',
+        "line_loads[0].string ('snow'): there is no string 'wier'",
+    ),
+    "force on a string": ('["0 kN/m", "-1 kN/m"]', '["0 kN", "-1 kN"]', "expected a force per length"),
+    "load of another dimension": (
+        '["0 kN/m", "-1 kN/m"]',
+        '["0 kN/m", "-1 kN/m", "0 kN/m"]',
+        "line_loads[0].value ('snow'): expected 2",
+    ),
     "duplicate node": ('"hinge", at', '"tip", at', "nodes[2].name: expected distinct names, got 'tip'"),
     "duplicate bar": (
         '{ name = "rod"',

@@ -112,6 +112,68 @@ def test_a_mass_weighs():
     assert np.isclose(cq.run(Scene(**data))[-1].normal_force[0], 19.62, rtol=1e-12)
 
 
+WIRE = dict(
+    title="a wire along a slope of 3 in 4",
+    axes=["x", "z"],
+    nodes=[{"name": n, "at": [f"{4 * i} m", f"{3 * i} m"]} for i, n in enumerate("abc")],
+    strings=[{"name": "wire", "nodes": ["a", "b", "c"], "tension": "50 N"}],
+    line_loads=[{"name": "snow", "string": "wire", "value": ["0 N/m", "-3 N/m"]}],
+    fixed=["a", "c"],
+)
+
+
+def test_a_string_is_its_segments_in_exact_numbers():
+    exact = exact_problem(Scene(**WIRE))
+    # Two segments of 5 m, each with T / h P and P = I - n n', n = (4, 3) / 5.
+    rows = {("b.x", "b.x"): F(36, 5), ("b.x", "b.z"): F(-48, 5), ("b.z", "b.z"): F(64, 5)}
+    assert {key: exact.stiffness[key] for key in rows} == rows
+    assert exact.load == {"a.x": 0, "a.z": F(-15, 2), "b.x": 0, "b.z": -15, "c.x": 0, "c.z": F(-15, 2)}
+    assert exact.rational
+    halves = [{"name": n, "nodes": list(n), "tension": "0.05 kN"} for n in ("ab", "bc")]
+    loads = [WIRE["line_loads"][0] | {"name": n, "string": n} for n in ("ab", "bc")]
+    apart = exact_problem(Scene(**WIRE | {"strings": halves, "line_loads": loads}))
+    assert (apart.stiffness, apart.load) == (exact.stiffness, exact.load)
+
+
+def test_a_string_in_space_deflects_across_itself_only():
+    """What is left along the string is a free motion, named, as long as no load drives it."""
+    scene = Scene(
+        title="a wire in space", axes=["x", "y", "z"], fixed=["a", "c"],
+        nodes=[{"name": n, "at": [f"{i} m", "0 m", "0 m"]} for i, n in enumerate("abc")],
+        strings=[{"name": "wire", "nodes": ["a", "b", "c"], "tension": "2 N"}],
+        loads=[{"unknown": "b.y", "value": "3 N"}, {"unknown": "b.z", "value": "-1 N"}],
+    )  # fmt: skip
+    solution = cq.run(scene)[-1]
+    np.testing.assert_allclose(solution.displacement, [0, 0.75, -0.25], atol=1e-15)
+    assert len(solution.free_motions) == 1
+    pulled = scene.model_copy(update={"loads": (scene.loads[0].model_copy(update={"unknown": "b.x"}),)})
+    with pytest.raises(cq.NoEquilibrium, match=r"b\.x"):
+        cq.run(pulled)
+
+
+def test_a_line_load_comes_with_its_corner_of_the_path():
+    path = {"events": "exact", "corners": [{"snow": "1/2"}, {"snow": 1, "pull": 1}]}
+    fixed = ["a", "c", "b.x"]
+    pull = [{"name": "pull", "unknown": "b.z", "value": "9 N"}]
+    scene = Scene(**WIRE | {"path": path, "fixed": fixed, "loads": pull})
+    history = cq.run(scene)
+    assert exact_problem(scene).load["b.z"] == -6
+    np.testing.assert_allclose(history[-1].displacement, [-6 / (64 / 5)], rtol=1e-14)
+    with pytest.raises(cq.SceneError, match=r"'snow' \(line_loads\[0\]\) is in none"):
+        Scene(**WIRE | {"path": {"corners": [{"pull": 1}]}, "fixed": fixed, "loads": pull})
+
+
+def test_strings_stand_in_scenes_of_nodes_in_two_dimensions_or_three():
+    flat = {"nodes": [{"name": n, "at": [f"{i} m"]} for i, n in enumerate("abc")], "axes": ["x"], "line_loads": []}
+    with pytest.raises(cq.SceneError, match="strings: expected a scene with two axes or three"):
+        Scene(**WIRE | flat)
+    membrane = dict(name="m", tension="1 N/m", shape=dict(kind="disc", element="quad4", radius="1 m", divisions=[2, 2]))
+    snow = WIRE["line_loads"][0] | {"value": ["0 N/m", "0 N/m", "-3 N/m"]}
+    for key, value in (("strings", WIRE["strings"]), ("line_loads", [snow])):
+        with pytest.raises(cq.SceneError, match=f"{key}: expected none in a scene of bodies"):
+            Scene(**{"title": "both", "axes": ["x", "y", "z"], "membranes": [membrane], key: value})
+
+
 def test_a_large_chain_is_sparse():
     count = 300
     scene = Scene(
