@@ -33,6 +33,7 @@ def test_every_static_frictionless_example_is_there():
         "2.10 to 2.12",
         "2.13 to 2.16",
         "Problem 2.2",
+        "Example 2.22",
     ):
         assert words in sources
 
@@ -107,6 +108,15 @@ def test_the_contact_load_is_found_exactly():
     assert (event.kind, event.contact, event.time) == ("closed", 0, 0.525)
     assert history[-1].normal_force[0] == pytest.approx(142.5, rel=1e-14)
     assert len(cq.run(cq.load_scene(FOLDER / "bar_wall.toml"))) == 1
+
+
+def test_the_wire_meets_the_floor_node_after_node():
+    """At b = 2 T d / (x (x + h)), the middle at 8 T d / L^2, each on both sides at once; what it carries is exact."""
+    history = cq.run(SCENES["string_over_floor.toml"])
+    closed = {event.contact: event.time for event in history.events}
+    assert {event.kind for event in history.events} == {"closed"}
+    assert closed == pytest.approx({3: 1 / 4, 2: 1 / 3, 4: 1 / 3, 1: 2 / 3, 5: 2 / 3}, rel=1e-14)
+    assert history[-1].normal_force.sum() == pytest.approx(1.0, rel=1e-14)
 
 
 def test_the_last_row_of_table_2_1_is_one_place_of_the_gap_times_the_penalty():
