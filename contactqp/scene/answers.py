@@ -16,6 +16,7 @@ from contactqp.scene.building import ExactProblem, NodeModel, point, spring_dire
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
 from contactqp.scene.instant import Instant
+from contactqp.scene.quantities import uniqueness_in_words
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import of_node
 from contactqp.solution import Solution
@@ -62,10 +63,8 @@ def answer_of(model: NodeModel | BodyModel, solution: Solution, instant: Instant
 
 
 def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
-    """What the answer says of the claim's quantity, in the scene's units: a number, a word, or a matrix row by row."""
-    if not isinstance(answer, Answer):
-        return (answer.value_of(claim),)
-    value = _READERS[claim.quantity](claim, answer)
+    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
+    value = _READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
     if isinstance(value, str):
         return value
     return tuple(value) if isinstance(value, list | tuple) else (value,)
@@ -159,6 +158,7 @@ _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
     "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
     "free motions": lambda _, answer: len(answer.solution.free_motions),
+    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
     "closing load factor": _closing,
     "closing load": _closing_load,
     "event time": _event_time,

@@ -14,7 +14,7 @@ from contactqp.scene.bodies import BodyModel, PairedContact
 from contactqp.scene.claims import Claim
 from contactqp.scene.instant import Instant
 from contactqp.scene.meshing import nearest_node
-from contactqp.scene.quantities import COMPONENTS
+from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import vector
 from contactqp.solution import Solution
@@ -29,8 +29,8 @@ class BodyAnswer:
     solution: Solution
     instant: Instant
 
-    def value_of(self, claim: Claim) -> float:
-        """The claim's quantity in the scene's units; NaN where nothing presses and a width is asked for."""
+    def value_of(self, claim: Claim) -> float | str:
+        """The claim's quantity in the scene's units, or words; NaN where nothing presses and a width is asked for."""
         return _READERS[claim.quantity](claim, self)
 
     def contact(self, claim: Claim) -> PairedContact:
@@ -116,7 +116,7 @@ def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
     return answer.model.pressures(str(claim.at), answer.solution)
 
 
-_READERS: dict[str, Callable[[Claim, BodyAnswer], float]] = {
+_READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "node displacement": _node_displacement,
     "stress": _stress,
     "contact force": lambda claim, answer: float(answer.model.normal_forces(str(claim.at), answer.solution).sum()),
@@ -142,4 +142,5 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float]] = {
     "support force": _support_force,
     "energy": _energy,
     "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
+    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
 }

@@ -87,6 +87,8 @@ def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
     if measure.friction and not any(c.friction for c in scene.contacts if c.name == claim.at):
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, {claim.at!r} has none")
+    if claim.quantity == "uniqueness" and not any(c.friction for c in scene.contacts):
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, and there is none")
     if claim.load_factor != Fraction(1) and not measure.solved:
         raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")
     time_fits(where, claim, scene)

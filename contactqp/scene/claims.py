@@ -15,7 +15,6 @@ from contactqp.scene.units import KINDS, Kind, Quantity, read_quantity
 from contactqp.scene.wording import unknown
 
 KNOBS = ("penalty", "perturbation")
-STATUSES = ("open", "closed", "grazing", "stick", "slip")
 
 
 def _known_quantity(value: str) -> str:
@@ -139,8 +138,9 @@ class Expectation(Claim):
         if getattr(self, wanted) is None or getattr(self, refused) is not None:
             raise ValueError(f"the quantity {self.quantity!r} expects {wanted!r} and no {refused!r}")
         if not self.kinds:
-            if self.value not in STATUSES:
-                raise ValueError(f"value: {unknown(self.value, STATUSES, 'status')}")
+            for word in str(self.value).split("; "):
+                if word not in self.measure.words:
+                    raise ValueError(f"value: {unknown(word, self.measure.words, self.quantity)}")
             return self
         for target in self.targets:
             if target.si == 0 and self.tolerance.dimension != target.dimension and not self.measure.matrix:

@@ -39,7 +39,7 @@ def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -
     """The exact value against the answer's."""
     got = value_of(expectation, answer)
     if isinstance(got, str):
-        same = got == expectation.value
+        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
         return Comparison(
             str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
         )

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
+
+from contactqp.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
+
+STATUSES = ("open", "closed", "grazing", "stick", "slip")
+ONE_ANSWER = "one answer"
+
+
+def uniqueness_in_words(findings: Iterable[str]) -> str:
+    """A certificate's findings as the value of "uniqueness"."""
+    return "; ".join(findings) or ONE_ANSWER
 
 
 @dataclass(frozen=True)
@@ -11,7 +22,8 @@ class Measure:
     """One row of the vocabulary of ``quantity``."""
 
     meaning: str
-    kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for a word
+    kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
+    words: tuple[str, ...] = ()  # that its value may be of; several are joined by "; ", and all must be said
     at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie", "body"
     along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
     near: bool = False  # ``near`` is a point: the node there is meant
@@ -36,7 +48,14 @@ QUANTITIES = {
     "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown"),
     "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact"),
     "gap": Measure("gap of a contact, positive when open", ("length",), at="contact"),
-    "status": Measure("open, closed or grazing; with friction open, stick, slip or grazing", (), at="contact"),
+    "status": Measure(
+        "open, closed or grazing; with friction open, stick, slip or grazing", words=STATUSES, at="contact"
+    ),
+    "uniqueness": Measure(
+        "what the certificate says of other answers under the same load, with friction",
+        words=(ONE_ANSWER, FORCES, SEVERAL, POSSIBLE, UNKNOWN),
+        of="both",
+    ),
     "friction force": Measure(
         "component of lambda_T along an axis: what the node does to what it touches, along its own slip",
         ("force",),

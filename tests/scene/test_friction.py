@@ -343,3 +343,36 @@ def test_what_is_printed_of_a_path_with_friction(capsys):
 def test_friction_that_makes_no_sense_is_refused(changes, words):
     with pytest.raises(cq.SceneError, match=words):
         Scene(**PAD | changes)
+
+
+# Klarbring's node between mu_c = 1/2 and mu: open, stuck or sliding.
+THREE = dict(
+    title="three answers",
+    axes=["x", "z"],
+    nodes=[{"name": "1", "at": ["0 m", "0 m"]}],
+    matrices=[{"name": "K", "unknowns": ["1.x", "1.z"], "unit": "N/m", "rows": [[1, -2], [-2, 5]]}],
+    obstacles=[FLOOR],
+    contacts=[{"name": "foot", "node": "1", "obstacle": "floor", "friction": 0.8}],
+    loads=[{"unknown": "1.x", "value": "0.65 N"}, {"unknown": "1.z", "value": "-1 N"}],
+)
+
+
+def test_a_case_says_whether_there_are_other_answers():
+    words = [{"quantity": "uniqueness", "value": word, "derivation": "by hand"} for word in
+             ("one answer", "several answers", "forces not unique; several answers")]  # fmt: skip
+    assert [row.ok for row in judged(THREE, *words)] == [False, True, False]
+    assert [row.ok for row in judged(PAD, *words)] == [True, False, False]
+    assert [row.ok for row in judged(SHEARED, *words)] == [True, False, False], "bodies too"
+    frame = {"name": "frame", "at": ["0 m", "0 m"]}
+    hung = THREE | {
+        "nodes": [*THREE["nodes"], frame], "fixed": ["frame"], "matrices": [], "obstacles": [],
+        "loads": [THREE["loads"][1]], "contacts": [
+            {"name": str(side), "nodes": ["1", "frame"], "direction": [side, 0], "friction": 0.5} for side in (1, -1)
+        ],
+    }  # fmt: skip
+    assert [row.ok for row in judged(hung, *words)] == [False, True, True], "each word must be said, not all that are"
+    with pytest.raises(cq.SceneError, match=r"value: there is no uniqueness 'two answers'; nearest: 'one answer'"):
+        judged(PAD, words[0] | {"value": "one answer; two answers"})
+    smooth = PAD | {"contacts": [PAD["contacts"][0] | {"friction": 0}]}
+    with pytest.raises(cq.SceneError, match=r"expect\[0\].quantity: 'uniqueness' expects a contact with friction"):
+        judged(smooth, words[0])
