@@ -4,7 +4,8 @@ All lengths are in [length]. `kind` is any kind of element of the shape's dimens
 largest to the smallest element along a direction; sizes grow geometrically. Curved sides carry all their nodes on the
 exact curve. Every function raises InvalidProblem for a length, a number of divisions or a grading that is none.
 
-    rectangle, box                   sides left right (x), front back (y, 3D), bottom top (the last axis)
+    rectangle, box                   sides left right (x), front back (y, 3D), bottom top (the last axis); a box may
+                                     have a crowned bottom, a paraboloid
     disc, half_disc, quarter_disc    side arc; half_disc is the lower half, with the flat side top (y = 0);
                                      quarter_disc is its right half, with the sides top and left (x = 0)
     cylinder                         axis z; sides bottom, top, side; a half is y >= 0, with front (y = 0);
@@ -79,12 +80,30 @@ def box(
     grading: float = 1.0,
     towards: Sequence[str] = ("bottom",),
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    crown: float | None = None,
 ) -> Mesh:
     """The box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
 
-    ``"middle"`` is the middle in x and in y.
+    ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
+    higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
+    flat top.
     """
-    return _box(lengths, divisions, kind, grading, towards, corner)
+    mesh = _box(lengths, divisions, kind, grading, towards, corner)
+    if crown is None:
+        return mesh
+    radius, bottom, height = _length("crown", crown), corner[2], lengths[2]
+    highest = sum(max(abs(low), abs(low + length)) ** 2 for low, length in zip(corner[:2], lengths[:2], strict=True))
+    if highest >= 2 * radius * height:
+        least = highest / (2 * height)
+        raise InvalidProblem(
+            f"shape: expected a crown that stays below the top, of a radius above {least:g}, got {radius:g}"
+        )
+
+    def crowned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, z = points.T
+        return np.column_stack([x, y, z + (x**2 + y**2) / (2 * radius) * (1 - (z - bottom) / height)])
+
+    return mesh.mapped(crowned)
 
 
 def disc(

@@ -61,6 +61,7 @@ def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
     if shape.kind == "rectangle":
         return shapes.rectangle(size[0], size[1], divisions, shape.element, **options)
     if shape.kind == "box":
+        options |= {} if shape.crown is None else {"crown": number(scene.system, shape.crown)}
         return shapes.box(size, divisions, shape.element, **options)
     if shape.kind == "cylinder":
         height = 0.0 if shape.height is None else number(scene.system, shape.height)

@@ -29,7 +29,7 @@ class ShapeKeys(NamedTuple):
 _BOX, _DISC = ("size", "divisions"), ("radius", "divisions")
 SHAPES: Mapping[str, ShapeKeys] = {
     "rectangle": ShapeKeys(_BOX, ("corner", "grading", "towards"), 2, 2),
-    "box": ShapeKeys(_BOX, ("corner", "grading", "towards"), 3, 3),
+    "box": ShapeKeys(_BOX, ("corner", "grading", "towards", "crown"), 3, 3),
     "disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
     "half-disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
     "quarter-disc": ShapeKeys(_DISC, ("centre", "grading"), 2, 2),
@@ -62,6 +62,7 @@ class Shape(Block):
     corner: fields.Point | None = None  # the lowest coordinates of a rectangle or box; by default 0
     centre: fields.Point | None = None  # of the round shapes, and of a cylinder's bottom; by default 0
     grading: fields.Grading | None = None  # largest over smallest element
+    crown: fields.PositiveLength | None = None  # radius of curvature of a box's bottom on the axis x = y = 0
     towards: tuple[Name, ...] | None = None  # the sides, or "middle", that elements of a rectangle or box shrink to
     part: Literal["full", "half", "quarter", "eighth"] | None = None
 

@@ -119,6 +119,22 @@ def test_boxes_are_exact_and_their_sides_are_named_after_where_they_are(kind):
         np.testing.assert_allclose(mesh.points[mesh.nodes(side), axis], value, atol=1e-15)
 
 
+@pytest.mark.parametrize("kind", SOLID)
+def test_a_crowned_box_has_a_paraboloid_for_its_bottom(kind):
+    """z = 0.1 + r^2 / (2 R) below, the flat top above, and the volume by the integral of r^2."""
+    mesh = shapes.box((1.0, 2.0, 0.5), (2, 4, 2), kind, corner=(0.0, -1.0, 0.1), crown=5.0)
+    covers(mesh)
+    bottom, top = mesh.points[mesh.nodes("bottom")], mesh.points[mesh.nodes("top")]
+    np.testing.assert_allclose(bottom[:, 2], 0.1 + (bottom[:, 0] ** 2 + bottom[:, 1] ** 2) / 10.0, rtol=1e-14)
+    np.testing.assert_allclose(top[:, 2], 0.6, rtol=1e-15)
+    if kind not in ("tet4", "hex8"):
+        assert np.isclose(mesh.volume(), 1.0 - (2 / 3 + 2 / 3) / 10.0, rtol=1e-12)
+    with pytest.raises(InvalidProblem, match=r"a crown that stays below the top, of a radius above 2, got 1\.9"):
+        shapes.box((1.0, 2.0, 0.5), (2, 4, 2), kind, corner=(0.0, -1.0, 0.1), crown=1.9)
+    with pytest.raises(InvalidProblem, match="expected a positive crown, got -5"):
+        shapes.box((1.0, 2.0, 0.5), (2, 4, 2), kind, crown=-5.0)
+
+
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 @pytest.mark.parametrize("grading", [5.0, 20.0])
 def test_graded_round_shapes_are_sound_and_finest_at_the_pole(kind, grading):

@@ -219,6 +219,20 @@ def test_near_is_a_node_to_within_one_percent_of_an_element():
         values(None, ("contact pressure", " MPa", {"at": "foot", "near": ["2 mm", "1 mm"]}))
 
 
+def test_a_box_may_have_a_crown():
+    """Beside it no other shape has one; the gap to the plane below is that of the paraboloid."""
+    shape = {"kind": "box", "element": "hex8", "size": ["2 mm"] * 3, "divisions": [2, 2, 2], "crown": "1 cm"}
+    body = {"name": "block", "shape": shape, "model": "3d", "modulus": "1 GPa", "poisson": 0}
+    floor = {"name": "floor", "point": ["0 mm"] * 3, "normal": [0, 0, 1]}
+    crowned = Scene(
+        title="crowned", units={"length": "mm"}, axes=["x", "y", "z"], bodies=[body], obstacles=[floor],
+        contacts=[{"name": "foot", "side": "block.bottom", "obstacle": "floor"}],
+    )  # fmt: skip
+    np.testing.assert_allclose(sorted(crowned.problem().gap), np.sort([0, 1, 1, 2, 4, 4, 5, 5, 8]) / 20.0, atol=1e-15)
+    with pytest.raises(cq.SceneError, match="crown: a rectangle has no such key"):
+        Scene(**PRESSED | {"bodies": [PRESSED["bodies"][0] | {"shape": BLOCK["shape"] | {"crown": "1 cm"}}]})
+
+
 def test_contacts_of_held_nodes_are_left_out_and_counted():
     held = [*PRESSED["supports"], {"name": "pin", "on": "block", "near": ["2 mm", "0 mm"], "axis": "y"}]
     held += [{"name": "pin x", "on": "block", "near": ["2 mm", "0 mm"], "axis": "x"}]
