@@ -193,3 +193,19 @@ def test_the_wrong_numbers_of_the_chapter_are_not_ours():
     wrong = {row.expected for row in rows if row.verdict == "wrong"}
     assert {0.8357e-3, 0.0013, 31.337, 2.787, 7.878} <= wrong
     assert all(row.ok for row in rows)
+
+
+def test_the_spheres_case_tells_a_sphere_from_a_cylinder():
+    """c/a = (1 - x)^(1/3), not its square root, which the claims of stick and traction leave out by far."""
+    claims = {}
+    for claim in SCENES["cattaneo_mindlin_sphere.toml"].expect:
+        claims.setdefault(claim.quantity, claim)
+    a, driven, peak = 1.0, 0.9, 3 * 140 / (2 * np.pi)
+    for power, held in ((1 / 3, True), (1 / 2, False)):
+        c = a * (1 - driven) ** power
+        for quantity, value in (("stick half-width", c), ("friction traction", 0.4 * peak * (1 - c / a))):
+            claim = claims[quantity]
+            stated, size = float(claim.targets[0].si), 1e-3 if quantity.startswith("stick") else 1e6
+            tolerance = float(claim.tolerance.si) * (1.0 if any(claim.tolerance.dimension) else stated)
+            assert (abs(value * size - stated) < 1e-9 * stated) is held
+            assert held or abs(value * size - stated) > 2 * tolerance
