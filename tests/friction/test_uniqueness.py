@@ -8,6 +8,12 @@ import pytest
 import contactqp as cq
 from contactqp.contact_compliance import frictional_compliance
 from contactqp.critical_coefficients import _one_sign
+from contactqp.elements.geometry import Block
+from contactqp.elements.material import Material
+from contactqp.elements.mesh import Mesh
+from contactqp.elements.reference import REFERENCES
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
 from contactqp.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from tests.friction.problems import TOUCH, known_answer, one_contact, pad, random_problem, rough_truss, two_masses
 from tests.friction.test_several import KLARBRING, ROD
@@ -80,6 +86,23 @@ def test_critical_coefficient_of_a_triangle() -> None:
         for state in (*states, *other):
             several = len(states if state in states else other) > 1
             assert state.certificate.uniqueness == ((SEVERAL,) if several else ())
+
+
+@pytest.mark.parametrize(("poisson", "expected"), [(0.3, 1.8), (0.45, 1.2), (0.49, 1.04)])
+@pytest.mark.parametrize("s", [0.5, 1.0, 1.7])
+def test_critical_coefficient_of_a_triangle_of_elements(poisson: float, expected: float, s: float) -> None:
+    """The same of a body of one linear element: A (0, 0), B (1, 0) and C (1 - 2 s, 2) of any modulus and thickness."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0 - 2.0 * s, 2.0]])
+    mesh = Mesh(points, (Block(REFERENCES["tri3"], np.array([[0, 1, 2]])),), node_sets={"clamped": np.array([1, 2])})
+    structure = Structure([Body(mesh, Material(3.0, poisson), "plane-strain", thickness=0.7, name="triangle")])
+    K = structure.assemble([Support("triangle", "clamped", axis) for axis in (0, 1)]).K.toarray()
+    ratio = 2 * poisson / (1 - 2 * poisson)  # l / G
+    critical = ((ratio + 2) + s**2) / ((ratio + 1) * s)
+    problem = cq.ContactProblem(K, [0.1, -1.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction=0.1)
+    assert cq.critical_friction(problem).single == pytest.approx([critical], rel=1e-12)
+    assert critical >= 2 * np.sqrt(2 * (1 - poisson) * (1 - 2 * poisson)) * (1 - 1e-12)
+    if s == 1.0:
+        assert critical == pytest.approx(expected, rel=1e-12)
 
 
 def _coupled(rng: np.random.Generator, m: int, floating: int = 0, factor: float = 1.0) -> cq.ContactProblem:
