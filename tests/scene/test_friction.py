@@ -8,7 +8,7 @@ from rich.console import Console
 
 import contactqp as cq
 from contactqp.scene.explaining import explain
-from contactqp.scene.judging import Trial, judge, trials
+from contactqp.scene.judging import Failure, Trial, judge, judge_all, trials
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data, print_judgement
 from contactqp.scene.schema import Scene
@@ -376,3 +376,21 @@ def test_a_case_says_whether_there_are_other_answers():
     smooth = PAD | {"contacts": [PAD["contacts"][0] | {"friction": 0}]}
     with pytest.raises(cq.SceneError, match=r"expect\[0\].quantity: 'uniqueness' expects a contact with friction"):
         judged(smooth, words[0])
+
+
+@pytest.mark.parametrize("method", ["active-set", "osqp", "lagrange-multiplier"])
+def test_a_block_wedged_between_walls_too_close_for_it_is_refused(method):
+    """Each wall is 0.1 m into it: friction or not, no displacement satisfies both."""
+    walls = [{"name": n, "point": [f"{-0.1 * s} m", "0 m"], "normal": [-s, 0]} for n, s in (("left", -1), ("right", 1))]
+    wedged = Scene(**PAD | {
+        "obstacles": walls, "springs": [],
+        "contacts": [{"name": w["name"], "node": "1", "obstacle": w["name"], "friction": 0.5} for w in walls],
+        "expect": [claim("displacement", "1 m", at="1.x")],
+    })  # fmt: skip
+    assert wedged.problem().gap.tolist() == [-0.1, -0.1]
+    (failure,) = judge_all(wedged, [method])
+    assert isinstance(failure, Failure)
+    assert not failure.met
+    assert "left, right" in failure.message
+    with pytest.raises(cq.NoEquilibrium, match="no displacement satisfies these constraints together: left, right"):
+        cq.run(wedged, method)
