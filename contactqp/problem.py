@@ -215,7 +215,7 @@ class ContactProblem:
 
     @property
     def load_size(self) -> Vector:
-        """(n,) sizes of the forces that add up to `load`; of a condensed problem more than |load|, where they cancel."""
+        """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
         return np.asarray(self._shared.get("load_size", abs(self.load)))
 
     @property
