@@ -18,7 +18,7 @@ from contactqp.analysis.motion import Motion, MotionHistory
 from contactqp.analysis.schemes.scheme import Scheme, State
 from contactqp.analysis.step_certificate import StepJudge
 from contactqp.analysis.step_contact import Answered, Posed, StepContact
-from contactqp.errors import InvalidProblem, NotCertified, NotConverged, TimeStepWarning
+from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, TimeStepWarning
 from contactqp.problem import Vector
 from contactqp.solution import Work
 
@@ -44,6 +44,7 @@ class MotionRun:
         self._judges = tuple(StepJudge(template) for template in scheme.templates)
         self._pending: list[list[tuple[Posed, Answered]]] = [[] for _ in scheme.templates]
         self._notes: list[str] = []
+        self._certified = 0  # steps
         self._impacted = False
         answer = lambda posed, i: self._contacts[i].solve(posed)  # noqa: E731
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work, answer)
@@ -64,6 +65,7 @@ class MotionRun:
         twin = copy.copy(self)
         twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds))
         twin._notes, twin._pending = list(self._notes), [[] for _ in self._pending]
+        twin._certified = len(states) - 1
         return twin.lasting(duration)
 
     def _steps(self, count: int) -> MotionHistory:
@@ -95,19 +97,27 @@ class MotionRun:
             posed = self._scheme.pose(state, load, next_load, answers)
             try:
                 found = contact.solve(posed)
-            except (NotConverged, NotCertified) as error:
-                raise NotConverged(
-                    f"{self._scheme.name}: step {len(self._motion.states)}: {error}", self.history
-                ) from error
+            except (NotConverged, NotCertified, BackendFailed) as error:
+                done = len(self._motion.states) - 1
+                for pairs in self._pending:
+                    del pairs[self._steps_since(done) :]  # a step of two problems may have answered one
+                self._judge(done)
+                raise NotConverged(f"{self._scheme.name}: step {done + 1}: {error}", self.history) from error
             pending.append((posed, found))
             answers = (*answers, found)
         return self._scheme.accept(state, answers)
 
+    def _steps_since(self, done: int) -> int:
+        """How many of the steps done no block has certified."""
+        return done - self._certified
+
     def _judge(self, last: int) -> None:
         """Certify the steps since the last block."""
         for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
-            first = last - len(pending) + 1
-            refused = judge.figures([p for p, _ in pending], [a for _, a in pending]).first_above(TOLERANCE)
+            first = self._certified + 1
+            if not pending:
+                continue
+            refused = judge.refused([p for p, _ in pending], [a for _, a in pending], TOLERANCE)
             pending.clear()
             if refused is None:
                 continue
@@ -123,6 +133,7 @@ class MotionRun:
                 f"{worst:.3g}, tolerance {TOLERANCE:g} ({template!r})",
                 self.history,
             )
+        self._certified = last
 
     def _work(self) -> Work:
         return Work(

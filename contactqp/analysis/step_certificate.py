@@ -64,6 +64,28 @@ class StepJudge:
     def _rows(self) -> dict[str, Any]:
         return {"normal": self._N, "tie": self._A} | ({} if self._T is None else {"tangent": self._T})
 
+    def refused(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> tuple[int, str, float] | None:
+        """The first step of a block that is refused, its worst figure and how large that is."""
+        if self._plainly_right(posed, answered, tolerance):
+            return None
+        return self.figures(posed, answered).first_above(tolerance)
+
+    def _plainly_right(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> bool:
+        """Whether steps without any contact force or tie leave residuals within tolerance of K_jj |x_j| alone."""
+        if self._problem.ties or any(a.normal.any() for a in answered):
+            return False
+        x, gap = np.column_stack([a.unknown for a in answered]), np.column_stack([p.gap for p in posed])
+        looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
+        if not np.all(gap - self._N @ x >= np.where(looked, 0.0, -np.inf)):
+            return False
+        residual = np.column_stack([p.load for p in posed])
+        bases = [p.base for p in posed if p.base is not None]
+        residual -= self._K @ (np.column_stack([a.increment for a in answered]) if bases else x)
+        np.abs(residual, out=residual)
+        np.abs(x, out=x)
+        x *= (tolerance * self._problem.diagonal)[:, None]
+        return bool(np.all(residual <= x))
+
     def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
         """The figures of a block of steps."""
         problem = self._problem

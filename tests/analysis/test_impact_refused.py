@@ -155,6 +155,23 @@ def test_a_method_that_gives_up_fails_with_the_history_until_then(monkeypatch: p
     assert np.array_equal(history.resume(1.5).displacements, thrown_rod("moreau-jean")[0].displacements)
 
 
+def test_steps_before_a_failure_are_certified_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    from contactqp.analysis import step_contact
+
+    right, calls = step_contact.normal_forces, []
+
+    def spoils_then_gives_up(*arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 5:
+            raise cq.NotConverged("lemke: no")
+        return right(*arguments) * (1.001 if len(calls) == 3 else 1.0)
+
+    monkeypatch.setattr(step_contact, "normal_forces", spoils_then_gives_up)
+    with pytest.raises(cq.NotConverged, match=r"refuses the step that ends at time 0\.51: complementarity") as failed:
+        thrown_rod("moreau-jean")
+    assert len(failed.value.history) == 153
+
+
 def test_the_certificate_refuses_forces_that_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     from contactqp.analysis import step_contact
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from contactqp.problem import ContactProblem, Vector
 from contactqp.solving import solve
 
 Block = NDArray[np.float64]  # one row a step
+
+NO_SLIP = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +57,15 @@ class Body:
         problem = self.problem
         return problem.replace(stiffness=stiffness, near_null_space=None)
 
-    @property
+    @cached_property
     def tangent(self) -> Any:
         """E_T of contacts with friction; without, no rows."""
         return self.problem.tangent if self.problem.frictional else sp.csr_matrix((0, self.problem.dimension))
 
     def slip_from(self, displacement: Vector) -> Vector:
         """E_T u, where the slip of a step starts."""
+        if not self.tangent.shape[0]:
+            return NO_SLIP
         return np.asarray(self.tangent @ displacement)
 
     def still(self, displacement: Vector, velocity: Vector, before: Vector) -> State:
@@ -86,7 +91,14 @@ class Body:
 
     def pull(self, state: State) -> Vector:
         """E_N'l_N + E_T'l_T of a state."""
-        return np.asarray(self.problem.normal.T @ state.normal_force + self.tangent.T @ state.friction_force)
+        force = self._rows_transposed[0] @ state.normal_force
+        if len(state.friction_force):
+            force = force + self._rows_transposed[1] @ state.friction_force
+        return np.asarray(force)
+
+    @cached_property
+    def _rows_transposed(self) -> tuple[Any, Any]:
+        return sp.csr_matrix(self.problem.normal.T), sp.csr_matrix(self.tangent.T)
 
 
 class Scheme(ABC):
