@@ -146,6 +146,10 @@ class Condensation:
             self._reduced = (load.copy(), self._balanced(load, reduced), inner)
         return self._reduced[1:]
 
+    def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
+        """`reduce_load` of a load that does not come again, such as that of a time step; nothing may float."""
+        return self._elimination.reduce(load)
+
     def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
         """Have `reduce_load` know a load that is combined from reduced ones."""
         self._reduced = (load.copy(), reduced, inner)

@@ -71,20 +71,26 @@ class StepJudge:
         return self.figures(posed, answered).first_above(tolerance)
 
     def _plainly_right(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> bool:
-        """Whether steps without any contact force or tie leave residuals within tolerance of K_jj |x_j| alone."""
-        if self._problem.ties or any(a.normal.any() for a in answered):
+        """Whether steps without any contact force or tie leave residuals within tolerance of K_jj |x_j| alone.
+
+        Step by step, while a step's vectors are in the cache.
+        """
+        if self._problem.ties:
             return False
-        x, gap = np.column_stack([a.unknown for a in answered]), np.column_stack([p.gap for p in posed])
-        looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
-        if not np.all(gap - self._N @ x >= np.where(looked, 0.0, -np.inf)):
-            return False
-        residual = np.column_stack([p.load for p in posed])
-        bases = [p.base for p in posed if p.base is not None]
-        residual -= self._K @ (np.column_stack([a.increment for a in answered]) if bases else x)
-        np.abs(residual, out=residual)
-        np.abs(x, out=x)
-        x *= (tolerance * self._problem.diagonal)[:, None]
-        return bool(np.all(residual <= x))
+        within = tolerance * self._problem.diagonal
+        for p, a in zip(posed, answered, strict=True):
+            if a.normal.any():
+                return False
+            closed = p.gap < self._N @ a.unknown
+            if (closed if p.looked_at is None else closed & p.looked_at).any():
+                return False
+            residual = p.load - self._K @ a.increment
+            np.abs(residual, out=residual)
+            size = np.abs(a.unknown)
+            size *= within
+            if not (residual <= size).all():
+                return False
+        return True
 
     def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
         """The figures of a block of steps."""

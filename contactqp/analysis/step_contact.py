@@ -136,7 +136,7 @@ class StepContact:
             As `solve`, of the small problem.
         """
         way, template = self._way, self.template
-        reduced, inner = way.reduce_load(posed.load)
+        reduced, inner = way.reduce_passing_load(posed.load)
         free = self._respond(reduced)
         gap, origin, value = self._limits(posed)
         tie = np.zeros(template.ties)
@@ -144,7 +144,7 @@ class StepContact:
             tie = self._tied.solve(self._A @ free - value)
             free = free - self._of_ties @ tie
         normal, friction = self._forces(gap - self._E @ free, posed.looked_at, free, origin)
-        if np.any(normal):
+        if normal.any():
             pull, size = self._E.T @ normal, abs(self._E).T @ normal
             if self._frictional:
                 pull, size = pull + self._T.T @ friction, size + abs(self._T).T @ abs(friction)

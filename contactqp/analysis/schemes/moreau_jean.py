@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.analysis.schemes.scheme import Block, Body, Scheme, State
 from contactqp.analysis.step_contact import Answered, Posed
@@ -36,6 +37,8 @@ class MoreauJean(Scheme):
         self.templates = (body.template(body.mass + (theta * body.step) ** 2 * body.stiffness),)
         self.keeps_energy = theta == 0.5
         self.inertia = 1 / (theta * body.step) ** 2
+        velocities = body.mass - body.step**2 * theta * (1 - theta) * body.stiffness
+        self._from_state = sp.csr_matrix(sp.hstack([velocities, -body.step * body.stiffness]))
         self._touched = np.unique(body.problem.normal.indices)
         self._normal: Any = body.problem.normal[:, self._touched]
         if len(self._touched) <= FEW:
@@ -46,16 +49,20 @@ class MoreauJean(Scheme):
         del answers
         body, theta, h = self.body, self._theta, self.body.step
         u, v = state.displacement, state.velocity
-        mean = next_load if theta == 1 else theta * next_load + (1 - theta) * load
-        force = body.mass @ v - h * (body.stiffness @ (u + h * theta * (1 - theta) * v) - mean)
+        force = self._from_state @ np.concatenate([v, u])
+        force += h * (next_load if load is next_load else theta * next_load + (1 - theta) * load)
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
         near = room <= TOUCHING * (self._normal_size @ abs(ahead) + abs(body.problem.gap))
-        return Posed(force, -self._restitution * (self._normal @ v[self._touched]), near)
+        before = self._normal @ v[self._touched] if self._restitution else room
+        return Posed(force, -self._restitution * before, near)
 
     def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
         found, h, theta = answers[-1], self.body.step, self._theta
-        u = state.displacement + h * (theta * found.unknown + (1 - theta) * state.velocity)
+        u = theta * found.unknown
+        u += (1 - theta) * state.velocity
+        u *= h
+        u += state.displacement
         forces = found.normal / h, found.friction / h, found.tie / h
         return State(u, found.unknown, *forces, state.displacement)
 
