@@ -66,7 +66,7 @@ def test_a_thrown_rod_keeps_its_energy_and_its_speed(thrown: tuple[cq.MotionHist
     assert abs(energies[-1].drift) < 1e-6
 
 
-def test_energy_never_grows_in_moreau_and_jeans_scheme() -> None:
+def test_a_rod_gains_no_energy_in_moreau_and_jeans_scheme() -> None:
     totals = np.array([energy.total for energy in thrown_rod("moreau-jean")[0].energies])
     assert np.all(np.diff(totals) < 1e-9 * totals[0])
 
@@ -275,3 +275,46 @@ def test_redundant_contacts_share_the_force() -> None:
     history = cq.impact(ball, [2.0], [0.0], [4.0], 1.0, 0.01)
     np.testing.assert_allclose(history.normal_forces[-1].sum(), 3.0, rtol=1e-9)
     assert history[-1].certificate.passed
+
+
+@pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "deuflhard-krause-ertel", "paoli-schatzman"])
+def test_in_a_stack_each_contact_carries_what_is_above(scheme: str) -> None:
+    mass = np.arange(1.0, 6.0)
+    rows = np.eye(5, k=-1) - np.eye(5)  # block i on block i - 1, the first on the floor
+    stack = cq.ContactProblem(np.zeros((5, 5)), -9.81 * mass, rows, np.zeros(5))
+    history = cq.impact(stack, mass, np.zeros(5), np.zeros(5), 0.5, 0.01, scheme)
+    np.testing.assert_allclose(history.normal_forces[-1], 9.81 * np.cumsum(mass[::-1])[::-1], rtol=1e-12)
+    assert not history.displacements.any()
+
+
+def test_newtons_cradle_hands_on_all_speed() -> None:
+    rows = np.eye(4, 5) - np.eye(4, 5, k=1)
+    balls = cq.ContactProblem(np.zeros((5, 5)), np.zeros(5), rows, np.full(4, 0.1))
+    history = cq.impact(balls, np.ones(5), np.zeros(5), [1.0, 0, 0, 0, 0], 1.0, 0.01, restitution=1.0)
+    np.testing.assert_allclose(history.velocities[-1], [0, 0, 0, 0, 1.0], atol=1e-14)
+    assert [event.contact for event in history.events if event.kind == "closed"] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_motions_pass_wherever_they_are_looked_at(seed: int) -> None:
+    """Any stiffness, mass, rows, friction and ties: every step that is looked at has its certificate."""
+    rng = np.random.default_rng(seed)
+    n, m, width = 6, 3, 1 + seed % 2
+    root, tie = rng.normal(size=(n, 4)), rng.normal(size=n)
+    problem = cq.ContactProblem(
+        stiffness=root @ root.T,
+        load=rng.normal(size=n),
+        normal=rng.normal(size=(m, n)),
+        gap=rng.uniform(0, 0.05, m),
+        tangent=rng.normal(size=(width * m, n)),
+        friction=rng.choice([0.0, 0.3, 1.0], size=m),
+        tie=tie[None],
+    )
+    velocity = rng.normal(size=n)
+    velocity -= tie * (tie @ velocity) / (tie @ tie)
+    touched = 0
+    for scheme in ("moreau-jean", "newmark", "deuflhard-krause-ertel", "backward-euler", "paoli-schatzman"):
+        history = cq.impact(problem, rng.uniform(1, 2, n), np.zeros(n), velocity, 1.0, 0.05, scheme)
+        assert all(history[k].certificate.passed for k in range(0, 21, 4)), scheme
+        touched += int(np.count_nonzero(history.normal_forces))
+    assert touched > 10

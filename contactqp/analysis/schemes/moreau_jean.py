@@ -6,8 +6,10 @@ with, at contacts that the step would close (g - E_N (u + h/2 v) <= 0), Newton's
 
     E_N v+ <= -e E_N v,  P_N >= 0,  complementary,
 
-and Coulomb's law of P_T and E_T v+. With theta = 1/2 and e <= 1 energy never grows (Moreau 1988; Jean 1999; Acary and
-Brogliato 2008, section 10.1). A contact closes in its velocity: an overlap of the order of h |E_N v| is left.
+and Coulomb's law of P_T and E_T v+ (Moreau 1988; Jean 1999; Acary and Brogliato 2008, section 10.1). With theta = 1/2
+energy changes by -P'E (v+ + v) / 2 alone, a loss of (1 - e^2) / (1 + e)^2 P^2 W / 2 at one contact that closes.
+Newton's law may gain where several contacts close at once with e > 0, or where a step stops one that was leaving. A
+contact closes in its velocity: an overlap of the order of h |E_N v| is left.
 """
 
 from __future__ import annotations
