@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from contactqp.certificate import certify as certify
     from contactqp.critical_coefficients import CriticalFriction as CriticalFriction
     from contactqp.critical_coefficients import critical_friction as critical_friction
+    from contactqp.elements.green_truss import NonlinearTruss as NonlinearTruss
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.obstacle import Plane as Plane
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from contactqp.elements.scalar_pairing import pair_scalar as pair_scalar
     from contactqp.elements.signed_distance import SignedDistance as SignedDistance
     from contactqp.elements.surface import Surface as Surface
+    from contactqp.elements.updated_truss import UpdatedTruss as UpdatedTruss
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -90,6 +92,7 @@ _HOME = {
     "LocalProblem": "local_problem",
     "LocalSolution": "local_solution",
     "NoEquilibrium": "errors",
+    "NonlinearTruss": "elements.green_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
     "Pairing": "elements.pairing",
@@ -106,6 +109,7 @@ _HOME = {
     "TimeStepWarning": "errors",
     "Units": "problem",
     "Unsupported": "errors",
+    "UpdatedTruss": "elements.updated_truss",
     "acary_bremond_huber_error": "published_errors",
     "associated_difference": "relaxation",
     "certify": "certificate",
