@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.obstacle import Plane as Plane
+    from contactqp.elements.obstacle_contact import ContactGroup as ContactGroup
+    from contactqp.elements.obstacle_contact import ObstacleContact as ObstacleContact
     from contactqp.elements.pairing import Pairing as Pairing
     from contactqp.elements.pairing import pair as pair
     from contactqp.elements.paraboloid import Paraboloid as Paraboloid
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from contactqp.elements.round_obstacle import Sphere as Sphere
     from contactqp.elements.scalar_pairing import pair_scalar as pair_scalar
     from contactqp.elements.signed_distance import SignedDistance as SignedDistance
+    from contactqp.elements.supported import Supported as Supported
     from contactqp.elements.surface import Surface as Surface
     from contactqp.elements.updated_truss import UpdatedTruss as UpdatedTruss
     from contactqp.errors import BackendFailed as BackendFailed
@@ -80,6 +83,7 @@ _HOME = {
     "BackendMissing": "errors",
     "Certificate": "certificate",
     "Circle": "elements.round_obstacle",
+    "ContactGroup": "elements.obstacle_contact",
     "ContactProblem": "problem",
     "ContactQPError": "errors",
     "CriticalFriction": "critical_coefficients",
@@ -95,6 +99,7 @@ _HOME = {
     "NonlinearTruss": "elements.green_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
+    "ObstacleContact": "elements.obstacle_contact",
     "Pairing": "elements.pairing",
     "Paraboloid": "elements.paraboloid",
     "Plane": "elements.obstacle",
@@ -105,6 +110,7 @@ _HOME = {
     "SignedDistance": "elements.signed_distance",
     "Solution": "solution",
     "Sphere": "elements.round_obstacle",
+    "Supported": "elements.supported",
     "Surface": "elements.surface",
     "TimeStepWarning": "errors",
     "Units": "problem",

@@ -1,0 +1,162 @@
+"""Nodes against rigid obstacles where both are now: gaps, normals and tangents that turn with the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.elements.deformable import ContactGeometry, ContactState, Vector
+from contactqp.elements.obstacle import Obstacle, tangent_frames
+from contactqp.elements.obstacle_curvature import distance_hessians
+from contactqp.elements.pairing import pair
+from contactqp.elements.paraboloid import Paraboloid
+from contactqp.elements.surface import Surface
+from contactqp.errors import InvalidProblem
+
+# Of a coordinate: a few operations lie between it and a gap.
+ROUNDING = 16 * np.finfo(float).eps
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleContact:
+    """Nodes that may touch one rigid obstacle: `cq.pair` with the points where they are now.
+
+    Parameters
+    ----------
+    points : (p, d) array or Surface
+        Where the nodes are at rest [length]. The nodes of a surface come with their unknowns.
+    obstacle : Plane, Circle, Sphere, Cylinder, Paraboloid or SignedDistance
+        Or anything with `dimension`, `distance(points)` and `normals(points)`, the gradient of the distance.
+    unknowns : (p, d) array of int, optional
+        unknowns[i, a] is the place of node i's displacement along axis a in u. By default u is (p d,), node by node.
+    dimension : int, optional
+        n, the number of all unknowns; by default one more than the largest in `unknowns`.
+
+    Raises
+    ------
+    InvalidProblem
+        As `cq.pair`; a paraboloid that measures its gap along the axis: that is no distance, and its normals are not
+        the gradient of its gap.
+    """
+
+    points: Any
+    obstacle: Obstacle
+    unknowns: Any = None
+    dimension: int | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.obstacle, Paraboloid) and self.obstacle.measure == "axis":
+            raise InvalidProblem(
+                "paraboloid: its gap along the axis has no normal that follows large motions; expected measure='normal'"
+            )
+        if isinstance(self.points, Surface):
+            if self.unknowns is not None:
+                raise InvalidProblem(f"{self.points.name}: expected no `unknowns`, the surface has its own")
+            nodes = self.points.nodes
+            object.__setattr__(self, "unknowns", self.points.unknowns[nodes])
+            object.__setattr__(self, "points", self.points.points[nodes])
+        found = pair(self.points, self.obstacle, unknowns=self.unknowns, dimension=self.dimension)
+        places = np.arange(found.points.size).reshape(found.points.shape) if self.unknowns is None else self.unknowns
+        object.__setattr__(self, "points", found.points)
+        object.__setattr__(self, "unknowns", np.asarray(places, dtype=np.int64))
+        object.__setattr__(self, "dimension", found.normal.shape[1])
+
+    @property
+    def contacts(self) -> int:
+        """m = p."""
+        return len(self.points)
+
+    def positions(self, displacement: Vector) -> Vector:
+        """(m, d): where the nodes are [length]."""
+        return np.asarray(self.points + np.asarray(displacement, dtype=float)[self.unknowns])
+
+    def state(self, displacement: Vector) -> ContactState:
+        """Gaps and rows there.
+
+        Raises
+        ------
+        InvalidProblem
+            A node where the obstacle has no normal.
+        """
+        x = self.positions(displacement)
+        found = pair(x, self.obstacle, unknowns=self.unknowns, dimension=self.dimension)
+        size = np.max(abs(x), axis=1, initial=0.0) + abs(found.gap) + float(getattr(self.obstacle, "radius", 0.0))
+        return ContactState(found.gap, found.normal, found.tangent, ROUNDING * size)
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """- sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
+        pushing = np.flatnonzero(normal_force)
+        places = self.unknowns[pushing]
+        blocks = distance_hessians(self.obstacle, self.positions(displacement)[pushing])
+        blocks = -np.asarray(normal_force)[pushing, None, None] * blocks
+        rows, columns = np.broadcast_arrays(places[:, :, None], places[:, None, :])
+        triplets = (blocks.ravel(), (rows.ravel(), columns.ravel()))
+        return sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """(m, d-1): t.(x - anchor) along the tangents of now [length]; where the obstacle is curved, of the chord."""
+        x = self.positions(displacement)
+        frames = tangent_frames(np.asarray(self.obstacle.normals(x), dtype=float))
+        return np.asarray(np.einsum("pij,pj->pi", frames, x - anchor))
+
+
+class ContactGroup:
+    """Several contact geometries of one u, one after the other: for bodies that may touch several obstacles.
+
+    Raises
+    ------
+    InvalidProblem
+        No geometries, or rows of different lengths.
+    """
+
+    def __init__(self, parts: Sequence[ContactGeometry]) -> None:
+        if not parts:
+            raise InvalidProblem("contact group: expected at least one contact geometry, got none")
+        self.parts = tuple(parts)
+        self._ends = np.cumsum([part.contacts for part in self.parts])[:-1]
+
+    @property
+    def contacts(self) -> int:
+        """m of all."""
+        return sum(part.contacts for part in self.parts)
+
+    def state(self, displacement: Vector) -> ContactState:
+        """Gaps and rows of all."""
+        states = [part.state(displacement) for part in self.parts]
+        widths = {state.normal.shape[1] for state in states}
+        if len(widths) > 1:
+            raise InvalidProblem(f"contact group: expected rows over the same unknowns, got {sorted(widths)}")
+        smooth = any(state.tangent is None for state in states)
+        return ContactState(
+            np.concatenate([state.gap for state in states]),
+            sp.csr_array(sp.vstack([state.normal for state in states], format="csr")),
+            None if smooth else sp.csr_array(sp.vstack([state.tangent for state in states], format="csr")),
+            np.concatenate([state.rounding for state in states]),
+        )
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """The sum over all; None where one does not know it."""
+        total = None
+        for part, force in zip(self.parts, self._split(normal_force), strict=True):
+            found = part.curvature(displacement, force)
+            if found is None:
+                return None
+            total = found if total is None else total + found
+        return total
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """(m, d-1) of all."""
+        pairs = zip(self.parts, self._split(anchor), strict=True)
+        return np.concatenate([part.slip_since(displacement, where) for part, where in pairs])
+
+    def positions(self, displacement: Vector) -> NDArray[np.float64]:
+        """(m, d) of all."""
+        return np.concatenate([part.positions(displacement) for part in self.parts])
+
+    def _split(self, values: Vector) -> list[Vector]:
+        return np.split(np.asarray(values), self._ends)
