@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contactqp.analysis.history import History as History
+    from contactqp.analysis.large_deformation import large_deformation as large_deformation
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
@@ -128,6 +129,7 @@ _HOME = {
     "fclib_merit_1": "published_errors",
     "follow_path": "analysis.load_path",
     "impact": "analysis.impact",
+    "large_deformation": "analysis.large_deformation",
     "load_scene": "scene.loading",
     "local_form_of": "exchange.local_form",
     "methods": "methods",

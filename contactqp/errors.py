@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -32,10 +33,12 @@ class SeveralEquilibria(ContactQPError):
 class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any.
 
-    Of a motion `history` is the `History` until then.
+    Of a motion or a path of large deformations `history` is the `History` until then.
     """
 
-    def __init__(self, message: str, history: Any = (), solution: Solution | LocalSolution | None = None) -> None:
+    def __init__(
+        self, message: str, history: Sequence[Any] = (), solution: Solution | LocalSolution | None = None
+    ) -> None:
         super().__init__(message)
         self.history = history
         self.solution = solution

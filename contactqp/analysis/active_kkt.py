@@ -1,0 +1,139 @@
+"""Newton steps on a set of closed contacts: symmetric indefinite systems, for tangents that are not convex."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.elements.deformable import Vector
+from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.factorization import DENSE_SIZE, factorise
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+# Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
+ZERO = 1e-12
+# The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
+HELD = 1e6
+
+
+def solve_system(matrix: Any, right: Vector) -> Vector:
+    """The solution of a square system, symmetric or not; dense where it is small.
+
+    Raises
+    ------
+    NotConverged
+        The matrix is singular.
+    """
+    size = matrix.shape[0]
+    try:
+        if size <= DENSE_SIZE:
+            found = np.linalg.solve(matrix.toarray(), right)
+        else:
+            from scipy.sparse.linalg import splu
+
+            found = splu(sp.csc_matrix(matrix)).solve(right)
+    except (np.linalg.LinAlgError, RuntimeError):  # RuntimeError is SuperLU's word for an exactly zero pivot
+        raise NotConverged("the system of the closed contacts is singular") from None
+    if not np.all(np.isfinite(found)):
+        raise NotConverged("the system of the closed contacts is singular")
+    return np.asarray(found)
+
+
+def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Vector, closed: Mask) -> Any:
+    """A stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed set.
+
+    K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
+    with E u > g close, until none does. K need not be definite, and there may be other points.
+
+    Raises
+    ------
+    NotConverged
+        A singular system, or sets that come back.
+    """
+    n, m = len(load), len(gap)
+    seen: set[bytes] = set()
+    one_by_one = False
+    for _ in range(4 * m + 4):
+        B = np.flatnonzero(closed)
+        rows = sp.vstack([normal[B], tie], format="csr")
+        matrix = sp.block_array([[K, rows.T], [rows, None]], format="csc") if rows.shape[0] else sp.csc_array(K)
+        found = solve_system(matrix, np.concatenate([load, gap[B], value]))
+        u, force = found[:n], np.zeros(m)
+        force[B] = found[n : n + len(B)]
+        excess = normal @ u - gap
+        rounding = ROUNDED * (abs(normal) @ abs(u) + abs(gap))
+        wrong = np.where(closed, np.maximum(-force, 0.0), 0.0), np.where(closed, 0.0, excess - rounding)
+        if not np.any(wrong[0] > 0) and not np.any(wrong[1] > 0):
+            return u, force, found[n + len(B) :], closed
+        closed = _changed(closed, *wrong, one_by_one)
+        one_by_one |= closed.tobytes() in seen
+        if one_by_one and len(seen) > 3 * m + 3:
+            break
+        seen.add(closed.tobytes())
+    raise NotConverged("the set of closed contacts comes back: the tangent is indefinite there")
+
+
+# A contact is closed by what lies beyond rounding of the lengths that meet.
+ROUNDED = 1e-14
+
+
+def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) -> Mask:
+    if not one_by_one:
+        return np.asarray((closed & (tension <= 0)) | (excess > 0))
+    changed = closed.copy()
+    if np.any(excess > 0):
+        changed[int(np.argmax(excess))] = True
+    else:
+        changed[int(np.argmax(tension))] = False
+    return changed
+
+
+def positive_semidefinite(K: Any) -> bool:
+    """Whether K is, up to rounding: by eigenvalues where it is small, by the signs of its pivots elsewhere."""
+    diagonal = np.asarray(K.diagonal(), dtype=float)
+    if np.any(diagonal < 0):
+        return False
+    if K.shape[0] <= DENSE_SIZE:
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        eigenvalues = np.linalg.eigvalsh(K.toarray() * np.outer(scale, scale))
+        return bool(eigenvalues[0] >= -64 * len(scale) * np.finfo(float).eps * max(eigenvalues[-1], 1.0))
+    try:
+        factorise(K)
+    except InvalidProblem:
+        return False
+    return True
+
+
+def negative_on(K: Any, rows: Any) -> int:
+    """How many independent motions with rows u = 0 have negative energy u'Ku: 0 where the equilibrium is stable.
+
+    Of a large K only 0 and 1, for none and some, by the pivots of K with stiff springs along the rows.
+    """
+    if K.shape[0] <= DENSE_SIZE:
+        values = np.linalg.eigvalsh(restricted(K, rows))
+        return int(np.sum(values < -ZERO * np.max(abs(values), initial=0.0)))
+    stiff = HELD * float(np.max(abs(K.diagonal())))
+    return 0 if positive_semidefinite(sp.csc_array(K + stiff * (rows.T @ rows))) else 1
+
+
+def restricted(K: Any, rows: Any) -> Array:
+    """Z'KZ on an orthonormal basis Z of the motions with rows u = 0."""
+    from scipy.linalg import null_space
+
+    dense = K.toarray()
+    if not rows.shape[0]:
+        return np.asarray(dense)
+    Z = null_space(rows.toarray())
+    return np.asarray(Z.T @ dense @ Z)
+
+
+def lowest_eigenvalue(K: Any) -> float:
+    """The lowest eigenvalue of K [force / length]; a bound below it for a large K (Gershgorin)."""
+    if K.shape[0] <= DENSE_SIZE:
+        return float(np.linalg.eigvalsh(K.toarray())[0])
+    diagonal = np.asarray(K.diagonal(), dtype=float)
+    return float(np.min(diagonal - (np.asarray(abs(K).sum(axis=1)).ravel() - abs(diagonal))))

@@ -1,0 +1,166 @@
+"""Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactqp.analysis.deformation import NewtonIteration
+from contactqp.analysis.loaded_body import Forces, Imbalance, Instant, LoadedBody
+from contactqp.analysis.newton_step import NewtonSettings, NewtonStep, Target, newton_step
+from contactqp.elements.deformable import Vector
+from contactqp.errors import InvalidProblem, NotConverged
+
+# Armijo's part of the slope, and the shortest fraction of a step that is tried.
+SUFFICIENT = 1e-4
+SHORTEST = 2.0**-30
+# The weight of what violates constraints in the merit, over the largest force: above 1 the merit is exact.
+WEIGHT = 2.0
+# A full step that leaves less than this part of the imbalance is taken although the merit rises: near the answer a
+# curved constraint lets it (Maratos 1978).
+CONTRACTION = 0.5
+# Rounding of an energy, over the sizes that add up to it.
+MERIT_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """An equilibrium that Newton's method has found."""
+
+    now: Instant
+    forces: Forces
+    step: NewtonStep  # the last one
+    iterations: tuple[NewtonIteration, ...]
+
+    @property
+    def shifted(self) -> bool:
+        """Whether the way led through tangents that had no way down."""
+        return any(iteration.shift for iteration in self.iterations)
+
+
+def find_balance(
+    loaded: LoadedBody, start: Vector, forces: Forces, target: Target, settings: NewtonSettings
+) -> Balance:
+    """The equilibrium under a load that lies down the energy from a start, one contact problem an iteration.
+
+    The merit is energy - f'u + w (sum of overlaps + sum of |A u - b|), w above the largest force; steps are halved
+    until it falls. Approximate methods and friction have no such merit and take full steps.
+
+    Raises
+    ------
+    NotConverged
+        Too many iterations, no way down, a body turned inside out, a lost contact pair.
+    NotCertified
+        The certificate refuses the last step.
+    Unsupported
+        An indefinite tangent, and a method or friction that cannot have it.
+    """
+    try:
+        now = loaded.at(start)
+    except InvalidProblem as error:
+        raise NotConverged(f"at the start: {error}") from error
+    iterations: list[NewtonIteration] = []
+    step, weight = None, 0.0
+    for _ in range(settings.max_iter):
+        K = loaded.hessian(now, forces)
+        before = _imbalance_before(loaded, now, K, forces, target, settings)
+        step = newton_step(loaded, now, K, target, settings, step, forces)
+        weight = max(weight, WEIGHT * step.forces.largest)
+        fraction, new = _searched(loaded, now, K, target, settings, step, weight, before)
+        left = _imbalance_after(loaded, now, new, K, target, settings, step)
+        changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
+        iterations.append(NewtonIteration(left.force, left.length, fraction, step.shift, changed))
+        now, forces = new, step.forces
+        if left.nothing and fraction == 1 and not step.shift:
+            if step.refused is not None:
+                raise step.refused
+            return Balance(now, forces, step, tuple(iterations))
+    raise NotConverged(
+        f"Newton's method: {settings.max_iter} iterations leave {iterations[-1].force_error:.3g} of the forces and "
+        f"{iterations[-1].length_error:.3g} of the displacement"
+    )
+
+
+def _imbalance_before(
+    loaded: LoadedBody, now: Instant, K: Any, forces: Forces, target: Target, settings: NewtonSettings
+) -> Imbalance:
+    overlap, tie = np.maximum(-now.contact.gap, 0.0), abs(loaded.tie @ now.displacement - target.tie_value)
+    rounding = np.concatenate([now.contact.rounding, np.zeros(len(tie))])
+    errors = np.concatenate([overlap, tie])
+    return loaded.imbalance(now, K, target.load, forces, errors, rounding, settings.tolerance)
+
+
+def _imbalance_after(
+    loaded: LoadedBody,
+    now: Instant,
+    new: Instant,
+    K: Any,
+    target: Target,
+    settings: NewtonSettings,
+    step: NewtonStep,
+) -> Imbalance:
+    """What a step leaves: forces with the rows of its end, and how far gaps and slips are from what it took them for.
+
+    Of contacts that neither push nor overlap no gap matters.
+    """
+    du, rounding = new.displacement - now.displacement, new.contact.rounding
+    matters = (step.forces.normal > 0) | (new.contact.gap < -rounding)
+    gap_error = np.where(matters, abs(new.contact.gap - (now.contact.gap - now.contact.normal @ du)), 0.0)
+    errors, allowed = [gap_error], [rounding]
+    if target.anchor is not None and loaded.contact is not None:
+        turned = loaded.contact.slip_since(new.displacement, target.anchor)
+        taken = loaded.contact.slip_since(now.displacement, target.anchor)
+        slip_error = abs(turned - taken - (now.contact.tangent @ du).reshape(turned.shape))
+        errors.append(np.where(matters[:, None], slip_error, 0.0).ravel())
+        allowed.append(np.repeat(rounding, turned.shape[1]))
+    tie = abs(loaded.tie @ new.displacement - target.tie_value)
+    together = np.concatenate([*errors, tie]), np.concatenate([*allowed, np.zeros(len(tie))])
+    return loaded.imbalance(new, K, target.load, step.forces, *together, settings.tolerance)
+
+
+def _searched(
+    loaded: LoadedBody,
+    now: Instant,
+    K: Any,
+    target: Target,
+    settings: NewtonSettings,
+    step: NewtonStep,
+    weight: float,
+    before: Imbalance,
+) -> tuple[float, Instant]:
+    """The fraction of the step that is taken, and the body there."""
+    by_merit = settings.exact and target.anchor is None
+    start, rounding = _merit(loaded, now, target, weight)
+    violation = _violation(loaded, now, target)
+    slope = -float((target.load - now.internal) @ step.increment) - weight * violation
+    fraction, reason = 1.0, "the energy does not fall along it"
+    while fraction >= SHORTEST:
+        try:
+            new = loaded.at(now.displacement + fraction * step.increment)
+            merit, more = _merit(loaded, new, target, weight)
+        except InvalidProblem as error:
+            reason, merit, more = str(error), np.inf, 0.0
+        if np.isfinite(merit):
+            if not by_merit or merit <= start + SUFFICIENT * fraction * min(slope, 0.0) + max(rounding, more):
+                return fraction, new
+            if fraction == 1 and not step.shift:
+                left = _imbalance_after(loaded, now, new, K, target, settings, step)
+                if left.nothing or left.size <= CONTRACTION * before.size:
+                    return fraction, new
+        fraction /= 2
+    raise NotConverged(f"Newton's method: no part of the step can be taken: {reason}")
+
+
+def _violation(loaded: LoadedBody, now: Instant, target: Target) -> float:
+    overlap = np.sum(np.maximum(-now.contact.gap, 0.0))
+    return float(overlap + np.sum(abs(loaded.tie @ now.displacement - target.tie_value)))
+
+
+def _merit(loaded: LoadedBody, now: Instant, target: Target, weight: float) -> tuple[float, float]:
+    """energy - f'u + weight * violation, and what rounding may make of it."""
+    elastic, work = loaded.body.energy(now.displacement), float(target.load @ now.displacement)
+    penalty = weight * _violation(loaded, now, target)
+    size = abs(elastic) + float(abs(target.load) @ abs(now.displacement)) + penalty
+    return elastic - work + penalty, MERIT_ROUNDING * size

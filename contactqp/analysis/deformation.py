@@ -1,0 +1,163 @@
+"""The equilibria of a large deformation, one after the other, with the Newton iterations that found them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.analysis.history import Energies, Event, History
+from contactqp.problem import Vector
+from contactqp.solution import Solution
+
+
+@dataclass(frozen=True)
+class NewtonIteration:
+    """One step of Newton's method, and what it left."""
+
+    force_error: float  # the largest force out of balance over the largest force that acts
+    length_error: float  # the largest error of a linearised gap, slip or tie over the largest displacement
+    fraction: float  # of the step that was taken
+    shift: float  # added to the diagonal of an indefinite tangent to find a way down [force / length]; mostly 0
+    changed: bool  # whether other contacts are closed than before
+
+    @property
+    def error(self) -> float:
+        """The larger of both errors."""
+        return max(self.force_error, self.length_error)
+
+
+@dataclass(frozen=True, eq=False)
+class LargeSolution(Solution):
+    """An equilibrium at a large displacement.
+
+    `problem` is the last step of Newton's method, whose unknown is `increment`: its stiffness is the tangent, its load
+    what was out of balance, its gaps and rows those of the displacement before it. The certificate is of that problem.
+    Gaps, slips and energy are those of the displacement itself.
+    """
+
+    load_factor: float = 0.0
+    load: Vector = field(default_factory=lambda: np.zeros(0), repr=False)  # (n,) on the body
+    tie_value: Vector = field(default_factory=lambda: np.zeros(0), repr=False)  # (k,) A u
+    increment: Vector = field(default_factory=lambda: np.zeros(0), repr=False)  # (n,) the last step
+    current_gap: Vector = field(default_factory=lambda: np.zeros(0), repr=False)
+    current_slip: NDArray[np.float64] | None = field(default=None, repr=False)
+    position: NDArray[np.float64] | None = field(default=None, repr=False)  # (m, d) of the contacts
+    elastic: float = 0.0  # the energy of the body
+    negative: int = 0  # motions without contact change that have negative energy; 0: stable
+    iterations: tuple[NewtonIteration, ...] = field(default=(), repr=False)
+
+    @property
+    def gap(self) -> Vector:
+        """The gaps there, positive when open [length]."""
+        return self.current_gap
+
+    @property
+    def slip(self) -> NDArray[np.float64] | None:
+        """(m, d-1): how far the contacts slid in the load step, along the tangents there [length]."""
+        return self.current_slip
+
+    @property
+    def energy(self) -> float:
+        """Elastic energy - f'u."""
+        return self.elastic - float(self.load @ self.displacement)
+
+    @property
+    def stable(self) -> bool:
+        """Whether no motion that keeps the closed contacts closed lowers the energy."""
+        return self.negative == 0
+
+
+@dataclass(frozen=True, eq=False)
+class LimitPoint:
+    """Where the load that a path carries is greatest or least."""
+
+    kind: str  # "maximum" or "minimum"
+    load_factor: float
+    displacement: Vector = field(repr=False)
+    normal_force: Vector = field(repr=False)
+    after: int = 0  # the solution of the history that comes before it
+    smooth: bool = True  # False: a contact closes or opens there
+
+
+class LargeHistory(History):
+    """The equilibria of a path; `times` are the load factors, which an arc length may take back and forth."""
+
+    def __init__(
+        self,
+        solutions: Sequence[LargeSolution],
+        notes: Iterable[str] = (),
+        limit_points: Iterable[LimitPoint] = (),
+    ) -> None:
+        found, told = list(solutions), tuple(notes)
+        super().__init__(
+            found,
+            [solution.load_factor for solution in found],
+            events=_Found(found).events,
+            energies=_Found(found).energies,
+            notes=lambda: told,
+        )
+        self.limit_points = tuple(limit_points)
+
+    @property
+    def iterations(self) -> tuple[tuple[NewtonIteration, ...], ...]:
+        """Of every solution, what each step of Newton's method left: squared from one to the next at the end."""
+        return tuple(solution.iterations for solution in self._found)
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """(steps,) whether each equilibrium is."""
+        return np.array([solution.stable for solution in self._found])
+
+    @property
+    def _found(self) -> Sequence[LargeSolution]:
+        return [solution for solution in self if isinstance(solution, LargeSolution)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What is computed of a history when it is asked for."""
+
+    solutions: Sequence[LargeSolution]
+
+    def events(self) -> Iterator[Event]:
+        """Contacts that close, open, slip or stick, at the first solution that shows it."""
+        for before, now in pairwise(self.solutions):
+            for i in range(len(now.normal_force)):
+                for kind in _kinds(_doing(before, i), _doing(now, i)):
+                    yield Event(kind, i, now.load_factor, now.problem.contact_name(i))
+
+    def energies(self) -> Iterator[Energies]:
+        """Elastic energy of the body; the work of loads and ties by the trapezoidal rule; l_T . s of every step.
+
+        Where a path jumps, work and elastic energy differ by what the jump sets free.
+        """
+        work = dissipated = 0.0
+        for k, now in enumerate(self.solutions):
+            if k:
+                before = self.solutions[k - 1]
+                work += float((before.load + now.load) @ (now.displacement - before.displacement)) / 2
+                work -= float((before.tie_force + now.tie_force) @ (now.tie_value - before.tie_value)) / 2
+                if now.friction_force is not None and now.slip is not None:
+                    dissipated += float(np.sum(np.maximum(np.sum(now.friction_force * now.slip, axis=1), 0.0)))
+            yield Energies(now.elastic, kinetic=0.0, work=work, dissipated=dissipated)
+
+
+def _doing(solution: LargeSolution, i: int) -> str:
+    status = str(solution.contact_status[i])
+    return status if status in ("stick", "slip") else "closed" if solution.normal_force[i] > 0 else "open"
+
+
+def _kinds(before: str, now: str) -> list[str]:
+    """The events that lead from one state to the next."""
+    if before == now:
+        return []
+    if now == "open":
+        return ["opened"]
+    closes = ["closed"] if before == "open" else []
+    slips = ["slip"] if now == "slip" else []
+    sticks = ["stick"] if now == "stick" and before == "slip" else []
+    return closes + slips + sticks

@@ -1,0 +1,190 @@
+"""Large deformations of bodies in contact: Newton's method whose every step is a contact problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from contactqp.analysis.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.load_control import LoadControl, Program
+from contactqp.analysis.loaded_body import LoadedBody
+from contactqp.analysis.newton_step import NewtonSettings
+from contactqp.elements.deformable import ContactGeometry, Deformable, Vector
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.methods import find
+from contactqp.problem_data import read_coefficient, read_rows, read_vector
+
+CONTROLS = ("load",)
+
+
+def large_deformation(
+    body: Deformable,
+    loads: Sequence[ArrayLike],
+    contact: ContactGeometry | None = None,
+    *,
+    steps: int = 10,
+    control: str = "load",
+    method: str = "active-set",
+    tie: Any = None,
+    tie_values: Sequence[ArrayLike] | None = None,
+    friction: ArrayLike | None = None,
+    start: ArrayLike | LargeSolution | None = None,
+    tolerance: float = 1e-12,
+    max_iter: int = 50,
+    **options: Any,
+) -> LargeHistory:
+    """Equilibria of a body at large displacements along a load path.
+
+        min  W(u) - f'u   subject to   gap(u) >= 0,  A u = b,
+
+    by Newton's method: every step is the ContactProblem in the increment du with the tangent d2W/du2 + the curvature of
+    the closed contacts under their forces, the load f - dW/du, and the gaps and rows of now.
+
+    Parameters
+    ----------
+    body : Deformable
+        NonlinearTruss, UpdatedTruss, Supported, or anything with `dimension`, `energy`, `internal_force`, `tangent`.
+    loads : sequence of (n,) arrays [force]
+        The corners of the load path: from no load to `loads[0]` while the load factor goes from 0 to 1, on to
+        `loads[1]` until 2, and so on.
+    contact : ContactGeometry, optional
+        ObstacleContact, ContactGroup, or anything that gives gaps and rows at u.
+    steps : int
+        Equal steps a leg.
+    control : "load"
+    method : str
+        Of `solve`, for the steps. Where a tangent is indefinite only "active-set" goes on: the others are convex and
+        raise Unsupported.
+    tie : (k, n) array or sparse matrix, optional
+        A, rows of constraints A u = b.
+    tie_values : sequence of (k,) arrays, optional
+        b at the corners, one for each of `loads`, from A u of the start; without them A u stays what it is.
+    friction : float or (m,) array, optional
+        Coulomb's coefficient. The slip of a step is counted from where the contact was at the step before, along the
+        tangents of now: exact on planes, of the chord on curved obstacles, where convergence is then linear.
+    start : (n,) array or LargeSolution, optional
+        A displacement to start from, at no load, or an equilibrium of an earlier history with this program, from whose
+        load factor the steps that are left go on.
+    tolerance : float
+        Of the forces out of balance over the largest force, and of gaps over the largest displacement.
+    max_iter : int
+        Iterations of Newton's method a step.
+    **options
+        Of `solve`: `penalty`, `algorithm`, ...
+
+    Returns
+    -------
+    LargeHistory
+        The start and every step. `times` are load factors, `iterations` what each iteration left. `notes` say where
+        the path snaps through (the displacement jumps: to the next equilibrium down the energy) and where equilibria
+        are unstable.
+
+    Raises
+    ------
+    NotConverged
+        No convergence, a body turned inside out, a lost contact pair. `history` holds the equilibria so far, and
+        `start=error.history[-1]` resumes from there.
+    NotCertified
+        The certificate refuses the last step of an equilibrium.
+    Unsupported
+        An indefinite tangent with a convex method or with friction; friction with an approximate method.
+    InvalidProblem
+        Arguments that do not fit.
+
+    Notes
+    -----
+    Course section 2.5, (2.94)-(2.104), with minus both contact terms in (2.98). Steps are halved until the merit
+    W - f'u + w (overlaps + |A u - b|) falls, w above the largest force. Where a tangent has a motion of negative energy
+    that keeps the closed contacts, the step takes tangent + shift 1 (`NewtonIteration.shift`), which leads down and
+    changes no equilibrium. If the tangent is indefinite but those motions have positive energy the step is solved on
+    its closed set. With an approximate method (penalty) the equilibria are those of its contact springs, and the
+    energies do not count what these store.
+
+    Examples
+    --------
+    A shallow arch of two bars, pressed down by 1 onto a floor 0.3 below its node:
+
+    >>> import contactqp as cq
+    >>> arch = cq.NonlinearTruss([[-1, 0], [0, 0.2], [1, 0]], [[0, 1], [1, 2]], modulus=100.0, area=1.0)
+    >>> free = cq.Supported(arch, held=[0, 1, 4, 5])
+    >>> floor = cq.ObstacleContact([[0, 0.2]], cq.Plane([0, -0.1], [0, 1]))
+    >>> history = cq.large_deformation(free, [[0.0, -1.0]], floor, steps=4)
+    >>> history[-1].displacement.round(12).tolist(), [event.kind for event in history.events]
+    ([0.0, -0.3], ['closed'])
+    >>> history.notes[0][:28]
+    'snap-through at load factor '
+    """
+    loaded = _loaded(body, contact, tie, friction)
+    begin = _start(start, loaded)
+    program = _program(loaded, loads, tie_values, begin)
+    if control not in CONTROLS:
+        raise InvalidProblem(f"control: expected one of {', '.join(CONTROLS)}, got {control!r}")
+    for name, value in (("steps", steps), ("max_iter", max_iter)):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+            raise InvalidProblem(f"{name}: expected a positive integer, got {value!r}")
+    if not 0 < tolerance < 1:
+        raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {tolerance!r}")
+    exact = find(method).exact
+    if loaded.friction is not None and not exact:
+        raise Unsupported(
+            f"large_deformation: friction with {method!r}, which is approximate: expected an exact method"
+        )
+    settings = NewtonSettings(method, exact, options, tolerance, max_iter)
+    return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
+
+
+def _loaded(body: Deformable, contact: ContactGeometry | None, tie: Any, friction: ArrayLike | None) -> LoadedBody:
+    if not isinstance(body, Deformable):
+        raise InvalidProblem(
+            f"body: expected `dimension`, `energy`, `internal_force` and `tangent`, got {type(body).__name__}"
+        )
+    if contact is not None and not isinstance(contact, ContactGeometry):
+        raise InvalidProblem(f"contact: expected a ContactGeometry, got {type(contact).__name__}")
+    n = body.dimension
+    if contact is not None and (width := contact.state(np.zeros(n)).normal.shape[1]) != n:
+        raise InvalidProblem(f"contact: expected rows over the {n} unknowns of the body, got {width}")
+    coefficient = None
+    if friction is not None and contact is not None:
+        coefficient = read_coefficient(friction, contact.contacts)
+    elif friction is not None:
+        raise InvalidProblem("friction: expected contacts that it acts at, got none")
+    return LoadedBody(body, contact, read_rows("tie", sp.csr_array((0, n)) if tie is None else tie, n), coefficient)
+
+
+def _start(start: ArrayLike | LargeSolution | None, loaded: LoadedBody) -> Vector | LargeSolution:
+    if isinstance(start, LargeSolution):
+        if start.displacement.shape != (loaded.dimension,):
+            raise InvalidProblem(
+                f"start: expected {loaded.dimension} unknowns, got a solution of {len(start.displacement)}"
+            )
+        return start
+    return read_vector("start", np.zeros(loaded.dimension) if start is None else start, loaded.dimension)
+
+
+def _program(loaded: LoadedBody, loads: Sequence[ArrayLike], tie_values: Any, start: Vector | LargeSolution) -> Program:
+    if not isinstance(loads, Sequence | np.ndarray) or len(loads) == 0:
+        raise InvalidProblem(f"loads: expected a sequence of at least one load vector, got {loads!r}")
+    n, k = loaded.dimension, loaded.tie.shape[0]
+    corners = [np.zeros(n), *(read_vector(f"loads[{i}]", load, n) for i, load in enumerate(loads))]
+    first = loaded.tie @ start if not isinstance(start, LargeSolution) else np.zeros(k)
+    if tie_values is None:
+        values = [start.tie_value if isinstance(start, LargeSolution) else first] * len(corners)
+    elif len(tie_values) != len(loads):
+        raise InvalidProblem(f"tie_values: expected one for each of {len(loads)} loads, got {len(tie_values)}")
+    else:
+        values = [first, *(read_vector(f"tie_values[{i}]", value, k) for i, value in enumerate(tie_values))]
+    return Program(corners, values)
+
+
+def _times(start: Vector | LargeSolution, end: int, steps: int) -> list[float]:
+    """Load factors of the start and of the steps that are left."""
+    first = start.load_factor if isinstance(start, LargeSolution) else 0.0
+    grid = [leg + (i + 1) / steps for leg in range(end) for i in range(steps)]
+    left = [t for t in grid if t > first * (1 + 1e-12)]
+    if not left:
+        raise InvalidProblem(f"start: expected a load factor below {end}, got {first:.6g}")
+    return [first, *left]

@@ -1,0 +1,149 @@
+"""Load control of a large deformation: step after step up the load, jumps told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactqp.analysis.constrained_newton import Balance, find_balance
+from contactqp.analysis.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.deformation_steps import large_solution
+from contactqp.analysis.loaded_body import Forces, LoadedBody
+from contactqp.analysis.newton_step import NewtonSettings, Target
+from contactqp.analysis.slip_anchors import balance_with_anchors
+from contactqp.elements.deformable import Vector
+from contactqp.errors import NotCertified, NotConverged
+
+# Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
+HALVINGS = 20
+# What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
+JUMP = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Loads and tie values against the load factor t: corner k at t = k, straight lines between."""
+
+    loads: Sequence[Vector]  # (n,) each, the start included
+    tie_values: Sequence[Vector]  # (k,) each
+
+    @property
+    def end(self) -> int:
+        """The last load factor."""
+        return len(self.loads) - 1
+
+    def at(self, t: float) -> Target:
+        """Load and tie value, without anchors."""
+        leg = min(int(t), self.end - 1)
+        part = t - leg
+        if part == 1:
+            return Target(self.loads[leg + 1], self.tie_values[leg + 1])
+        load = self.loads[leg] + part * (self.loads[leg + 1] - self.loads[leg])
+        return Target(load, self.tie_values[leg] + part * (self.tie_values[leg + 1] - self.tie_values[leg]))
+
+
+@dataclass(frozen=True, eq=False)
+class LoadControl:
+    """A body, its program and the settings of Newton's method."""
+
+    loaded: LoadedBody
+    program: Program
+    settings: NewtonSettings
+
+    def follow(self, start: Vector | LargeSolution, times: Sequence[float]) -> LargeHistory:
+        """The equilibria at the load factors, from a displacement or from a solution on the way.
+
+        Raises
+        ------
+        NotConverged, NotCertified
+            With the history so far.
+        """
+        solutions: list[LargeSolution] = []
+        notes: list[str] = []
+        first = times[0]
+        try:
+            if isinstance(start, LargeSolution):
+                solutions.append(start)
+            else:
+                solutions.append(self._first(start, first))
+            for t in times[1:]:
+                solutions.append(self._next(solutions[-1], t, notes))
+        except NotConverged as error:
+            at = times[len(solutions)]
+            so_far = LargeHistory(solutions, notes)
+            last = solutions[-1] if solutions else None
+            raise NotConverged(f"large_deformation: at load factor {at:.6g}: {error}", so_far, last) from error
+        except NotCertified as error:
+            at = times[len(solutions)]
+            raise NotCertified(f"large_deformation: at load factor {at:.6g}: {error}", error.solution) from error
+        return LargeHistory(solutions, notes)
+
+    def _first(self, displacement: Vector, t: float) -> LargeSolution:
+        target = self.program.at(t)
+        if self.loaded.friction is not None and self.loaded.contact is not None:
+            anchor = self.loaded.contact.positions(displacement)
+            target = Target(target.load, target.tie_value, anchor)
+        balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), target, self.settings)
+        return large_solution(self.loaded, balance, target, t)
+
+    def _next(self, before: LargeSolution, t: float, notes: list[str]) -> LargeSolution:
+        target = self.program.at(t)
+        if self.loaded.friction is not None and before.position is not None:
+            touching = (before.normal_force > 0) | (before.gap <= 0)
+            balance, anchor = balance_with_anchors(
+                self.loaded,
+                before.position,
+                before.gap,
+                touching,
+                lambda loaded, anchor: find_balance(
+                    loaded,
+                    before.displacement,
+                    forces_of(before),
+                    Target(target.load, target.tie_value, anchor),
+                    self.settings,
+                ),
+            )
+            target = Target(target.load, target.tie_value, anchor)
+        else:
+            balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
+        if balance.shifted:
+            notes.extend(self._jump(before, balance, t))
+        solution = large_solution(self.loaded, balance, target, t)
+        if solution.negative and not before.negative:
+            notes.append(
+                f"from load factor {t:.6g} the equilibrium is unstable: {solution.negative} motion(s) lower the energy"
+            )
+        return solution
+
+    def _jump(self, before: LargeSolution, balance: Balance, t: float) -> list[str]:
+        """The note of a step whose displacement does not shrink with it."""
+        low, high = before.load_factor, t
+        start, end = before.displacement, balance.now.displacement
+        forces = forces_of(before)
+        whole = float(np.linalg.norm(end - start))
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            try:
+                found = find_balance(self.loaded, start, forces, self.program.at(middle), self.settings)
+            except (NotConverged, NotCertified):
+                break
+            u = found.now.displacement
+            if np.linalg.norm(u - start) <= np.linalg.norm(u - end):
+                low, start, forces = middle, u, found.forces
+            else:
+                high, end = middle, u
+        if np.linalg.norm(end - start) < JUMP * whole:
+            return []
+        j = int(np.argmax(abs(end - start)))
+        return [
+            f"snap-through at load factor {high:.6g}: the tangent loses its definiteness and unknown {j} jumps from "
+            f"{start[j]:.6g} to {end[j]:.6g}, the next equilibrium down the energy"
+        ]
+
+
+def forces_of(solution: LargeSolution) -> Forces:
+    """The forces of an equilibrium."""
+    friction = solution.friction_force if solution.problem.frictional else None
+    return Forces(solution.normal_force, solution.tie_force, friction)
