@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
 ZERO = 1e-12
+REFINEMENTS = 2
 # The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
 HELD = 1e6
 
@@ -31,11 +32,15 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
     size = matrix.shape[0]
     try:
         if size <= DENSE_SIZE:
-            found = np.linalg.solve(matrix.toarray(), right)
+            inverse = np.linalg.inv(matrix.toarray())
+            solved = inverse.__matmul__
         else:
             from scipy.sparse.linalg import splu
 
-            found = splu(sp.csc_matrix(matrix)).solve(right)
+            solved = splu(sp.csc_matrix(matrix)).solve
+        found = solved(right)
+        for _ in range(REFINEMENTS):  # so that every equation holds to rounding of its own terms (Skeel 1980)
+            found = found + solved(right - matrix @ found)
     except (np.linalg.LinAlgError, RuntimeError):  # RuntimeError is SuperLU's word for an exactly zero pivot
         raise NotConverged("the system of the closed contacts is singular") from None
     if not np.all(np.isfinite(found)):

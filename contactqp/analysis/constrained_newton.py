@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from contactqp.analysis.deformation import NewtonIteration
 from contactqp.analysis.loaded_body import Forces, Imbalance, Instant, LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings, NewtonStep, Target, newton_step
+from contactqp.analysis.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
 from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
 
@@ -31,8 +32,10 @@ class Balance:
 
     now: Instant
     forces: Forces
+    before: Instant  # where the last step set out
     step: NewtonStep  # the last one
     iterations: tuple[NewtonIteration, ...]
+    seconds: float
 
     @property
     def shifted(self) -> bool:
@@ -52,34 +55,33 @@ def find_balance(
     ------
     NotConverged
         Too many iterations, no way down, a body turned inside out, a lost contact pair.
-    NotCertified
-        The certificate refuses the last step.
     Unsupported
         An indefinite tangent, and a method or friction that cannot have it.
     """
+    started = time.perf_counter()
     try:
         now = loaded.at(start)
     except InvalidProblem as error:
         raise NotConverged(f"at the start: {error}") from error
     iterations: list[NewtonIteration] = []
-    step, weight = None, 0.0
+    step, weight, reason = None, 0.0, ""
     for _ in range(settings.max_iter):
         K = loaded.hessian(now, forces)
-        before = _imbalance_before(loaded, now, K, forces, target, settings)
+        start_error = _imbalance_before(loaded, now, K, forces, target, settings)
         step = newton_step(loaded, now, K, target, settings, step, forces)
-        weight = max(weight, WEIGHT * step.forces.largest)
-        fraction, new = _searched(loaded, now, K, target, settings, step, weight, before)
+        weight = max(weight, _weight(loaded, now, K, target, step))
+        fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
         left = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
         iterations.append(NewtonIteration(left.force, left.length, fraction, step.shift, changed))
+        if left.nothing and fraction == 1:
+            if step.shift:  # a saddle of the energy, from which nothing drives the body
+                step = stationary_step(loaded, now, K, target, step.increment, step.forces)
+            return Balance(new, step.forces, now, step, tuple(iterations), time.perf_counter() - started)
         now, forces = new, step.forces
-        if left.nothing and fraction == 1 and not step.shift:
-            if step.refused is not None:
-                raise step.refused
-            return Balance(now, forces, step, tuple(iterations))
     raise NotConverged(
         f"Newton's method: {settings.max_iter} iterations leave {iterations[-1].force_error:.3g} of the forces and "
-        f"{iterations[-1].length_error:.3g} of the displacement"
+        f"{iterations[-1].length_error:.3g} of the displacement" + (f"; full steps fail: {reason}" if reason else "")
     )
 
 
@@ -129,13 +131,13 @@ def _searched(
     step: NewtonStep,
     weight: float,
     before: Imbalance,
-) -> tuple[float, Instant]:
-    """The fraction of the step that is taken, and the body there."""
+) -> tuple[float, Instant, str]:
+    """The fraction of the step that is taken, the body there, and why it is not the whole step."""
     by_merit = settings.exact and target.anchor is None
     start, rounding = _merit(loaded, now, target, weight)
     violation = _violation(loaded, now, target)
     slope = -float((target.load - now.internal) @ step.increment) - weight * violation
-    fraction, reason = 1.0, "the energy does not fall along it"
+    fraction, reason = 1.0, ""
     while fraction >= SHORTEST:
         try:
             new = loaded.at(now.displacement + fraction * step.increment)
@@ -144,13 +146,22 @@ def _searched(
             reason, merit, more = str(error), np.inf, 0.0
         if np.isfinite(merit):
             if not by_merit or merit <= start + SUFFICIENT * fraction * min(slope, 0.0) + max(rounding, more):
-                return fraction, new
+                return fraction, new, reason
             if fraction == 1 and not step.shift:
                 left = _imbalance_after(loaded, now, new, K, target, settings, step)
                 if left.nothing or left.size <= CONTRACTION * before.size:
-                    return fraction, new
+                    return fraction, new, reason
+            reason = "the energy does not fall"
         fraction /= 2
     raise NotConverged(f"Newton's method: no part of the step can be taken: {reason}")
+
+
+def _weight(loaded: LoadedBody, now: Instant, K: Any, target: Target, step: NewtonStep) -> float:
+    """Enough for the step to lead down the merit, also where K has negative energy across the constraints (Nocedal and
+    Wright 2006, 18.36)."""
+    du, violation = step.increment, _violation(loaded, now, target)
+    rise = -float((target.load - now.internal) @ du) + max(float(du @ (K @ du)), 0.0) / 2
+    return max(WEIGHT * step.forces.largest, WEIGHT * rise / violation if violation > 0 else 0.0)
 
 
 def _violation(loaded: LoadedBody, now: Instant, target: Target) -> float:

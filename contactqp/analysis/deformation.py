@@ -34,9 +34,9 @@ class NewtonIteration:
 class LargeSolution(Solution):
     """An equilibrium at a large displacement.
 
-    `problem` is the last step of Newton's method, whose unknown is `increment`: its stiffness is the tangent, its load
-    what was out of balance, its gaps and rows those of the displacement before it. The certificate is of that problem.
-    Gaps, slips and energy are those of the displacement itself.
+    `problem` is the last step of Newton's method, from u_0 = u - `increment`, written in the displacement: K is the
+    tangent there, the load f - f_int + K u_0, E_N and E_T the rows and gap + E_N u_0 the gaps of there. The certificate
+    is of that problem. Gaps, slips and energy are those of u itself.
     """
 
     load_factor: float = 0.0

@@ -80,8 +80,8 @@ def large_deformation(
     -------
     LargeHistory
         The start and every step. `times` are load factors, `iterations` what each iteration left. `notes` say where
-        the path snaps through (the displacement jumps: to the next equilibrium down the energy) and where equilibria
-        are unstable.
+        the path snaps through (the displacement jumps: to the next equilibrium down the energy; not looked for with
+        friction) and where equilibria are unstable.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def large_deformation(
     NotCertified
         The certificate refuses the last step of an equilibrium.
     Unsupported
-        An indefinite tangent with a convex method or with friction; friction with an approximate method.
+        An indefinite tangent with a convex method, or with friction in space; friction with an approximate method.
     InvalidProblem
         Arguments that do not fit.
 
@@ -145,7 +145,8 @@ def _loaded(body: Deformable, contact: ContactGeometry | None, tie: Any, frictio
     if contact is not None and not isinstance(contact, ContactGeometry):
         raise InvalidProblem(f"contact: expected a ContactGeometry, got {type(contact).__name__}")
     n = body.dimension
-    if contact is not None and (width := contact.state(np.zeros(n)).normal.shape[1]) != n:
+    width = getattr(contact, "dimension", n)
+    if width != n:
         raise InvalidProblem(f"contact: expected rows over the {n} unknowns of the body, got {width}")
     coefficient = None
     if friction is not None and contact is not None:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
+from contactqp.analysis.active_kkt import negative_on, positive_semidefinite
 from contactqp.analysis.constrained_newton import Balance, find_balance
 from contactqp.analysis.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.deformation_steps import large_solution
@@ -18,8 +20,12 @@ from contactqp.errors import NotCertified, NotConverged
 
 # Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
 HALVINGS = 20
+# A load factor is told if it is known to this part of the step.
+KNOWN = 1e-3
 # What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
 JUMP = 0.3
+# Where between the ends of a step a crest of the energy is looked for: Newton's method may have leapt over it.
+BETWEEN = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +92,7 @@ class LoadControl:
             anchor = self.loaded.contact.positions(displacement)
             target = Target(target.load, target.tie_value, anchor)
         balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), target, self.settings)
-        return large_solution(self.loaded, balance, target, t)
+        return large_solution(self.loaded, balance, target, t, self.settings)
 
     def _next(self, before: LargeSolution, t: float, notes: list[str]) -> LargeSolution:
         target = self.program.at(t)
@@ -108,14 +114,30 @@ class LoadControl:
             target = Target(target.load, target.tie_value, anchor)
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
-        if balance.shifted:
+        if self.loaded.friction is None and (balance.shifted or self._leaps(before, balance)):
             notes.extend(self._jump(before, balance, t))
-        solution = large_solution(self.loaded, balance, target, t)
+        solution = large_solution(self.loaded, balance, target, t, self.settings)
         if solution.negative and not before.negative:
             notes.append(
                 f"from load factor {t:.6g} the equilibrium is unstable: {solution.negative} motion(s) lower the energy"
             )
         return solution
+
+    def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
+        """Whether a crest of the energy lies between two equilibria: a negative motion, on the way between their
+        displacements, that keeps ties and the contacts that push at both ends."""
+        start, way = before.displacement, balance.now.displacement - before.displacement
+        if before.negative or not np.any(way):
+            return False
+        both = np.flatnonzero((before.normal_force > 0) & (balance.forces.normal > 0))
+        rows = sp.vstack([balance.now.contact.normal[both], self.loaded.tie], format="csr")
+        for part in BETWEEN:
+            u = start + part * way
+            if np.isfinite(self.loaded.body.energy(u)):
+                K = sp.csc_array(self.loaded.body.tangent(u))
+                if not positive_semidefinite(K) and negative_on(K, rows):
+                    return True
+        return False
 
     def _jump(self, before: LargeSolution, balance: Balance, t: float) -> list[str]:
         """The note of a step whose displacement does not shrink with it."""
@@ -127,7 +149,7 @@ class LoadControl:
             middle = (low + high) / 2
             try:
                 found = find_balance(self.loaded, start, forces, self.program.at(middle), self.settings)
-            except (NotConverged, NotCertified):
+            except NotConverged:
                 break
             u = found.now.displacement
             if np.linalg.norm(u - start) <= np.linalg.norm(u - end):
@@ -137,8 +159,11 @@ class LoadControl:
         if np.linalg.norm(end - start) < JUMP * whole:
             return []
         j = int(np.argmax(abs(end - start)))
+        where = f"at load factor {high:.6g}"
+        if high - low > KNOWN * (t - before.load_factor):
+            where = f"between the load factors {low:.6g} and {high:.6g}"
         return [
-            f"snap-through at load factor {high:.6g}: the tangent loses its definiteness and unknown {j} jumps from "
+            f"snap-through {where}: the tangent loses its definiteness and unknown {j} jumps from "
             f"{start[j]:.6g} to {end[j]:.6g}, the next equilibrium down the energy"
         ]
 

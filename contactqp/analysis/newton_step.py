@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.active_kkt import by_signs, lowest_eigenvalue, negative_on, positive_semidefinite
+from contactqp.analysis.coulomb_kkt import coulomb_by_signs
 from contactqp.analysis.loaded_body import Array, Forces, Instant, LoadedBody
-from contactqp.certificate import certify, contact_status
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.problem import ContactProblem
-from contactqp.solution import Solution, Work
+from contactqp.solution import Solution
 from contactqp.solving import solve
 
 # How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
@@ -44,17 +44,14 @@ class NewtonSettings:
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """An increment, with the forces after it and the problem that it solves."""
+    """An increment, with the forces after it and the problem that both solve."""
 
-    solution: Solution  # of the step's problem, in the increment
+    problem: ContactProblem  # in the increment
+    increment: Vector  # (n,) du
     forces: Forces
-    shift: float  # that a tangent without a way down was given [force / length]
-    refused: NotCertified | None = None  # where the certificate refuses it
-
-    @property
-    def increment(self) -> Vector:
-        """du."""
-        return self.solution.displacement
+    shift: float = 0.0  # that a tangent without a way down was given [force / length]
+    springs: float = 0.0  # that an indefinite tangent was given in `problem`, relaxed at du [force / length]
+    solution: Solution | None = None  # where a method of `solve` found it
 
 
 def newton_step(
@@ -75,41 +72,63 @@ def newton_step(
     Raises
     ------
     Unsupported
-        An indefinite tangent and a method that is convex, or friction.
+        An indefinite tangent and a method that is convex, or friction in space.
     NotConverged
         The step has no answer.
     """
     if not positive_semidefinite(K):
         return _indefinite(loaded, now, K, target, settings, forces)
-    slipped = None if target.anchor is None or loaded.contact is None else _slipped(loaded, now, target)
-    problem = loaded.step_problem(now, K, target.load, target.tie_value, slipped)
+    problem = loaded.step_problem(now, K, target.load, target.tie_value, slipped(loaded, now, target))
     try:
-        return _solved(problem, settings, before)
+        return _solved(problem, now, settings, before)
     except NoEquilibrium as error:
         if settings.method != "active-set" or problem.frictional:
             raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
     # A mechanism without stiffness, which its load drives: it gains stiffness as it moves.
-    shift = SINGULAR_SHIFT * float(np.max(abs(K.diagonal())))
-    return _shifted(loaded, now, K, target, settings, shift)
+    return _shifted(loaded, now, K, target, settings, SINGULAR_SHIFT * float(np.max(abs(K.diagonal()))))
 
 
-def _slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array:
+def slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array | None:
+    """(m, d-1): the slip of the load step so far; None without friction."""
     if loaded.contact is None or target.anchor is None:
-        raise ValueError("slips of a body without contacts")
+        return None
     return loaded.contact.slip_since(now.displacement, target.anchor)
 
 
-def _solved(problem: ContactProblem, settings: NewtonSettings, before: NewtonStep | None) -> NewtonStep:
+def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactProblem:
+    """A problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
+
+    At the end of Newton's method increments are rounding; lengths and forces are to be measured against the whole.
+    """
+    changes: dict[str, Any] = {}
+    if problem.tangent is not None and problem.slip_origin is not None:
+        moved = np.asarray(problem.tangent @ displacement).reshape(problem.slip_origin.shape)
+        changes["slip_origin"] = problem.slip_origin + moved
+    return problem.replace(
+        load=problem.load + problem.stiffness @ displacement,
+        gap=problem.gap + problem.normal @ displacement,
+        tie_value=problem.tie_value + problem.tie @ displacement,
+        **changes,
+    )
+
+
+def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, before: NewtonStep | None) -> NewtonStep:
+    """By a method of `solve`; what its certificate refuses is judged again at the end, in the displacement.
+
+    Without friction the unknown is the increment: what nothing holds stays where it is. With friction it is the
+    displacement, against whose size a slip is told from rounding.
+    """
     start = None if before is None or not settings.exact else before.solution
-    refused = None
+    asked = in_displacement(problem, now.displacement) if problem.frictional else problem
     try:
-        found = solve(problem, settings.method, warm_start=start, **settings.options)
+        found = solve(asked, settings.method, warm_start=start, **settings.options)
     except NotCertified as error:
         if not isinstance(error.solution, Solution):
             raise
-        found, refused = error.solution, error
+        found = error.solution
+    du = found.displacement - now.displacement if problem.frictional else found.displacement
     friction = found.friction_force if problem.frictional else None
-    return NewtonStep(found, Forces(found.normal_force, found.tie_force, friction), 0.0, refused)
+    return NewtonStep(problem, du, Forces(found.normal_force, found.tie_force, friction), solution=found)
 
 
 def _indefinite(
@@ -120,16 +139,12 @@ def _indefinite(
             f"{settings.method}: the tangent is indefinite (lowest eigenvalue {lowest_eigenvalue(K):.3g}) and the "
             "method is convex; expected method='active-set'"
         )
-    if target.anchor is not None:
-        raise Unsupported(
-            f"friction where the tangent is indefinite (lowest eigenvalue {lowest_eigenvalue(K):.3g}): Coulomb's law "
-            "is solved for convex bodies alone"
-        )
+    if target.anchor is not None and loaded.contacts:
+        return _indefinite_with_friction(loaded, now, K, target, forces)
     contact = now.contact
     value = target.tie_value - loaded.tie @ now.displacement
-    closed = forces.normal > 0
     try:
-        r = target.load - now.internal
+        r, closed = target.load - now.internal, forces.normal > 0
         du, normal, tie, closed = by_signs(K, r, contact.normal, contact.gap, loaded.tie, value, closed)
     except NotConverged:
         pass
@@ -139,48 +154,39 @@ def _indefinite(
     return _shifted(loaded, now, K, target, settings, BEYOND * -min(lowest_eigenvalue(K), 0.0))
 
 
+def _indefinite_with_friction(loaded: LoadedBody, now: Instant, K: Any, target: Target, forces: Forces) -> NewtonStep:
+    """The states of stick and slip by signs; friction has no energy that could tell whether the answer is stable."""
+    step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
+    origin = step.problem.slip_origin
+    if origin is not None and origin.shape[1] != 1:
+        raise Unsupported(
+            f"friction with {origin.shape[1]} tangents a contact where the tangent stiffness is indefinite (lowest "
+            f"eigenvalue {lowest_eigenvalue(K):.3g}): states are found by signs in the plane alone"
+        )
+    du, found = coulomb_by_signs(K, step.problem, target.load - now.internal, forces)
+    return stationary_step(loaded, now, K, target, du, found)
+
+
 def _shifted(
     loaded: LoadedBody, now: Instant, K: Any, target: Target, settings: NewtonSettings, shift: float
 ) -> NewtonStep:
     stiff = sp.csc_array(K + shift * sp.eye_array(K.shape[0]))
     problem = loaded.step_problem(now, stiff, target.load, target.tie_value)
     try:
-        step = _solved(problem, settings, None)
+        step = _solved(problem, now, settings, None)
     except NoEquilibrium as error:
         raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
-    return NewtonStep(step.solution, step.forces, shift, step.refused)
+    return NewtonStep(problem, step.increment, step.forces, shift=shift, solution=step.solution)
 
 
 def stationary_step(loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces) -> NewtonStep:
     """An increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
 
     Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
-    r + s du: it has the same balance and the same signs, and says nothing about stability; its certificate notes that.
+    r + s du: it has the same balance and the same signs, and says nothing about stability.
     """
-    shift = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
-    stiff = sp.csc_array(K + shift * sp.eye_array(K.shape[0])) if shift else K
-    problem = loaded.step_problem(now, stiff, target.load + shift * du, target.tie_value)
-    certificate = certify(problem, du, forces.normal, tie_force=forces.tie)
-    if shift:
-        note = (
-            f"the tangent is indefinite: certified on springs of {shift:.3g} that are relaxed at the answer; balance "
-            "and contact are those of the body, its stability is not asked"
-        )
-        certificate = replace(certificate, notes=(*certificate.notes, note))
-    solution = Solution(
-        problem=problem,
-        displacement=du,
-        normal_force=forces.normal,
-        friction_force=None,
-        tie_force=forces.tie,
-        contact_status=contact_status(problem, certificate),
-        free_motions=(),
-        certificate=certificate,
-        method="active-set",
-        seconds=0.0,
-        certify_seconds=0.0,
-        work=Work(iterations=1),
-    )
-    failures = "; ".join(certificate.failures)
-    refused = None if certificate.passed else NotCertified(f"the certificate refuses the step: {failures}", solution)
-    return NewtonStep(solution, forces, 0.0, refused)
+    springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
+    stiff = sp.csc_array(K + springs * sp.eye_array(K.shape[0])) if springs else K
+    load = target.load + springs * du
+    problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
+    return NewtonStep(problem, du, forces, springs=springs)

@@ -114,6 +114,11 @@ class SupportedContact:
         """m."""
         return self.geometry.contacts
 
+    @property
+    def dimension(self) -> int:
+        """How many unknowns are free."""
+        return self.support.dimension
+
     def state(self, displacement: Vector) -> ContactState:
         """Gaps, and the rows of the free unknowns."""
         found = self.geometry.state(self.support.expand(displacement))
