@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -49,6 +50,8 @@ class LargeSolution(Solution):
     elastic: float = 0.0  # the energy of the body
     negative: int = 0  # motions without contact change that have negative energy; 0: stable
     iterations: tuple[NewtonIteration, ...] = field(default=(), repr=False)
+    load_rate: float = 1.0  # how the load factor goes on along an arc; negative where it falls
+    load_scale: float = 0.0  # the length of one unit of load factor on an arc [length]
 
     @property
     def gap(self) -> Vector:
@@ -91,14 +94,16 @@ class LargeHistory(History):
         solutions: Sequence[LargeSolution],
         notes: Iterable[str] = (),
         limit_points: Iterable[LimitPoint] = (),
+        events: Iterable[Event] | None = None,
     ) -> None:
         found, told = list(solutions), tuple(notes)
+        happened = _Found(found).events if events is None else partial(tuple, tuple(events))
         super().__init__(
             found,
             [solution.load_factor for solution in found],
-            events=_Found(found).events,
+            events=happened,
             energies=_Found(found).energies,
-            notes=lambda: told,
+            notes=partial(tuple, told),
         )
         self.limit_points = tuple(limit_points)
 

@@ -13,12 +13,19 @@ from contactqp.analysis.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.load_control import LoadControl, Program
 from contactqp.analysis.loaded_body import LoadedBody
 from contactqp.analysis.newton_step import NewtonSettings
+from contactqp.analysis.path_control import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable, Vector
+from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.methods import find
 from contactqp.problem_data import read_coefficient, read_rows, read_vector
 
-CONTROLS = ("load",)
+# Each way to pick the points of a path, and the arguments that it alone takes.
+CONTROLS: dict[str, tuple[str, ...]] = {
+    "load": (),
+    "displacement": ("controlled", "target"),
+    "arc-length": ("arc_length",),
+}
 
 
 def large_deformation(
@@ -33,6 +40,9 @@ def large_deformation(
     tie_values: Sequence[ArrayLike] | None = None,
     friction: ArrayLike | None = None,
     start: ArrayLike | LargeSolution | None = None,
+    controlled: int | None = None,
+    target: float | None = None,
+    arc_length: float | None = None,
     tolerance: float = 1e-12,
     max_iter: int = 50,
     **options: Any,
@@ -55,7 +65,11 @@ def large_deformation(
         ObstacleContact, ContactGroup, or anything that gives gaps and rows at u.
     steps : int
         Equal steps a leg.
-    control : "load"
+    control : "load", "displacement" or "arc-length"
+        With the two others the load factor is an unknown: the load is that factor times `loads[0]`, the only corner,
+        and the path is followed through limit points, unstable equilibria included. Contacts close and open at points
+        of their own. "displacement" moves the unknown `controlled` to `target` in equal steps; "arc-length" takes
+        `steps` steps of `arc_length`.
     method : str
         Of `solve`, for the steps. Where a tangent is indefinite only "active-set" goes on: the others are convex and
         raise Unsupported.
@@ -69,6 +83,12 @@ def large_deformation(
     start : (n,) array or LargeSolution, optional
         A displacement to start from, at no load, or an equilibrium of an earlier history with this program, from whose
         load factor the steps that are left go on.
+    controlled, target : int and float, optional
+        The place of an unknown in u, and where it ends [length].
+    arc_length : float, optional
+        |u - u_0|^2 + s^2 (t - t_0)^2 of a step is its square [length], where s is the length of the displacement that
+        a unit of load makes at the start. By default sqrt(2) s / steps: `steps` of them come to t = 1 if nothing
+        softens.
     tolerance : float
         Of the forces out of balance over the largest force, and of gaps over the largest displacement.
     max_iter : int
@@ -79,9 +99,10 @@ def large_deformation(
     Returns
     -------
     LargeHistory
-        The start and every step. `times` are load factors, `iterations` what each iteration left. `notes` say where
-        the path snaps through (the displacement jumps: to the next equilibrium down the energy; not looked for with
-        friction) and where equilibria are unstable.
+        The start and every step; with arc length and displacement control every contact event too, and `limit_points`,
+        where the load is greatest or least, to rounding. `times` are load factors, `iterations` what each iteration
+        left. `notes` say where the path snaps through (the displacement jumps: to the next equilibrium down the energy;
+        not looked for with friction), where equilibria are unstable, and where others branch off.
 
     Raises
     ------
@@ -91,7 +112,8 @@ def large_deformation(
     NotCertified
         The certificate refuses the last step of an equilibrium.
     Unsupported
-        An indefinite tangent with a convex method, or with friction in space; friction with an approximate method.
+        Arc length or displacement control with friction or another method than "active-set"; an indefinite tangent with
+        a convex method, or with friction in space; friction with an approximate method.
     InvalidProblem
         Arguments that do not fit.
 
@@ -117,15 +139,21 @@ def large_deformation(
     ([0.0, -0.3], ['closed'])
     >>> history.notes[0][:28]
     'snap-through at load factor '
+
+    The same arch along its path, over the limit load and through the flat state:
+
+    >>> path = cq.large_deformation(free, [[0.0, -1.0]], floor, control="displacement", controlled=1, target=-0.3)
+    >>> [(limit.kind, round(limit.load_factor, 6)) for limit in path.limit_points]
+    [('maximum', 0.290327)]
     """
     loaded = _loaded(body, contact, tie, friction)
     begin = _start(start, loaded)
     program = _program(loaded, loads, tie_values, begin)
     if control not in CONTROLS:
         raise InvalidProblem(f"control: expected one of {', '.join(CONTROLS)}, got {control!r}")
-    for name, value in (("steps", steps), ("max_iter", max_iter)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-            raise InvalidProblem(f"{name}: expected a positive integer, got {value!r}")
+    for called, count in (("steps", steps), ("max_iter", max_iter)):
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+            raise InvalidProblem(f"{called}: expected a positive integer, got {count!r}")
     if not 0 < tolerance < 1:
         raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {tolerance!r}")
     exact = find(method).exact
@@ -134,7 +162,24 @@ def large_deformation(
             f"large_deformation: friction with {method!r}, which is approximate: expected an exact method"
         )
     settings = NewtonSettings(method, exact, options, tolerance, max_iter)
-    return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
+    given = {"controlled": controlled, "target": target, "arc_length": arc_length}
+    for name in (name for name, value in given.items() if value is not None and name not in CONTROLS[control]):
+        raise InvalidProblem(f"{name}: {control!r} control has none, got {given[name]!r}")
+    if control == "load":
+        return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
+    if method != "active-set" or loaded.friction is not None:
+        what = "with friction" if loaded.friction is not None else f"with {method!r}"
+        raise Unsupported(f"large_deformation: control={control!r} {what}: it goes through unstable equilibria")
+    if program.end != 1:
+        raise InvalidProblem(f"loads: control={control!r} takes one load, got {program.end}")
+    if control == "displacement":
+        n = loaded.dimension
+        if not isinstance(controlled, (int, np.integer)) or not 0 <= controlled < n:
+            raise InvalidProblem(f"controlled: expected a place from 0 to {n - 1}, got {controlled!r}")
+        path = PathControl(loaded, program, settings)
+        return path.follow_unknown(begin, int(steps), int(controlled), real_number("target", target))
+    radius = None if arc_length is None else positive_number("arc_length", arc_length, "length")
+    return PathControl(loaded, program, settings).follow_arc(begin, int(steps), radius)
 
 
 def _loaded(body: Deformable, contact: ContactGeometry | None, tie: Any, friction: ArrayLike | None) -> LoadedBody:

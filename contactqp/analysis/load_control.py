@@ -73,7 +73,7 @@ class LoadControl:
             if isinstance(start, LargeSolution):
                 solutions.append(start)
             else:
-                solutions.append(self._first(start, first))
+                solutions.append(self.first(start, first))
             for t in times[1:]:
                 solutions.append(self._next(solutions[-1], t, notes))
         except NotConverged as error:
@@ -86,7 +86,8 @@ class LoadControl:
             raise NotCertified(f"large_deformation: at load factor {at:.6g}: {error}", error.solution) from error
         return LargeHistory(solutions, notes)
 
-    def _first(self, displacement: Vector, t: float) -> LargeSolution:
+    def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
+        """The equilibrium from which the steps set out, near a displacement."""
         target = self.program.at(t)
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchor = self.loaded.contact.positions(displacement)

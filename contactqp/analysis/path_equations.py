@@ -1,0 +1,209 @@
+"""Equilibria of unknown load: balance on a set of closed contacts and one more equation, the control."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.active_kkt import Mask, solve_system
+from contactqp.analysis.constrained_newton import Balance
+from contactqp.analysis.deformation import NewtonIteration
+from contactqp.analysis.loaded_body import Forces, Instant, LoadedBody
+from contactqp.analysis.newton_step import NewtonSettings, Target, stationary_step
+from contactqp.elements.deformable import Vector
+from contactqp.errors import InvalidProblem, NotConverged
+
+# Newton's method on a fixed set either converges in a few steps or not at all.
+ITERATIONS = 20
+
+
+class Control(Protocol):
+    """The equation c(u, t) = 0 that picks a point of the path; c is a length."""
+
+    def value(self, now: Instant, t: float) -> float:
+        """c."""
+
+    def row(self, now: Instant, t: float) -> tuple[Vector, float]:
+        """dc/du and dc/dt."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """The distance from a point of the path: |u - u_0|^2 + scale^2 (t - t_0)^2 = radius^2 (Crisfield 1981)."""
+
+    displacement: Vector
+    load_factor: float
+    scale: float
+    radius: float
+
+    def value(self, now: Instant, t: float) -> float:
+        """(distance^2 - radius^2) / (2 radius)."""
+        apart, rise = now.displacement - self.displacement, self.scale * (t - self.load_factor)
+        return float(apart @ apart + rise * rise - self.radius**2) / (2 * self.radius)
+
+    def row(self, now: Instant, t: float) -> tuple[Vector, float]:
+        """(u - u_0) / radius and scale^2 (t - t_0) / radius."""
+        return (now.displacement - self.displacement) / self.radius, self.scale**2 * (
+            t - self.load_factor
+        ) / self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """One unknown has a value."""
+
+    place: int
+    wanted: float
+
+    def value(self, now: Instant, t: float) -> float:  # noqa: ARG002
+        """u_j - wanted."""
+        return float(now.displacement[self.place] - self.wanted)
+
+    def row(self, now: Instant, t: float) -> tuple[Vector, float]:  # noqa: ARG002
+        """The unit vector j, and 0."""
+        row = np.zeros(len(now.displacement))
+        row[self.place] = 1.0
+        return row, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """A contact touches without force: where it closes or opens."""
+
+    contact: int
+
+    def value(self, now: Instant, t: float) -> float:  # noqa: ARG002
+        """Minus its gap."""
+        return -float(now.contact.gap[self.contact])
+
+    def row(self, now: Instant, t: float) -> tuple[Vector, float]:  # noqa: ARG002
+        """Its row of E_N, and 0."""
+        return np.asarray(now.contact.normal[[self.contact]].toarray())[0], 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint:
+    """An equilibrium of the path."""
+
+    now: Instant
+    load_factor: float
+    forces: Forces
+    balance: Balance | None = None
+
+    @property
+    def displacement(self) -> Vector:
+        """u."""
+        return self.now.displacement
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """How the path goes on, of length 1: |v|^2 + scale^2 t'^2 = 1."""
+
+    displacement: Vector  # v
+    load_factor: float  # t'
+    normal: Vector  # (m,) rates of the normal forces
+    tie: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class PathEquations:
+    """f_int(u) + E_B' l + A' nu = t f, gap_B = 0, A u = b_0 + t b_1, and the control."""
+
+    loaded: LoadedBody
+    load: Vector  # f, at the load factor 1
+    tie_start: Vector
+    tie_rate: Vector
+    settings: NewtonSettings
+    scale: float  # length of one unit of load factor
+
+    def target(self, t: float) -> Target:
+        """Load and tie values there."""
+        return Target(t * self.load, self.tie_start + t * self.tie_rate)
+
+    def point(
+        self, u: Vector, t: float, forces: Forces, closed: Mask, control: Control, *, finished: bool = True
+    ) -> PathPoint:
+        """The equilibrium near a guess, by Newton's method on the closed contacts; the others are not looked at.
+
+        Raises
+        ------
+        NotConverged
+        """
+        started, iterations, B = time.perf_counter(), [], np.flatnonzero(closed)
+        now = self._at(u)
+        for _ in range(ITERATIONS):
+            K = self.loaded.hessian(now, forces)
+            c_u, c_t = control.row(now, t)
+            open_tie = self.tie_start + t * self.tie_rate - self.loaded.tie @ now.displacement
+            right = [t * self.load - now.internal, now.contact.gap[B], open_tie, np.array([-control.value(now, t)])]
+            du, normal, tie, dt = self._solve(K, now, B, c_u, np.zeros(len(B)), c_t, np.concatenate(right))
+            before, t = now, float(t + dt)
+            now, forces = self._at(before.displacement + du), Forces(normal, tie)
+            target = self.target(t)
+            off = self.loaded.tie @ now.displacement - target.tie_value
+            errors = np.abs(np.concatenate([now.contact.gap[B], off, np.array([control.value(now, t)])]))
+            allowed = now.contact.rounding
+            rounding = np.concatenate([allowed[B], np.zeros(len(off)), np.max(allowed, initial=0.0, keepdims=True)])
+            left = self.loaded.imbalance(now, K, target.load, forces, errors, rounding, self.settings.tolerance)
+            iterations.append(NewtonIteration(left.force, left.length, 1.0, 0.0, changed=False))
+            if left.nothing:
+                if not finished:
+                    return PathPoint(now, t, forces)
+                step = stationary_step(self.loaded, before, K, target, du, forces)
+                spent = time.perf_counter() - started
+                return PathPoint(now, t, forces, Balance(now, forces, before, step, tuple(iterations), spent))
+        raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {left.size:.3g} of forces and lengths")
+
+    def direction(
+        self, point: PathPoint, closed: Mask, row: Vector, row_t: float, row_forces: Vector | None = None
+    ) -> Direction:
+        """The tangent of the path on a set of closed contacts, pointing to where row.v + row_t t' + ... is positive.
+
+        Raises
+        ------
+        NotConverged
+            There is none, or several: a bifurcation.
+        """
+        B, now = np.flatnonzero(closed), point.now
+        K = self.loaded.hessian(now, point.forces)
+        forces = np.zeros(len(B)) if row_forces is None else row_forces[B]
+        right = np.zeros(len(self.load) + len(B) + len(self.tie_rate) + 1)
+        right[-1] = 1.0
+        v, normal, tie, rate = self._solve(K, now, B, row, forces, row_t, right)
+        length = float(np.sqrt(v @ v + (self.scale * rate) ** 2))
+        if not np.isfinite(length) or length == 0:
+            raise NotConverged("the path has no direction there")
+        return Direction(v / length, rate / length, normal / length, tie / length)
+
+    def onwards(self, point: PathPoint, closed: Mask, before: Direction) -> Direction:
+        """The tangent that goes on as a direction did."""
+        return self.direction(point, closed, before.displacement, self.scale**2 * before.load_factor)
+
+    def distance(self, one: PathPoint, other: PathPoint) -> float:
+        """The length |u - u_0|^2 + scale^2 (t - t_0)^2 is the square of."""
+        apart = other.displacement - one.displacement
+        return float(np.hypot(np.linalg.norm(apart), self.scale * (other.load_factor - one.load_factor)))
+
+    def _at(self, u: Vector) -> Instant:
+        try:
+            return self.loaded.at(u)
+        except InvalidProblem as error:
+            raise NotConverged(str(error)) from error
+
+    def _solve(
+        self, K: Any, now: Instant, B: Any, c_u: Vector, c_l: Vector, c_t: float, right: Vector
+    ) -> tuple[Vector, Vector, Vector, float]:
+        n, b, k = len(self.load), len(B), len(self.tie_rate)
+        rows = sp.vstack([now.contact.normal[B], self.loaded.tie], format="csr")
+        loads = sp.csr_array(np.concatenate([-self.load, np.zeros(b), -self.tie_rate])[:, None])
+        border = sp.csr_array(np.concatenate([c_u, c_l, np.zeros(k)])[None, :])
+        inner = sp.block_array([[K, rows.T], [rows, None]], format="csr") if b + k else sp.csr_array(K)
+        found = solve_system(sp.block_array([[inner, loads], [border, sp.csr_array([[c_t]])]], format="csc"), right)
+        normal = np.zeros(self.loaded.contacts)
+        normal[B] = found[n : n + b]
+        return found[:n], normal, found[n + b : n + b + k], float(found[-1])

@@ -1,0 +1,275 @@
+"""Paths through limit points: by arc length or by one unknown, from contact event to contact event."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.active_kkt import Mask, by_signs
+from contactqp.analysis.deformation import LargeHistory, LargeSolution, LimitPoint
+from contactqp.analysis.deformation_steps import large_solution
+from contactqp.analysis.history import Event
+from contactqp.analysis.load_control import forces_of
+from contactqp.analysis.path_equations import (
+    Control,
+    Direction,
+    PathEquations,
+    PathPoint,
+    Sphere,
+    Touch,
+    Unknown,
+)
+from contactqp.errors import NotConverged
+
+# Halvings of a step that fails.
+HALVINGS = 12
+# A contact force below this part of the largest force that acts is rounding.
+TENSION = 1e-12
+# An unknown moves if this part of the path is along it.
+STILL = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class ByArc:
+    """Steps of one length along the path."""
+
+    radius: float
+
+    def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
+        """The sphere about the start of the step."""
+        return Sphere(start.displacement, start.load_factor, path.scale, part * self.radius)
+
+    def length(self, direction: Direction, part: float) -> float:  # noqa: ARG002
+        """How far to go along the direction for the guess."""
+        return part * self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class ByUnknown:
+    """To a value of one unknown."""
+
+    place: int
+    change: float  # from the start of the step
+
+    def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
+        """u_j as it is at the start + part of the change."""
+        return Unknown(self.place, start.displacement[self.place] + part * self.change)
+
+    def length(self, direction: Direction, part: float) -> float:
+        """How far to go along the direction for the guess.
+
+        Raises
+        ------
+        NotConverged
+            The path goes on the other way, or not along that unknown at all.
+        """
+        rate = float(direction.displacement[self.place])
+        if rate * self.change <= STILL * abs(self.change):
+            raise NotConverged(f"unknown {self.place} can go no further: the path turns back or a contact holds it")
+        return part * self.change / rate
+
+
+Pace = ByArc | ByUnknown
+
+
+class PathFollower:
+    """One path, point by point; events and limit points are points of their own."""
+
+    def __init__(self, path: PathEquations, start: LargeSolution, towards: ByUnknown | None = None) -> None:
+        self.path = path
+        self.solutions: list[LargeSolution] = [start]
+        self.notes: list[str] = []
+        self.limit_points: list[LimitPoint] = []
+        self.events: list[Event] = []
+        self._negative: int | None = start.negative  # on the contacts that are closed on leaving, where that is known
+        self._point = PathPoint(path.loaded.at(start.displacement), start.load_factor, forces_of(start))
+        self._closed = start.normal_force > 0
+        sense = float(np.sign(start.load_rate))
+        closed, ahead = self._set_out(sense)
+        if towards is not None and ahead.displacement[towards.place] * towards.change < 0:
+            closed, ahead = self._set_out(-sense)
+        if start.load_scale == 0:
+            # As long as the displacement that a unit of load makes at the start, or has made up to it.
+            size = float(np.linalg.norm(ahead.displacement)) / abs(ahead.load_factor)
+            far, load = float(np.linalg.norm(start.displacement)), abs(start.load_factor)
+            self.path = replace(path, scale=size or (far / load if far and load else 1.0))
+            ahead = self.path.onwards(self._point, closed, ahead)
+        self._closed, self._direction = closed, ahead
+
+    def _set_out(self, sense: float) -> tuple[Mask, Direction]:
+        """The closed contacts and the direction from the start, with the load rising or falling."""
+        contact, nothing = self._point.now.contact, np.zeros(len(self.path.load))
+        touching = ~self._closed & (contact.gap <= contact.rounding)
+        closed = self._first_closed(touching, sense) if np.any(touching) else self._closed
+        return closed, self.path.direction(self._point, closed, nothing, sense)
+
+    @property
+    def history(self) -> LargeHistory:
+        """What was found so far."""
+        return LargeHistory(self.solutions, self.notes, self.limit_points, self.events)
+
+    @property
+    def reached(self) -> PathPoint:
+        """The last point."""
+        return self._point
+
+    @property
+    def rate(self) -> Direction:
+        """How the path goes on from there."""
+        return self._direction
+
+    def _first_closed(self, touching: Mask, sense: float) -> Mask:
+        """Of contacts that touch without force, those that the load presses."""
+        now, path = self._point.now, self.path
+        which = np.flatnonzero(touching)
+        K = path.loaded.hessian(now, self._point.forces)
+        held = sp.vstack([now.contact.normal[np.flatnonzero(self._closed)], path.loaded.tie], format="csr")
+        value = np.concatenate([np.zeros(int(np.sum(self._closed))), sense * path.tie_rate])
+        rows, none = now.contact.normal[which], np.zeros(len(which))
+        _, _, _, pressed = by_signs(K, sense * path.load, rows, none, held, value, np.ones(len(which), dtype=bool))
+        closed = self._closed.copy()
+        closed[which[pressed]] = True
+        return closed
+
+    def advance(self, pace: Pace) -> None:
+        """One step, or as much of it as goes until a contact closes or opens.
+
+        Raises
+        ------
+        NotConverged
+        """
+        part, failure = 1.0, None
+        for _ in range(HALVINGS):
+            try:
+                point = self._to(pace, part)
+                event = self._first_event(point)
+                if event is None:
+                    self._keep(point, self._closed, self.path.onwards(point, self._closed, self._direction), pace, part)
+                else:
+                    self._switch(*event, pace, part)
+            except NotConverged as error:
+                failure, part = error, part / 2
+                continue
+            return
+        raise NotConverged(f"no part of a step along the path converges: {failure}") from failure
+
+    def _to(self, pace: Pace, part: float, *, finished: bool = True) -> PathPoint:
+        """The point at a part of the step on the contacts that are closed now."""
+        start, ahead = self._point, self._direction
+        far = pace.length(ahead, part)
+        forces = replace(
+            start.forces,
+            normal=start.forces.normal + far * ahead.normal,
+            tie=start.forces.tie + far * ahead.tie,
+        )
+        u, t = start.displacement + far * ahead.displacement, start.load_factor + far * ahead.load_factor
+        control = pace.control(self.path, start, ahead, part)
+        point = self.path.point(u, t, forces, self._closed, control, finished=finished)
+        along = (point.displacement - start.displacement) @ ahead.displacement
+        along += self.path.scale**2 * (point.load_factor - start.load_factor) * ahead.load_factor
+        if along <= 0:
+            raise NotConverged("the step turns back")
+        return point
+
+    def _first_event(self, point: PathPoint) -> tuple[int, PathPoint] | None:
+        """The contact that first closes or opens on the way to a point, and where it does."""
+        found: tuple[int, PathPoint] | None = None
+        for _ in range(2 * self.path.loaded.contacts + 1):
+            wrong = self._fractions(point)
+            if not wrong:
+                return found
+            i = min(wrong, key=lambda contact: wrong[contact])
+            start, part = self._point, wrong[i]
+            closed = self._closed.copy()
+            closed[i] = False
+            u = start.displacement + part * (point.displacement - start.displacement)
+            t = start.load_factor + part * (point.load_factor - start.load_factor)
+            found = i, self.path.point(u, t, point.forces, closed, Touch(i))
+            point = found[1]
+        raise NotConverged("contacts close and open one before the other")
+
+    def _fractions(self, point: PathPoint) -> dict[int, float]:
+        """Of every contact that overlaps or pulls at a point: where, on a straight line, it began to."""
+        before, gap, force = self._point, point.now.contact.gap, point.forces.normal
+        tension = TENSION * max(point.forces.largest, float(np.max(abs(point.now.internal), initial=0.0)))
+        overlaps = ~self._closed & (gap < -point.now.contact.rounding)
+        pulls = self._closed & (force < -tension)
+        found: dict[int, float] = {}
+        for i in np.flatnonzero(overlaps | pulls):
+            was, now = (before.now.contact.gap[i], gap[i]) if overlaps[i] else (before.forces.normal[i], force[i])
+            found[int(i)] = float(max(was, 0.0) / (max(was, 0.0) - now))
+        return found
+
+    def _switch(self, contact: int, point: PathPoint, pace: Pace, part: float) -> None:
+        """The contact closes or opens at the point, and the path turns."""
+        path, opens = self.path, bool(self._closed[contact])
+        without = self._closed.copy()
+        without[contact] = False
+        arriving = path.onwards(point, self._closed, self._direction)
+        unit = np.zeros(path.loaded.contacts)
+        unit[contact] = 1.0
+        nothing = np.zeros(len(path.load))
+        if opens:
+            row = -np.asarray(point.now.contact.normal[[contact]].toarray())[0]
+            closed, leaving = without, path.direction(point, without, row, 0.0)
+        else:
+            closed = without.copy()
+            closed[contact] = True
+            leaving = path.direction(point, closed, nothing, 0.0, unit)
+        self._keep(point, closed, leaving, pace, part, arriving)
+        name = self.solutions[-1].problem.contact_name(contact)
+        self.events.append(Event("opened" if opens else "closed", contact, point.load_factor, name))
+
+    def _keep(
+        self,
+        point: PathPoint,
+        closed: Mask,
+        leaving: Direction,
+        pace: Pace,
+        part: float,
+        arriving: Direction | None = None,
+    ) -> None:
+        """The point as the next of the history, with the limit points on the way to it."""
+        if point.balance is None:
+            raise ValueError("a point that was not finished")
+        arriving = leaving if arriving is None else arriving
+        path, start = self.path, self.solutions[-1]
+        solution = large_solution(
+            path.loaded, point.balance, path.target(point.load_factor), point.load_factor, path.settings
+        )
+        solution = replace(solution, load_rate=leaving.load_factor, load_scale=path.scale)
+        turns = self._direction.load_factor * arriving.load_factor < 0
+        if turns:
+            self.limit_points.append(self._limit(point, pace, part))
+        elif self._negative not in (None, solution.negative):
+            a, b = start.load_factor, point.load_factor
+            self.notes.append(f"between the load factors {a:.6g} and {b:.6g} other equilibria branch off")
+        if arriving.load_factor * leaving.load_factor < 0:
+            self.limit_points.append(self._limit_at(point, arriving, smooth=False, after=len(self.solutions)))
+        self.solutions.append(solution)
+        self._negative = solution.negative if np.array_equal(closed, self._closed) else None
+        self._point, self._closed, self._direction = point, closed, leaving
+
+    def _limit(self, end: PathPoint, pace: Pace, part: float) -> LimitPoint:
+        """Where t' vanishes between the last point and the next, by bracketing its root."""
+        from scipy.optimize import brentq
+
+        if isinstance(pace, ByArc):
+            reach = self.path.distance(self._point, end) / pace.radius
+        else:
+            reach = (end.displacement[pace.place] - self._point.displacement[pace.place]) / pace.change
+
+        def rate(fraction: float) -> float:
+            if fraction == 0:
+                return self._direction.load_factor
+            point = self._to(pace, fraction, finished=False)
+            return self.path.onwards(point, self._closed, self._direction).load_factor
+
+        root = float(brentq(rate, 0.0, reach, xtol=1e-14 * part, rtol=8 * np.finfo(float).eps))
+        return self._limit_at(self._to(pace, root, finished=False), self._direction, True, len(self.solutions) - 1)
+
+    def _limit_at(self, point: PathPoint, arriving: Direction, smooth: bool, after: int) -> LimitPoint:
+        kind = "maximum" if arriving.load_factor > 0 else "minimum"
+        return LimitPoint(kind, point.load_factor, point.displacement, point.forces.normal, after, smooth)
