@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from contactqp.elements.green_truss import NonlinearTruss as NonlinearTruss
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
+    from contactqp.elements.nonlinear_solid import NonlinearSolid as NonlinearSolid
     from contactqp.elements.obstacle import Plane as Plane
     from contactqp.elements.obstacle_contact import ContactGroup as ContactGroup
     from contactqp.elements.obstacle_contact import ObstacleContact as ObstacleContact
@@ -97,6 +98,7 @@ _HOME = {
     "LocalProblem": "local_problem",
     "LocalSolution": "local_solution",
     "NoEquilibrium": "errors",
+    "NonlinearSolid": "elements.nonlinear_solid",
     "NonlinearTruss": "elements.green_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",

@@ -1,0 +1,198 @@
+"""Solids at large displacements and strains, from the mesh and the quadrature of a linear elastic body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.elements.assembly import Pattern, assemble, pattern
+from contactqp.elements.geometry import Block, batches, sum_at_nodes
+from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHookean, SaintVenantKirchhoff
+from contactqp.elements.solid import Body
+from contactqp.errors import InvalidProblem
+
+Array = NDArray[np.float64]
+LAWS = ("saint-venant-kirchhoff", "neo-hookean")
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearSolid:
+    """A body of a hyperelastic material: energy, internal force and tangent by Gauss quadrature over its mesh at rest.
+
+    Unknowns, mesh, sides, rigid motions and dead loads (`load.forces(body)`) are those of `body`.
+
+    Parameters
+    ----------
+    body : Body
+        In plane strain or 3D; in plane stress with the law of Saint Venant and Kirchhoff, whose S_zz = 0 then.
+    law : "saint-venant-kirchhoff", "neo-hookean" or a HyperelasticLaw
+        With the Lame constants of the body's material; a law of one's own brings its own.
+
+    Raises
+    ------
+    InvalidProblem
+        Another law or model; on use, an element turned inside out (det F <= 0 at a quadrature point), where the energy
+        is inf.
+
+    Notes
+    -----
+    With g_a = dN_a/dX and F = 1 + sum of u_a g_a', the force on node a is the integral of F S g_a, and the tangent that
+    of F_iI C_IJKL F_kK g_aJ g_bL + delta_ik g_a.S g_b (Bonet and Wood 2008, chapter 9).
+
+    Examples
+    --------
+    >>> from contactqp.elements.material import Material
+    >>> from contactqp.elements.shapes import rectangle
+    >>> square = Body(rectangle(1.0, 1.0, (1, 1)), Material(modulus=1.0, poisson=0.0), "plane-strain")
+    >>> solid = NonlinearSolid(square, "saint-venant-kirchhoff")
+    >>> stretched = np.array([1.0, 0.0]) * square.mesh.points / 2
+    >>> solid.energy(stretched.ravel()), 0.625**2 / 2
+    (0.1953125, 0.1953125)
+    """
+
+    body: Body
+    law: str | HyperelasticLaw = "neo-hookean"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.body, Body):
+            raise InvalidProblem(f"nonlinear solid: expected a Body, got {type(self.body).__name__}")
+        name, model = self.body.name, self.body.model
+        if isinstance(self.law, str) and self.law not in LAWS:
+            raise InvalidProblem(f"{name}: expected a law of {', '.join(LAWS)}, got {self.law!r}")
+        if model == "axisymmetric" or (model == "plane-stress" and self.law != "saint-venant-kirchhoff"):
+            raise InvalidProblem(
+                f"{name}: large strains have no form for the model {model!r} with the law {self.law!r}"
+            )
+
+    @property
+    def dimension(self) -> int:
+        """n = N d."""
+        return self.body.size
+
+    @cached_property
+    def hyperelastic(self) -> HyperelasticLaw:
+        """The law with its constants."""
+        if not isinstance(self.law, str):
+            return self.law
+        material = self.body.material
+        lame_lambda, lame_mu = material.lame_lambda, material.lame_mu
+        if self.body.model == "plane-stress":
+            lame_lambda = 2 * lame_lambda * lame_mu / (lame_lambda + 2 * lame_mu)
+        kind = SaintVenantKirchhoff if self.law == "saint-venant-kirchhoff" else NeoHookean
+        return kind(lame_lambda, lame_mu)
+
+    def energy(self, displacement: ArrayLike) -> float:
+        """The integral of w over the body at rest; inf where an element is turned inside out."""
+        total = 0.0
+        for part in self._parts(displacement):
+            if np.any(part.at.dilation <= -1):
+                return float("inf")
+            total += float(np.sum(part.volume * self.hyperelastic.energy(part.at)))
+        return total
+
+    def internal_force(self, displacement: ArrayLike) -> Array:
+        """The gradient of the energy, (n,) [force].
+
+        Raises
+        ------
+        InvalidProblem
+            An element turned inside out, which is named.
+        """
+        N = len(self.body.mesh.points)
+        total = np.zeros((N, self.body.dimension))
+        for part in self._admitted(displacement):
+            P = part.at.deformation @ self.hyperelastic.stress(part.at) * part.volume[..., None, None]
+            total += sum_at_nodes(part.block, np.einsum("eqna,eqia->eni", part.gradient, P), N)
+        return total.ravel()
+
+    def tangent(self, displacement: ArrayLike) -> Any:
+        """The Hessian of the energy, (n, n) CSC, symmetric to the last digit [force / length].
+
+        Raises
+        ------
+        InvalidProblem
+            As `internal_force`.
+        """
+        d = self.body.dimension
+        entries = np.empty((d, d, len(self._pattern.slots)))
+        at = 0
+        for part in self._admitted(displacement):
+            n = part.block.nodes.shape[1]
+            pairs = len(part.block) * n * n
+            entries[:, :, at : at + pairs] = np.transpose(self._blocks(part), (2, 4, 0, 1, 3)).reshape(d, d, pairs)
+            at += pairs
+        return assemble(self._pattern, entries)
+
+    def cauchy_stress(self, displacement: ArrayLike) -> tuple[Array, ...]:
+        """sigma = F S F' / J at the quadrature points of each batch of elements, (E, q, d, d), positive in tension."""
+        found = []
+        for part in self._admitted(displacement):
+            F, S = part.at.deformation, self.hyperelastic.stress(part.at)
+            found.append(F @ S @ np.swapaxes(F, -1, -2) / (1 + part.at.dilation)[..., None, None])
+        return tuple(found)
+
+    def _blocks(self, part: _Part) -> Array:
+        """The symmetric element matrices (E, n, d, n, d)."""
+        g, F = part.gradient, part.at.deformation
+        S = self.hyperelastic.stress(part.at) * part.volume[..., None, None]
+        C = self.hyperelastic.tangent(part.at) * part.volume[..., None, None, None, None]
+        spread = np.einsum("eqiI,eqnJ->eqniIJ", F, g)
+        E, q, n, d = g.shape
+        B = spread.reshape(E, q, n * d, d * d)
+        axial = np.matmul(np.matmul(B, C.reshape(E, q, d * d, d * d)), np.swapaxes(B, 2, 3)).sum(axis=1)
+        K = axial.reshape(E, n, d, n, d)
+        geometric = np.einsum("eqnI,eqIJ,eqmJ->enm", g, S, g, optimize=True)
+        for a in range(d):
+            K[:, :, a, :, a] += geometric
+        return np.asarray((K + np.transpose(K, (0, 3, 4, 1, 2))) / 2)
+
+    @cached_property
+    def _pattern(self) -> Pattern:
+        return pattern([block.nodes for block in self.body.mesh.blocks], len(self.body.mesh.points))
+
+    @cached_property
+    def _at_rest(self) -> list[tuple[Block, int, Array, Array]]:
+        """Of every batch of elements: the place of its first in its block, shape gradients and weights."""
+        d, found = self.body.dimension, []
+        for block in self.body.mesh.blocks:
+            rule, first = self.body.stiffness_rule(block), 0
+            n = block.nodes.shape[1]
+            for part in batches(block, len(rule.weights) * (n * d) ** 2):
+                geometry, volume = self.body.integration(part, rule)
+                found.append((part, first, geometry.gradient, volume))
+                first += len(part)
+        return found
+
+    def _parts(self, displacement: ArrayLike) -> Iterator[_Part]:
+        u = np.asarray(displacement, dtype=float)
+        if u.shape != (self.dimension,):
+            raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
+        moved = u.reshape(self.body.mesh.points.shape)
+        for block, first, gradient, volume in self._at_rest:
+            H = np.einsum("eni,eqnJ->eqiJ", moved[block.nodes], gradient)
+            yield _Part(block, first, gradient, volume, Kinematics(H))
+
+    def _admitted(self, displacement: ArrayLike) -> Iterator[_Part]:
+        """The parts, none of whose elements is turned inside out."""
+        for part in self._parts(displacement):
+            inverted = np.flatnonzero(np.any(part.at.dilation <= -1, axis=1))
+            if inverted.size:
+                element, kind = part.first + int(inverted[0]), part.block.kind.name
+                raise InvalidProblem(f"{self.body.name}: {kind} element {element} is turned inside out (det F <= 0)")
+            yield part
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A batch of elements at a displacement."""
+
+    block: Block
+    first: int
+    gradient: Array  # (E, q, n, d) dN/dX
+    volume: Array  # (E, q)
+    at: Kinematics
