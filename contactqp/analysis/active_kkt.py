@@ -65,7 +65,7 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
     for _ in range(4 * m + 4):
         B = np.flatnonzero(closed)
         rows = sp.vstack([normal[B], tie], format="csr")
-        matrix = sp.block_array([[K, rows.T], [rows, None]], format="csc") if rows.shape[0] else sp.csc_array(K)
+        matrix = sp.bmat([[K, rows.T], [rows, None]], format="csc") if rows.shape[0] else sp.csc_array(K)
         found = solve_system(matrix, np.concatenate([load, gap[B], value]))
         u, force = found[:n], np.zeros(m)
         force[B] = found[n : n + len(B)]

@@ -68,10 +68,10 @@ def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combin
     B, S = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
     E_N, E_T = sp.csr_array(problem.normal), sp.csr_array(problem.tangent)
     ratio = np.where(abs(status) == SLIP_ON, status, 0) * np.asarray(problem.friction)
-    pushed = sp.csr_array(E_N[B] + sp.diags_array(ratio[B]) @ E_T[B]) if B.size else E_N[B]
+    pushed = sp.csr_array(E_N[B] + sp.diags(ratio[B]) @ E_T[B]) if B.size else E_N[B]
     rows = sp.vstack([E_N[B], E_T[S], problem.tie], format="csr")
     columns = sp.vstack([pushed, E_T[S], problem.tie], format="csr").T
-    matrix = sp.block_array([[K, columns], [rows, None]], format="csc") if rows.shape[0] else sp.csc_array(K)
+    matrix = sp.bmat([[K, columns], [rows, None]], format="csc") if rows.shape[0] else sp.csc_array(K)
     origin = np.asarray(problem.slip_origin)[S, 0]
     found = solve_system(matrix, np.concatenate([load, problem.gap[B], origin, problem.tie_value]))
     normal, friction = np.zeros(m), np.zeros(m)

@@ -170,7 +170,7 @@ def _indefinite_with_friction(loaded: LoadedBody, now: Instant, K: Any, target: 
 def _shifted(
     loaded: LoadedBody, now: Instant, K: Any, target: Target, settings: NewtonSettings, shift: float
 ) -> NewtonStep:
-    stiff = sp.csc_array(K + shift * sp.eye_array(K.shape[0]))
+    stiff = sp.csc_array(K + shift * sp.identity(K.shape[0]))
     problem = loaded.step_problem(now, stiff, target.load, target.tie_value)
     try:
         step = _solved(problem, now, settings, None)
@@ -186,7 +186,7 @@ def stationary_step(loaded: LoadedBody, now: Instant, K: Any, target: Target, du
     r + s du: it has the same balance and the same signs, and says nothing about stability.
     """
     springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
-    stiff = sp.csc_array(K + springs * sp.eye_array(K.shape[0])) if springs else K
+    stiff = sp.csc_array(K + springs * sp.identity(K.shape[0])) if springs else K
     load = target.load + springs * du
     problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
     return NewtonStep(problem, du, forces, springs=springs)

@@ -202,8 +202,8 @@ class PathEquations:
         rows = sp.vstack([now.contact.normal[B], self.loaded.tie], format="csr")
         loads = sp.csr_array(np.concatenate([-self.load, np.zeros(b), -self.tie_rate])[:, None])
         border = sp.csr_array(np.concatenate([c_u, c_l, np.zeros(k)])[None, :])
-        inner = sp.block_array([[K, rows.T], [rows, None]], format="csr") if b + k else sp.csr_array(K)
-        found = solve_system(sp.block_array([[inner, loads], [border, sp.csr_array([[c_t]])]], format="csc"), right)
+        inner = sp.bmat([[K, rows.T], [rows, None]], format="csr") if b + k else sp.csr_array(K)
+        found = solve_system(sp.bmat([[inner, loads], [border, sp.csr_array([[c_t]])]], format="csc"), right)
         normal = np.zeros(self.loaded.contacts)
         normal[B] = found[n : n + b]
         return found[:n], normal, found[n + b : n + b + k], float(found[-1])
