@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.analysis.mass import massless, read_mass, redistributed_mass, touched
-from contactqp.analysis.motion import MotionHistory
-from contactqp.analysis.motion_run import MotionRun
-from contactqp.analysis.schemes import SCHEMES, Kind, Knobs
-from contactqp.analysis.schemes.scheme import Body
+from contactqp.analysis.motion.history import MotionHistory
+from contactqp.analysis.motion.mass import massless, read_mass, redistributed_mass, touched
+from contactqp.analysis.motion.run import MotionRun
+from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
+from contactqp.analysis.motion.schemes.scheme import Body
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector

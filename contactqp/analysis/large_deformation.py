@@ -9,11 +9,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.deformation import LargeHistory, LargeSolution
-from contactqp.analysis.load_control import LoadControl, Program
-from contactqp.analysis.loaded_body import LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings
-from contactqp.analysis.path_control import PathControl
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.large.load_control import LoadControl, Program
+from contactqp.analysis.large.loaded_body import LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings
+from contactqp.analysis.large.path_control import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable, Vector
 from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported

@@ -9,8 +9,8 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.analysis.contact_time import slowest_frequency
-from contactqp.analysis.critical_step import critical_step
+from contactqp.analysis.motion.contact_time import slowest_frequency
+from contactqp.analysis.motion.critical_step import critical_step
 from tests.analysis.motions import LENGTH, WAVE, rod_at_wall, rod_matrices, thrown_rod
 
 BALL: dict[str, Any] = dict(
@@ -140,7 +140,7 @@ def test_a_motion_that_leaves_all_numbers_fails_with_its_history() -> None:
 
 
 def test_a_method_that_gives_up_fails_with_the_history_until_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    from contactqp.analysis import step_contact
+    from contactqp.analysis.motion import step_contact
 
     def gives_up(*_: object) -> None:
         raise cq.NotConverged("lemke: no")
@@ -156,7 +156,7 @@ def test_a_method_that_gives_up_fails_with_the_history_until_then(monkeypatch: p
 
 
 def test_steps_before_a_failure_are_certified_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    from contactqp.analysis import step_contact
+    from contactqp.analysis.motion import step_contact
 
     right, calls = step_contact.normal_forces, []
 
@@ -173,7 +173,7 @@ def test_steps_before_a_failure_are_certified_too(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_certificate_refuses_forces_that_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    from contactqp.analysis import step_contact
+    from contactqp.analysis.motion import step_contact
 
     right = step_contact.normal_forces
     monkeypatch.setattr(step_contact, "normal_forces", lambda *a: 1.001 * right(*a))

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 import contactqp as cq
-from contactqp.analysis.deformation import LargeHistory
+from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from tests.analysis.arches import RISE, arch, arch_limit, arch_load, node_over, orders
 

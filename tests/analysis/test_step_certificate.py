@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis.step_certificate import FIGURES, StepJudge
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_certificate import FIGURES, StepJudge
+from contactqp.analysis.motion.step_contact import Answered, Posed
 
 rng = np.random.default_rng(7)
 ROOT = rng.normal(size=(6, 6))

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solving import solve
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import solve_system
-from contactqp.analysis.loaded_body import Forces
+from contactqp.analysis.large.active_kkt import solve_system
+from contactqp.analysis.large.loaded_body import Forces
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NotConverged
 from contactqp.problem import ContactProblem

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.coulomb_cone import directions, lengths
 from contactqp.problem import ContactProblem
 from contactqp.violations import ROUNDING_OF_LENGTH, bodies, own_compliance, ratio

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.schemes.scheme import Block, Body, Scheme, State
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
 # Up to so many unknowns that contacts touch their rows are kept dense.

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import negative_on, positive_semidefinite
-from contactqp.analysis.constrained_newton import Balance, find_balance
-from contactqp.analysis.deformation import LargeHistory, LargeSolution
-from contactqp.analysis.deformation_steps import large_solution
-from contactqp.analysis.loaded_body import Forces, LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings, Target
-from contactqp.analysis.slip_anchors import balance_with_anchors
+from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
+from contactqp.analysis.large.constrained_newton import Balance, find_balance
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.large.deformation_steps import large_solution
+from contactqp.analysis.large.loaded_body import Forces, LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings, Target
+from contactqp.analysis.large.slip_anchors import balance_with_anchors
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NotCertified, NotConverged
 

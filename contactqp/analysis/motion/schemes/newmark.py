@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.analysis.mass import massless
-from contactqp.analysis.schemes.scheme import Body, Scheme, State
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass import massless
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
 

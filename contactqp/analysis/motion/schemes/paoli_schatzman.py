@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.analysis.schemes.scheme import Body, State, TwoStep
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.step_forces import frictional_forces, normal_forces
+from contactqp.analysis.motion.step_forces import frictional_forces, normal_forces
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import Array, DenseCholesky

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event
-from contactqp.analysis.schemes.scheme import State
+from contactqp.analysis.motion.schemes.scheme import State
 from contactqp.problem import Vector
 
 if TYPE_CHECKING:
-    from contactqp.analysis.motion import Motion
+    from contactqp.analysis.motion.history import Motion
 
 # Steps whose energies are found at once.
 BLOCK = 256

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import Mask, solve_system
-from contactqp.analysis.constrained_newton import Balance
-from contactqp.analysis.deformation import NewtonIteration
-from contactqp.analysis.loaded_body import Forces, Instant, LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings, Target, stationary_step
+from contactqp.analysis.large.active_kkt import Mask, solve_system
+from contactqp.analysis.large.constrained_newton import Balance
+from contactqp.analysis.large.deformation import NewtonIteration
+from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
 from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
 

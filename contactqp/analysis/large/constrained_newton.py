@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.deformation import NewtonIteration
-from contactqp.analysis.loaded_body import Forces, Imbalance, Instant, LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
+from contactqp.analysis.large.deformation import NewtonIteration
+from contactqp.analysis.large.loaded_body import Forces, Imbalance, Instant, LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
 from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactqp.analysis.deformation import LargeHistory, LargeSolution
-from contactqp.analysis.load_control import LoadControl, Program
-from contactqp.analysis.loaded_body import LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings
-from contactqp.analysis.path_equations import PathEquations
-from contactqp.analysis.path_following import ByArc, ByUnknown, Pace, PathFollower
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.large.load_control import LoadControl, Program
+from contactqp.analysis.large.loaded_body import LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings
+from contactqp.analysis.large.path_equations import PathEquations
+from contactqp.analysis.large.path_following import ByArc, ByUnknown, Pace, PathFollower
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NotConverged
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.contact_time import slowest_frequency
-from contactqp.analysis.critical_step import critical_step
-from contactqp.analysis.mass import touched
-from contactqp.analysis.motion import Motion, MotionHistory
-from contactqp.analysis.schemes.scheme import Scheme, State
-from contactqp.analysis.step_certificate import StepJudge
-from contactqp.analysis.step_contact import Answered, Posed, StepContact
+from contactqp.analysis.motion.contact_time import slowest_frequency
+from contactqp.analysis.motion.critical_step import critical_step
+from contactqp.analysis.motion.history import Motion, MotionHistory
+from contactqp.analysis.motion.mass import touched
+from contactqp.analysis.motion.schemes.scheme import Scheme, State
+from contactqp.analysis.motion.step_certificate import StepJudge
+from contactqp.analysis.motion.step_contact import Answered, Posed, StepContact
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, TimeStepWarning
 from contactqp.problem import Vector
 from contactqp.solution import Work

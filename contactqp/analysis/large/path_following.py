@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import Mask, by_signs
-from contactqp.analysis.deformation import LargeHistory, LargeSolution, LimitPoint
-from contactqp.analysis.deformation_steps import large_solution
 from contactqp.analysis.history import Event
-from contactqp.analysis.load_control import forces_of
-from contactqp.analysis.path_equations import (
+from contactqp.analysis.large.active_kkt import Mask, by_signs
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint
+from contactqp.analysis.large.deformation_steps import large_solution
+from contactqp.analysis.large.load_control import forces_of
+from contactqp.analysis.large.path_equations import (
     Control,
     Direction,
     PathEquations,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from contactqp.analysis.schemes.contact_stabilised import ContactStabilised
-from contactqp.analysis.schemes.modified_mass import ModifiedMassCentral
-from contactqp.analysis.schemes.moreau_jean import MoreauJean
-from contactqp.analysis.schemes.newmark import BackwardEuler, Trapezoidal
-from contactqp.analysis.schemes.paoli_schatzman import ExplicitPenalty, PaoliSchatzman
-from contactqp.analysis.schemes.scheme import Body, Scheme
+from contactqp.analysis.motion.schemes.contact_stabilised import ContactStabilised
+from contactqp.analysis.motion.schemes.modified_mass import ModifiedMassCentral
+from contactqp.analysis.motion.schemes.moreau_jean import MoreauJean
+from contactqp.analysis.motion.schemes.newmark import BackwardEuler, Trapezoidal
+from contactqp.analysis.motion.schemes.paoli_schatzman import ExplicitPenalty, PaoliSchatzman
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme
 from contactqp.errors import InvalidProblem
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import by_signs, lowest_eigenvalue, negative_on, positive_semidefinite
-from contactqp.analysis.coulomb_kkt import coulomb_by_signs
-from contactqp.analysis.loaded_body import Array, Forces, Instant, LoadedBody
+from contactqp.analysis.large.active_kkt import by_signs, lowest_eigenvalue, negative_on, positive_semidefinite
+from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
+from contactqp.analysis.large.loaded_body import Array, Forces, Instant, LoadedBody
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.problem import ContactProblem

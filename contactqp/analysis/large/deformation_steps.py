@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.active_kkt import negative_on, positive_semidefinite
-from contactqp.analysis.constrained_newton import Balance
-from contactqp.analysis.deformation import LargeSolution
-from contactqp.analysis.loaded_body import LoadedBody
-from contactqp.analysis.newton_step import NewtonSettings, Target, in_displacement, slipped
+from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
+from contactqp.analysis.large.constrained_newton import Balance
+from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.analysis.large.loaded_body import LoadedBody
+from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
 from contactqp.certificate import certify, contact_status
 from contactqp.errors import NotCertified
 from contactqp.solution import Work

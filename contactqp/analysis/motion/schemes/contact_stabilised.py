@@ -9,8 +9,8 @@ The forces of the projection never enter the velocity: what an impact has, is lo
 
 from __future__ import annotations
 
-from contactqp.analysis.schemes.scheme import Body, Scheme, State
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
 

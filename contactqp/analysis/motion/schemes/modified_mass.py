@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.mass import massless
-from contactqp.analysis.schemes.scheme import Body, State, TwoStep
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass import massless
+from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
 from contactqp.factorization import factorise
 from contactqp.problem import Vector

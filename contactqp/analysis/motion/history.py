@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import History
 from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.analysis.motion_balance import energies, events
-from contactqp.analysis.schemes.scheme import Scheme, State
-from contactqp.analysis.step_contact import Answered, Posed
+from contactqp.analysis.motion.balance import energies, events
+from contactqp.analysis.motion.schemes.scheme import Scheme, State
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate import certify, contact_status
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution

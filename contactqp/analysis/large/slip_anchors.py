@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.constrained_newton import Balance
-from contactqp.analysis.loaded_body import Array, LoadedBody
+from contactqp.analysis.large.constrained_newton import Balance
+from contactqp.analysis.large.loaded_body import Array, LoadedBody
 from contactqp.elements.deformable import ContactGeometry, ContactState, Vector
 from contactqp.errors import NotConverged
 
