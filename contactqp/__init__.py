@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contactqp.analysis.history import History as History
+    from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
     from contactqp.analysis.load_path import follow_path as follow_path
+    from contactqp.analysis.motion.history import MotionHistory as MotionHistory
+    from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
     from contactqp.certificate import Certificate as Certificate
     from contactqp.certificate import certify as certify
     from contactqp.critical_coefficients import CriticalFriction as CriticalFriction
