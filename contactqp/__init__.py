@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from contactqp.local_solution import LocalSolution as LocalSolution
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
+    from contactqp.pictures.history_drawing import draw_history as draw_history
     from contactqp.problem import ContactProblem as ContactProblem
     from contactqp.problem import Units as Units
     from contactqp.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
@@ -128,6 +129,7 @@ _HOME = {
     "certify_local": "local_certificate",
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",
+    "draw_history": "pictures.history_drawing",
     "equilibria": "multiplicity",
     "exact_equilibria": "friction.exact_enumeration",
     "existence_margin": "solvability",

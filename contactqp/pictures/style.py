@@ -23,6 +23,10 @@ COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"
 # Colours of Okabe and Ito (2008), distinct to colour-blind readers and from the colour map's.
 PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
+# Of curves: Okabe's and Ito's without their yellow, which is too light for a line on white; and dashes that tell curves
+# apart in print.
+LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (7, 2, 1, 2, 1, 2)), (0, (2, 1)), (0, (9, 3)))
 # Of the longest arrow, relative to the size of the bodies.
 ARROW = 0.14
 # Smaller ones than this part of the longest are no more than a dot.
@@ -64,6 +68,25 @@ def pressure_unit(units: Units) -> str:
     ('kN/m²', 'force/length²')
     """
     return f"{force_unit(units)}/{length_unit(units)}²"
+
+
+def energy_unit(units: Units) -> str:
+    """``"N·mm"``.
+
+    >>> energy_unit(Units(length="m", force="kN")), energy_unit(Units())
+    ('kN·m', 'force·length')
+    """
+    return f"{force_unit(units)}·{length_unit(units)}"
+
+
+def plain(text: str, most: int = 40) -> str:
+    """A user's text as it is, shortened: dollars start no formula, an underline in front hides nothing in a legend.
+
+    >>> plain("$a$"), plain("_tip"), plain("abcdef", most=4)
+    ('\\\\$a\\\\$', ' _tip', 'abc…')
+    """
+    short = text if len(text) <= most else f"{text[: most - 1]}…"
+    return (" " if short.startswith("_") else "") + short.replace("$", r"\$")
 
 
 def colour_label(colour: str, units: Units) -> str:

@@ -8,15 +8,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from contactqp.pictures.style import LINE_COLOURS
 from contactqp.study.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito (2008): distinct to colour-blind readers; with the markers, in print as well. Their yellow is left out:
-# too light for a line on white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p", "d")
 # Errors below are drawn here: a logarithm has no zero, and doubles have no more digits.
 LEAST_ERROR = 1e-17
@@ -93,7 +91,7 @@ def save(figure: Figure, file: Path) -> None:
 def _styles(rows: Iterable[Row]) -> dict[str, tuple[str, str]]:
     """A colour and a marker for each method; no two methods share both."""
     names = dict.fromkeys(row.method for row in rows if row.seconds is not None)
-    return {name: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, name in enumerate(names)}
+    return {name: (LINE_COLOURS[i % len(LINE_COLOURS)], MARKERS[i % len(MARKERS)]) for i, name in enumerate(names)}
 
 
 def _draw_panel(
