@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import History
 from contactqp.pictures import event_marks, style
 from contactqp.pictures.history_fields import HistoryFields, history_fields
-from contactqp.pictures.history_panels import ALL, Curve, Panel, load_panel, time_label, time_panels
+from contactqp.pictures.history_loads import load_panel
+from contactqp.pictures.history_panels import ALL, Curve, Panel, time_label, time_panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,8 +57,9 @@ def draw_history(history: History, file: str | Path, *, title: str = "", time_un
     Notes
     -----
     Of a load path the curves are those of the unknowns whose loads do most, and of the contacts that push hardest; what
-    all contacts do together is a curve where some are left out. A load path also has the load over the displacement
-    where one load grows and shrinks, or few unknowns are loaded. A motion shows the unknowns of its contacts.
+    all contacts do together is a curve where some are left out. A load path also has the load over the displacement,
+    of up to three loads that come one by one, or up to four loaded unknowns. A motion shows the unknowns that its
+    contacts touch.
     """
     path = style.check_picture(file)
     style.save(history_figure(history, title=title, time_unit=time_unit), path)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.pictures import style
-from contactqp.pictures.history_fields import ENERGIES, ROUNDING, HistoryFields
+from contactqp.pictures.history_fields import ENERGIES, HistoryFields
 from contactqp.problem import ContactProblem, Vector
 
 Array = NDArray[np.float64]
@@ -73,49 +73,6 @@ def time_label(fields: HistoryFields, time_unit: str) -> str:
     return "load factor" if fields.proportional else "pseudo-time"
 
 
-def load_panel(fields: HistoryFields) -> Panel | None:
-    """The load over the displacement that it does work on, or None: nothing is loaded, or no few unknowns tell all.
-
-    One load that grows and shrinks: its factor over the displacements of up to four loaded unknowns; of more, over
-    their mean, weighted by the load. Several loads on a few unknowns: the force on each over its displacement.
-    """
-    if fields.load is None or not np.any(fields.load):
-        return None
-    problem, units = fields.problem, fields.problem.units
-    x_label = f"displacement [{style.length_unit(units)}]"
-    loaded = np.flatnonzero(np.any(fields.load != 0, axis=0))
-    factor = load_factor(fields)
-    if factor is not None and len(loaded) > MOST_UNKNOWNS:
-        pattern = fields.load[int(np.argmax(abs(factor)))]
-        mean = fields.displacement @ pattern / np.sum(abs(pattern))
-        curve = Curve("along the load, mean", factor, ALL)
-        return Panel(_factor_label(fields), (curve,), x=(mean,), x_label=x_label)
-    unknowns = _ranked(loaded, _work(fields)[loaded])[:MOST_UNKNOWNS]
-    if len(loaded) > MOST_UNKNOWNS or not len(unknowns):
-        return None
-    x = tuple(fields.displacement[:, j] for j in unknowns)
-    if factor is not None:
-        curves = tuple(Curve(problem.dof_name(int(j)), factor, i) for i, j in enumerate(unknowns))
-        return Panel(_factor_label(fields), curves, x=x, x_label=x_label)
-    curves = tuple(Curve(problem.dof_name(int(j)), fields.load[:, j], i) for i, j in enumerate(unknowns))
-    return Panel(f"load [{style.force_unit(units)}]", curves, x=x, x_label=x_label)
-
-
-def load_factor(fields: HistoryFields) -> Vector | None:
-    """(k,) the times where loads are proportional to them, else the load over the largest if it is along it, or None.
-
-    >>> from types import SimpleNamespace
-    >>> load_factor(SimpleNamespace(load=np.array([[0.0, 0.0], [2.0, 4.0], [-1.0, -2.0]]), proportional=False)).tolist()
-    [0.0, 1.0, -0.5]
-    """
-    if fields.load is None or fields.proportional:
-        return fields.times if fields.load is not None else None
-    largest = fields.load[int(np.argmax(np.max(abs(fields.load), axis=1)))]
-    factor = np.asarray(fields.load @ largest / (largest @ largest))
-    off = np.max(abs(fields.load - np.outer(factor, largest)))
-    return factor if off <= ROUNDING * np.max(abs(largest)) else None
-
-
 def telling_contacts(fields: HistoryFields) -> Index:
     """Of many contacts those that push hardest, then those that come nearest."""
     with np.errstate(invalid="ignore"):
@@ -129,11 +86,11 @@ def telling_unknowns(fields: HistoryFields, contacts: Index) -> Index:
     """Of a load path the unknowns whose loads do most; of a motion those of the contacts that move most."""
     moved, everything = _moved(fields), np.arange(fields.displacement.shape[1])
     if fields.load is not None:
-        work = _work(fields)
-        return _ranked(everything, work if np.any(work) else moved)[:MOST_UNKNOWNS]
+        work = work_of_unknowns(fields)
+        return ranked(everything, work if np.any(work) else moved)[:MOST_UNKNOWNS]
     touched = _touched(fields.problem, contacts)
     found = touched if np.any(moved[touched]) else everything
-    return _ranked(found, moved[found])[:MOST_UNKNOWNS]
+    return ranked(found, moved[found])[:MOST_UNKNOWNS]
 
 
 def _touched(problem: ContactProblem, contacts: Index) -> Index:
@@ -156,13 +113,13 @@ def _moved(fields: HistoryFields) -> Vector:
     return np.asarray(np.ptp(u, axis=0))
 
 
-def _work(fields: HistoryFields) -> Vector:
+def work_of_unknowns(fields: HistoryFields) -> Vector:
     """(n,) at most what the load of each unknown does [force * length]."""
     load = np.zeros(1) if fields.load is None else np.max(abs(fields.load), axis=0)
     return np.asarray(load * _moved(fields))
 
 
-def _ranked(unknowns: Index, tells: Vector) -> Index:
+def ranked(unknowns: Index, tells: Vector) -> Index:
     """Those that tell something, the most telling first."""
     order = np.argsort(-tells, kind="stable")
     return unknowns[order[tells[order] > TELLS * np.max(tells, initial=0.0)]]
@@ -181,7 +138,3 @@ def _of_contacts(fields: HistoryFields, values: Array, contacts: Index, whole: s
         together = values.min(axis=1) if whole == "smallest" else values.sum(axis=1)
         curves.append(Curve(f"{whole} of all {count}", together, ALL))
     return tuple(curves)
-
-
-def _factor_label(fields: HistoryFields) -> str:
-    return "load factor" if fields.proportional else "load over the largest"
