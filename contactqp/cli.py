@@ -31,7 +31,7 @@ def command() -> None:
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")
-@click.option("--plot", metavar="FILE", help="Draw the deformed structure and its contacts: .png, .pdf or .svg.")
+@click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(
@@ -52,7 +52,8 @@ def run_command(
     Without --method: by active-set, and by every method that the case itself says something about.
 
     --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
-    several, the names of case and method are put before the suffix of FILE.
+    several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
+    displacements, forces and energies with its events, to FILE with "history" before the suffix.
     """
     from contactqp.scene.arguments import case_files, read_knobs
     from contactqp.scene.judging import Failure, Judgement, judge_all

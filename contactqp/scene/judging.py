@@ -91,11 +91,12 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """A trial without an answer."""
+    """A trial without an answer; `history` is that until then, of a path or a motion that was cut short."""
 
     scene: Scene
     trial: Trial
     message: str
+    history: History | None = None
     met: bool = False
 
 
@@ -122,7 +123,9 @@ def _outcome(scene: Scene, trial: Trial, where: str) -> Judgement | Failure:
     try:
         return judge(scene, trial)
     except (NoEquilibrium, NotConverged, NotCertified, BackendFailed) as error:
-        return Failure(scene, trial, f"{where}{trial}: {error}")
+        history = getattr(error, "history", None)
+        so_far = history if isinstance(history, History) else None
+        return Failure(scene, trial, f"{where}{trial}: {error}", so_far)
 
 
 def trials(scene: Scene, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:

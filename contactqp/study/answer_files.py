@@ -7,15 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.drawing import draw
 from contactqp.pictures.frame_drawing import draw_structure
+from contactqp.pictures.history_drawing import draw_history
 from contactqp.pictures.style import check_picture
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.judging import Failure, Judgement, Trial
 from contactqp.scene.schema import Scene
 from contactqp.study.answer_fields import fields_of
+
+# What the picture of a history is called after its case and method; times of scenes are in seconds.
+HISTORY, TIME_UNIT = "history", "s"
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ class AnswerFiles:
     ----------
     plot, vtu : Path or None
         As asked for. With several cases the name of the case is put before the suffix, with several answers of one
-        case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``.
+        case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a picture of its
+        own, ``bar.history.png``.
     several_cases : bool
     every_method : bool
         All answers of a case; otherwise the first one, which is the one that is printed in full.
@@ -38,14 +44,20 @@ class AnswerFiles:
     every_method: bool
 
     def write(self, outcomes: Sequence[Judgement | Failure]) -> list[Path]:
-        """Write the files of one scene's outcomes, and return them; a trial without an answer has none."""
+        """Write the files of one scene's outcomes, and return them.
+
+        A trial without an answer has none, but for the picture of a history that was cut short.
+        """
         chosen = outcomes if self.every_method else outcomes[:1]
         written = []
         for outcome in chosen:
+            names = [_stem(outcome.scene)] if self.several_cases else []
+            names += [_slug(outcome.trial)] if len(chosen) > 1 else []
             if isinstance(outcome, Judgement):
-                names = [_stem(outcome.scene)] if self.several_cases else []
-                names += [_slug(outcome.trial)] if len(chosen) > 1 else []
                 written += self._write_one(outcome, names)
+            elif outcome.history is not None:
+                title = f"{outcome.scene.title}, {outcome.trial}, as far as it came"
+                written += self._write_history(outcome.history, title, names)
         return written
 
     def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
@@ -58,10 +70,19 @@ class AnswerFiles:
                 draw(fields, written[-1], title=title)
             else:
                 draw_structure(fields, written[-1], title=title)
+            written += self._write_history(judgement.history, title, names)
         if self.vtu is not None:
             written.append(_named(self.vtu, names))
             write_vtu(fields, written[-1])
         return written
+
+    def _write_history(self, history: History, title: str, names: Sequence[str]) -> list[Path]:
+        """The picture of a path or a motion; one instant has none."""
+        if self.plot is None or len(history) < 2:
+            return []
+        file = _named(self.plot, [*names, HISTORY])
+        draw_history(history, file, title=title, time_unit=TIME_UNIT)
+        return [file]
 
 
 def answer_files(scenes: Sequence[Scene], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
@@ -75,6 +96,7 @@ def answer_files(scenes: Sequence[Scene], plot: str | None, vtu: str | None, *, 
         matplotlib or meshio is not installed.
     """
     stems = [_stem(scene) for scene in scenes]
+    stems += [f"{stem}.{HISTORY}" for stem in stems if plot is not None]
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         asked = Path(plot if plot is not None else str(vtu))
