@@ -152,10 +152,17 @@ def _headline(fields: HistoryFields) -> str:
 
 
 def _remarks(fields: HistoryFields) -> list[str]:
-    """Lines below the panels: events without a label of their own, and the notes of the history."""
+    """Lines below the panels: events without a label of their own, what is not drawn, and the notes of the history."""
     told = [f"note: {note}" for note in fields.notes[:MOST_NOTES]]
     if len(fields.notes) > MOST_NOTES:
-        told.append(f"and {len(fields.notes) - MOST_NOTES} more notes")
+        told.append(f"and {len(fields.notes) - MOST_NOTES} more in history.notes")
     hidden = event_marks.thinned(event_marks.labels(fields.events, float(np.ptp(fields.times))))
-    lines = [line for text in (hidden, *told) for line in textwrap.wrap(text, NOTE_LINE)]
+    lines = [line for text in (hidden, _left_out(fields), *told) for line in textwrap.wrap(text, NOTE_LINE)]
     return [line.replace("$", r"\$") for line in lines]
+
+
+def _left_out(fields: HistoryFields) -> str:
+    """What is said of numbers that are none or too large, or nothing."""
+    values = [fields.displacement, fields.normal_force, np.column_stack([fields.times, *fields.energies.values()])]
+    count = int(np.sum(np.any([~np.all(abs(value) <= LARGEST, axis=1) for value in values], axis=0)))
+    return f"{count} instants with values beyond {LARGEST:g} are left out" if count else ""

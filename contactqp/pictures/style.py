@@ -145,7 +145,7 @@ def arrows_to_draw(position: Array, value: Array, most: int) -> NDArray[np.int64
 
 def headline(title: str, text: str) -> str:
     """The user's title, if any, and below it what the picture shows."""
-    return "\n".join(filter(None, [title, text[0].upper() + text[1:]]))
+    return "\n".join(filter(None, [title.replace("$", r"\$"), text[0].upper() + text[1:]]))
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -38,7 +38,48 @@ def test_one_case_writes_the_files_that_were_named(capsys, tmp_path):
 
 def test_several_cases_put_their_names_before_the_suffix(capsys, tmp_path):
     assert run(capsys, "run", WALL, TRUSS, "--plot", tmp_path / "a.svg")[0] == 0
-    assert names(tmp_path) == ["a.bar_wall.svg", "a.truss_floor.svg"]
+    assert names(tmp_path) == ["a.bar_wall.svg", "a.truss_floor.history.svg", "a.truss_floor.svg"]
+
+
+def test_a_path_is_drawn_to_a_file_of_its_own(capsys, tmp_path):
+    path = str(CASES / "jenkins_loop.toml")
+    code, out, _ = run(capsys, "run", path, "--plot", tmp_path / "a.svg")
+    assert code == 0
+    assert names(tmp_path) == ["a.history.svg", "a.svg"]
+    assert f"written: {tmp_path / 'a.history.svg'}" in out
+    run(capsys, "run", path, WALL, "--plot", tmp_path / "b.svg")
+    assert names(tmp_path)[2:] == ["b.bar_wall.svg", "b.jenkins_loop.history.svg", "b.jenkins_loop.svg"]
+
+
+def test_a_path_without_a_picture_asked_for_has_none(capsys, tmp_path):
+    run(capsys, "run", CASES / "jenkins_loop.toml", "--vtu", tmp_path / "a.vtu")
+    assert names(tmp_path) == ["a.vtu"]
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_a_case_that_is_called_like_the_history_of_another_is_exit_2(capsys, tmp_path):
+    copy = tmp_path / "bar_wall.history.toml"
+    copy.write_text(Path(WALL).read_text())
+    code, _, err = run(capsys, "run", WALL, copy, "--plot", tmp_path / "a.png")
+    assert code == 2
+    assert "'bar_wall.history' more than once" in err
+
+
+def test_a_path_that_was_cut_short_is_drawn_as_far_as_it_came(capsys, tmp_path, monkeypatch):
+    import contactqp as cq
+    from contactqp.scene import judging
+
+    def stops(scene, _):
+        raise cq.NotConverged("no further", cq.History(list(cq.run(scene))[:4], [0.0, 1.0, 1.5625, 2.0]))
+
+    monkeypatch.setattr(judging, "judge", stops)
+    code, _, err = run(capsys, "run", CASES / "jenkins_loop.toml", "--plot", tmp_path / "a.svg")
+    assert code == 1
+    assert "no further" in err
+    assert names(tmp_path) == ["a.history.svg"]
+    drawn = (tmp_path / "a.history.svg").read_text()  # its texts stand there as comments beside their outlines
+    assert "as far as it came" in drawn
+    assert "Load path: 4 instants" in drawn
 
 
 def test_several_methods_put_their_names_before_the_suffix(capsys, tmp_path):
