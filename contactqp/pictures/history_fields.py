@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.motion import MotionHistory
+from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution

@@ -170,7 +170,7 @@ def test_ten_thousand_steps_are_drawn_without_a_look_at_one(monkeypatch, rod):
     def refuse(*_):
         raise AssertionError("an instant was certified to be drawn")
 
-    monkeypatch.setattr("contactqp.analysis.motion._looked_at", refuse)
+    monkeypatch.setattr("contactqp.analysis.motion.history._looked_at", refuse)
     problem, mass = rod_at_wall(4)
     history = cq.impact(problem, mass, np.zeros(5), np.full(5, -SPEED), 10.0, 1e-3)
     figure = history_figure(history)
@@ -179,7 +179,7 @@ def test_ten_thousand_steps_are_drawn_without_a_look_at_one(monkeypatch, rod):
 
 
 def test_what_a_motion_was_until_it_failed_is_drawn(tmp_path, monkeypatch):
-    from contactqp.analysis import step_contact
+    from contactqp.analysis.motion import step_contact
 
     def gives_up(*_):
         raise cq.NotConverged("lemke: no")
