@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contactqp.pictures import style
 from contactqp.pictures.history_fields import ENERGIES, HistoryFields
-from contactqp.problem import ContactProblem, Vector
+from contactqp.problem import Vector
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -84,13 +84,15 @@ def telling_contacts(fields: HistoryFields) -> Index:
 
 def telling_unknowns(fields: HistoryFields, contacts: Index) -> Index:
     """Of a load path the unknowns whose loads do most; of a motion those of the contacts that move most."""
-    moved, everything = _moved(fields), np.arange(fields.displacement.shape[1])
+    moved, candidates = _moved(fields), np.arange(fields.displacement.shape[1])
+    tells = moved
     if fields.load is not None:
         work = work_of_unknowns(fields)
-        return ranked(everything, work if np.any(work) else moved)[:MOST_UNKNOWNS]
-    touched = _touched(fields.problem, contacts)
-    found = touched if np.any(moved[touched]) else everything
-    return ranked(found, moved[found])[:MOST_UNKNOWNS]
+        tells = work if np.any(work) else moved
+    elif np.any(moved[touched := _touched(fields.problem, contacts)]):
+        candidates = touched
+    found = ranked(candidates, tells[candidates])
+    return (found if len(found) else candidates)[:MOST_UNKNOWNS]
 
 
 def _touched(problem: ContactProblem, contacts: Index) -> Index:

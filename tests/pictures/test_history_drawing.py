@@ -217,6 +217,14 @@ def test_the_start_alone_is_a_point(rod):
     assert "1 instant, no event" in figure.get_suptitle()
 
 
+def test_a_path_that_failed_at_its_start_is_drawn_too():
+    spring = cq.ContactProblem([[2.0]], [0.0], np.zeros((0, 1)), [])
+    rest = cq.History([cq.solve(spring)], [0.0])
+    figure = history_figure(rest)
+    assert [axes.get_ylabel().split("\n")[0] for axes in figure.axes] == ["displacement"]
+    np.testing.assert_array_equal(curve(figure.axes[0], "unknown 0"), [[0.0], [0.0]])
+
+
 def test_numbers_that_are_none_are_left_out(tmp_path, rod):
     history, _ = rod
     states = list(history.motion.states)
