@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contactqp.pictures import style
 from contactqp.pictures.history_fields import ENERGIES, HistoryFields
-from contactqp.problem import Vector
+from contactqp.problem import ContactProblem, Vector
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
