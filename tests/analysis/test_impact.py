@@ -202,6 +202,18 @@ def test_the_friction_of_moreau_and_jean_takes_all_kinetic_energy() -> None:
     assert history[450].contact_status.tolist() == ["stick"]
 
 
+def test_a_block_that_bounces_ever_less_comes_to_rest() -> None:
+    """Rebounds shrink by e until they drown in what gravity does within a step; the block slides on and stops."""
+    history = cq.impact(sliding_block(), [2.0, 2.0], [0, 0], [3.0, 1.0], 2.0, 1e-3, restitution=0.7)
+    assert history.velocities[-1].tolist() == [0.0, 0.0]
+    # Friction takes mu times what the floor gives, m (g t - 1) in all: 3 = 0.3 (g t - 1).
+    assert times_of(history, "stick")[-1] == pytest.approx((3.0 / 0.3 + 1.0) / 9.81, abs=2e-3)
+    # The flight of a rebound lasts 2 v / g, each e of the one before.
+    opened, closed = times_of(history, "opened"), times_of(history, "closed")
+    assert closed[1] - closed[0] == pytest.approx(2 * 0.7 * 1.0 / 9.81, abs=2e-3)
+    assert len(opened) > 5
+
+
 def test_in_space_friction_opposes_the_velocity() -> None:
     block = cq.ContactProblem(
         stiffness=np.zeros((3, 3)),

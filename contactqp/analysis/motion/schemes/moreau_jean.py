@@ -23,6 +23,8 @@ from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
+# A rebound of this part of what the forces of a step change is lost in their rounding.
+NO_REBOUND = 1e-6
 # Up to so many unknowns that contacts touch their rows are kept dense.
 FEW = 60
 # A predicted gap that is this part of its own lengths is none.
@@ -46,6 +48,8 @@ class MoreauJean(Scheme):
         if len(self._touched) <= FEW:
             self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
         self._normal_size = abs(self._normal)
+        self._no_rebound = np.zeros(body.problem.contacts)
+        self._inertia_of_touched = self.templates[0].diagonal[self._touched]
 
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
         del answers
@@ -56,8 +60,13 @@ class MoreauJean(Scheme):
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
         near = room <= TOUCHING * (self._normal_size @ abs(ahead) + abs(body.problem.gap))
-        before = self._normal @ v[self._touched] if self._restitution else room
-        return Posed(force, -self._restitution * before, near)
+        return Posed(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
+
+    def _rebound(self, velocity: Vector, force: Vector) -> Vector:
+        """-e E_N v, and nothing where that is no more than a part of what the forces of a step would change."""
+        rebound = -self._restitution * (self._normal @ velocity[self._touched])
+        change = self._normal_size @ (abs(force[self._touched]) / self._inertia_of_touched)
+        return np.where(abs(rebound) <= NO_REBOUND * change, 0.0, rebound)
 
     def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
         found, h, theta = answers[-1], self.body.step, self._theta
