@@ -42,7 +42,7 @@ class Material:
         Poisson's ratio [-], -1 < nu < 1/2. Close to 1/2 linear elements lock (far too stiff, because every quadrature
         point then asks for a constant volume): with nu > 0.45 use quadratic ones. No mixed formulation is offered.
     density : float
-        rho >= 0 [mass / length^3]; only gravity needs it.
+        rho >= 0 [mass / length^3]; only gravity and motions need it.
     name : str
         Used in every message.
 
