@@ -197,7 +197,8 @@ def spring_direction(scene: Scene, item: Spring) -> Numbers:
 def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]:
     """The unknowns and the stiffness of every element."""
     for bar in scene.bars:
-        yield _displacements(scene, bar.nodes), _bar_stiffness(scene, bar)
+        for segment in bar.segments:
+            yield _displacements(scene, segment), _bar_stiffness(scene, bar, segment)
     for item in scene.springs:
         formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
         stiffness = formula(_value(scene, item.stiffness), spring_direction(scene, item))
@@ -222,8 +223,8 @@ def _ends(scene: Scene, nodes: Iterable[str]) -> Iterator[Numbers]:
     return (point(scene, node) for node in nodes)
 
 
-def _bar_stiffness(scene: Scene, item: Bar) -> Numbers:
-    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), *_ends(scene, item.nodes))
+def _bar_stiffness(scene: Scene, item: Bar, segment: Iterable[str]) -> Numbers:
+    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), *_ends(scene, segment))
 
 
 def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:

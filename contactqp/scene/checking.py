@@ -66,6 +66,12 @@ def _names_are_distinct(scene: Scene) -> None:
 
 def _dimensions_fit(scene: Scene) -> None:
     d = len(scene.axes)
+    for i, bar in enumerate(scene.bars):
+        if bar.divisions > 1 and d > 1:
+            raise SceneError(
+                f"bars[{i}].divisions ({bar.name!r}): expected 1 in a scene with {d} axes, where nothing holds the nodes "
+                f"inside of a bar across it, got {bar.divisions}"
+            )
     if scene.beams and d != 2:
         raise SceneError(f"beams: expected a scene with two axes, got {d}")
     if scene.strings and d == 1:
@@ -103,10 +109,19 @@ def _node_uses(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _nodes_exist(scene: Scene) -> None:
-    known = [node.name for node in scene.nodes]
+    stated = [node.name for node in scene.nodes]
+    for i, bar in enumerate(scene.bars):
+        for j, name in enumerate(bar.nodes):
+            if name not in stated:
+                raise SceneError(f"bars[{i}].nodes[{j}] ({bar.name!r}): {unknown(name, stated, 'node')}")
+        for name in bar.chain[1:-1]:
+            if name in stated:
+                raise SceneError(
+                    f"bars[{i}].divisions ({bar.name!r}): expected no node {name!r}, which stands inside of the bar"
+                )
     for key, name in _node_uses(scene):
-        if name not in known:
-            raise SceneError(f"{key}: {unknown(name, known, 'node')}")
+        if name not in scene.every_node:
+            raise SceneError(f"{key}: {unknown(name, stated, 'node')}")
 
 
 def _lengths_are_positive(scene: Scene) -> None:
@@ -168,13 +183,13 @@ def _known_unknown(key: str, name: str, scene: Scene, unknowns: Unknowns) -> Non
     if name in unknowns.names:
         return
     node, _, axis = name.rpartition(".")
-    if axis == ROTATION and node in {n.name for n in scene.nodes}:
+    if axis == ROTATION and node in scene.every_node:
         raise SceneError(f"{key}: node {node!r} has no rotation, since no beam ends there")
     raise SceneError(f"{key}: {unknown(name, unknowns.names, 'unknown')}")
 
 
 def _fixed_exist(scene: Scene, unknowns: Unknowns) -> None:
-    nodes = {node.name for node in scene.nodes}
+    nodes = scene.every_node
     seen: set[str] = set()
     for i, name in enumerate(scene.fixed):
         if name in seen:

@@ -78,6 +78,10 @@ def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[
         raise SceneError(f"{where}.near: expected {len(scene.axes)} components, got {len(claim.near)}")
     if measure.at is not None and claim.at not in places[measure.at]:
         raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
+    if measure.at == "bar" and any(bar.divisions > 1 for bar in scene.bars if bar.name == claim.at):
+        raise SceneError(
+            f"{where}.at: expected a bar in one piece, {claim.at!r} is divided and has a force in each part"
+        )
     if measure.along is not None and claim.along not in places[measure.along]:
         raise SceneError(f"{where}.along: {unknown(claim.along, places[measure.along], measure.along)}")
     for j, name in enumerate(claim.unknowns or ()):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -17,7 +19,7 @@ from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
 from contactqp.scene.models import build
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 from contactqp.scene.schema_contacts import Contact, Obstacle
-from contactqp.scene.units import KINDS, UnitSystem, describe, read_unit
+from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
 from contactqp.scene.wording import first_error
 
 
@@ -44,12 +46,26 @@ class Node(Block):
 
 
 class Bar(Block):
-    """An axial bar between two nodes, in one, two or three dimensions."""
+    """An axial bar between two nodes, in one, two or three dimensions.
+
+    In one dimension it may have `divisions`, elements of equal length; the nodes inside are called ``bar 1``, ``bar 2``.
+    """
 
     name: Name
     nodes: TwoNames
     area: fields.Area
     modulus: fields.Modulus
+    divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
+
+    @property
+    def chain(self) -> tuple[Name, ...]:
+        """Its nodes from end to end."""
+        return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
+
+    @property
+    def segments(self) -> tuple[tuple[Name, Name], ...]:
+        """The pairs of nodes next to each other."""
+        return tuple(pairwise(self.chain))
 
 
 class Spring(Block):
@@ -166,6 +182,13 @@ class LoadPath(Block):
     corners: Annotated[tuple[Corner, ...], Field(min_length=1, max_length=1000)] | None = None
 
 
+def _inside(bar: Bar, ends: Mapping[str, Node]) -> Iterator[Node]:
+    start, end = (ends[name].at for name in bar.nodes)
+    for i, name in enumerate(bar.chain[1:-1], start=1):
+        at = [a.si + (b.si - a.si) * i / bar.divisions for a, b in zip(start, end, strict=True)]
+        yield Node(name=name, at=tuple(Quantity(x, KINDS["length"].dimension, f"{x} m") for x in at))
+
+
 def _axes(value: tuple[str, ...]) -> tuple[str, ...]:
     if len(set(value)) != len(value):
         raise ValueError(f"expected distinct axes, got {describe(value)} {list(value)}")
@@ -248,8 +271,14 @@ class Scene(Block):
         """
         return build(self).problem
 
+    @cached_property
+    def every_node(self) -> Mapping[str, Node]:
+        """By their names, those inside of divided bars too."""
+        stated = {node.name: node for node in self.nodes}
+        return stated | {node.name: node for bar in self.bars for node in _inside(bar, stated)}
+
     def node(self, name: str) -> Node:
-        return next(node for node in self.nodes if node.name == name)
+        return self.every_node[name]
 
     def string(self, name: str) -> String:
         return next(string for string in self.strings if string.name == name)

@@ -40,8 +40,7 @@ def of_scene(scene: Scene) -> Unknowns:
     """Displacements of all nodes, and a rotation where a beam ends."""
     turning = {node for beam in scene.beams for node in beam.nodes}
     by_node = {
-        node.name: of_node(scene, node.name) + ((f"{node.name}.{ROTATION}",) if node.name in turning else ())
-        for node in scene.nodes
+        node: of_node(scene, node) + ((f"{node}.{ROTATION}",) if node in turning else ()) for node in scene.every_node
     }
     fixed = {unknown for entry in scene.fixed for unknown in by_node.get(entry, (entry,))}
     return Unknowns(tuple(name for names in by_node.values() for name in names), frozenset(fixed))

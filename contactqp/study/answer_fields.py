@@ -45,10 +45,10 @@ def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
     value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
     return FrameFields(
         axes=scene.axes,
-        nodes=tuple(node.name for node in scene.nodes),
-        position=np.array([[float(scene.system.value(x)) for x in node.at] for node in scene.nodes]),
-        displacement=np.array([[value[name] for name in of_node(scene, node.name)] for node in scene.nodes]),
-        held=np.array([[name in unknowns.fixed for name in of_node(scene, node.name)] for node in scene.nodes]),
+        nodes=tuple(scene.every_node),
+        position=np.array([_point(scene, node) for node in scene.every_node]),
+        displacement=np.array([[value[name] for name in of_node(scene, node)] for node in scene.every_node]),
+        held=np.array([[name in unknowns.fixed for name in of_node(scene, node)] for node in scene.every_node]),
         members=tuple(_members(scene, value)),
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),
@@ -72,7 +72,7 @@ def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:
         return Member(kind, tuple(place[name] for name in names), path, moved)
 
     for bar in scene.bars:
-        yield straight("bar", bar.nodes)
+        yield straight("bar", bar.chain)
     for spring in scene.springs:
         yield straight("spring", spring.nodes)
     for wire in scene.strings:
@@ -104,7 +104,7 @@ def _contacts(scene: Scene, solution: Solution) -> Iterator[FrameContact]:
 
 
 def _places(scene: Scene) -> dict[str, int]:
-    return {node.name: i for i, node in enumerate(scene.nodes)}
+    return {node: i for i, node in enumerate(scene.every_node)}
 
 
 def _point(scene: Scene, name: str) -> Array:
