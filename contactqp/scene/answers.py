@@ -12,9 +12,10 @@ import numpy as np
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
 from contactqp.scene import elimination
-from contactqp.scene.building import ExactProblem, NodeModel, point, spring_direction
+from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
+from contactqp.scene.exact_numbers import point
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
 from contactqp.scene.schema import Scene

@@ -14,20 +14,21 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import beam, node_contact, point_mass, spring, string, truss
+from contactqp.elements import beam, node_contact, spring, string, truss
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
 from contactqp.problem import ContactProblem, Units
-from contactqp.scene.corners import GRAVITY, Factors, end_time, factors_at
-from contactqp.scene.units import KINDS, Quantity, read_unit
+from contactqp.scene.corners import end_time, factors_at
+from contactqp.scene.exact_loads import Row, exact_loads, sum_of
+from contactqp.scene.exact_numbers import displacements, ends, point, value
+from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Bar, Beam, Scene, Spring
     from contactqp.scene.schema_contacts import Contact
 
-# A linear form of the unknowns, and the stiffness, by the unknowns' names; what is zero is left out.
-Row = Mapping[str, Number]
+# By the unknowns' names; what is zero is left out.
 Stiffness = Mapping[tuple[str, str], Number]
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
@@ -89,17 +90,15 @@ class ExactProblem:
 
 def exact_problem(scene: Scene) -> ExactProblem:
     """Assemble the scene in exact numbers, in its own units."""
-    loads = _loads(scene)
+    loads = exact_loads(scene)
     return ExactProblem(
         unknowns=of_scene(scene),
         stiffness=_assemble(scene),
-        load=_sum_of(loads, factors_at(scene, end_time(scene))),
+        load=sum_of(loads, factors_at(scene, end_time(scene))),
         loads=loads,
         contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
         ties=tuple(
-            TieForm(
-                tie.name, {term.unknown: _value(scene, term.factor) for term in tie.terms}, _value(scene, tie.value)
-            )
+            TieForm(tie.name, {term.unknown: value(scene, term.factor) for term in tie.terms}, value(scene, tie.value))
             for tie in scene.ties
         ),
     )
@@ -132,7 +131,7 @@ class NodeModel:
 
     def exact_load_at(self, time: Fraction) -> Row:
         """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
-        return _sum_of(self.exact.loads, factors_at(self.scene, time))
+        return sum_of(self.exact.loads, factors_at(self.scene, time))
 
     def load_at(self, time: Fraction) -> NDArray[np.float64]:
         """The same on the free unknowns, rounded."""
@@ -164,8 +163,8 @@ def _rounded(scene: Scene, exact: ExactProblem) -> ContactProblem:
 
 def _matrix(entries: Iterable[tuple[tuple[int, int], Number]], shape: tuple[int, int]) -> Any:
     matrix = sp.lil_array(shape)
-    for (i, j), value in entries:
-        matrix[i, j] = float(value)
+    for (i, j), entry in entries:
+        matrix[i, j] = float(entry)
     return matrix.toarray() if max(shape) <= DENSE_SIZE else matrix.tocsc()
 
 
@@ -174,15 +173,6 @@ def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
     rows = list(rows)
     entries = [((i, place[name]), value) for i, row in enumerate(rows) for name, value in row.items() if name in place]
     return _matrix(entries, (len(rows), len(place)))
-
-
-def _value(scene: Scene, quantity: Quantity) -> Fraction:
-    return scene.system.value(quantity)
-
-
-def point(scene: Scene, node: str) -> Numbers:
-    """Where a node stands, exactly, in the scene's unit of length."""
-    return np.array([_value(scene, x) for x in scene.node(node).at])
 
 
 def spring_direction(scene: Scene, item: Spring) -> Numbers:
@@ -198,38 +188,30 @@ def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]
     """The unknowns and the stiffness of every element."""
     for bar in scene.bars:
         for segment in bar.segments:
-            yield _displacements(scene, segment), _bar_stiffness(scene, bar, segment)
+            yield displacements(scene, segment), _bar_stiffness(scene, bar, segment)
     for item in scene.springs:
         formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
-        stiffness = formula(_value(scene, item.stiffness), spring_direction(scene, item))
-        yield _displacements(scene, item.nodes), stiffness
+        stiffness = formula(value(scene, item.stiffness), spring_direction(scene, item))
+        yield displacements(scene, item.nodes), stiffness
     for girder in scene.beams:
         names = tuple(name for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}"))
         yield names, _beam_stiffness(scene, girder)
     for wire in scene.strings:
-        tension = _value(scene, wire.tension)
+        tension = value(scene, wire.tension)
         for segment in wire.segments:
-            yield _displacements(scene, segment), string.stiffness(tension, *_ends(scene, segment))
+            yield displacements(scene, segment), string.stiffness(tension, *ends(scene, segment))
     for matrix in scene.matrices:
         unit = read_unit(matrix.unit)[0] / read_unit(scene.system.label(KINDS["stiffness"].dimension))[0]
         yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
 
 
-def _displacements(scene: Scene, nodes: Iterable[str]) -> tuple[str, ...]:
-    return tuple(name for node in nodes for name in of_node(scene, node))
-
-
-def _ends(scene: Scene, nodes: Iterable[str]) -> Iterator[Numbers]:
-    return (point(scene, node) for node in nodes)
-
-
 def _bar_stiffness(scene: Scene, item: Bar, segment: Iterable[str]) -> Numbers:
-    return truss.stiffness(_value(scene, item.modulus), _value(scene, item.area), *_ends(scene, segment))
+    return truss.stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
 
 
 def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:
-    modulus, area, inertia = (_value(scene, q) for q in (item.modulus, item.area, item.inertia))
-    return beam.stiffness(modulus, area, inertia, *_ends(scene, item.nodes))
+    modulus, area, inertia = (value(scene, q) for q in (item.modulus, item.area, item.inertia))
+    return beam.stiffness(modulus, area, inertia, *ends(scene, item.nodes))
 
 
 def _assemble(scene: Scene) -> Stiffness:
@@ -242,33 +224,6 @@ def _assemble(scene: Scene) -> Stiffness:
     return dict(total)
 
 
-def _loads(scene: Scene) -> Mapping[str | None, Row]:
-    """The loads at their full values by their names; what masses weigh is called gravity."""
-    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
-    for load in scene.loads:
-        total[load.name][load.unknown] += _value(scene, load.value)
-    for line_load in scene.line_loads:
-        per_length = np.array([_value(scene, b) for b in line_load.value])
-        for segment in scene.string(line_load.string).segments:
-            forces = string.uniform_load(per_length, *_ends(scene, segment))
-            for name, force in zip(_displacements(scene, segment), forces, strict=True):
-                total[line_load.name][name] += force
-    for mass in scene.masses:
-        gravity = np.array([_value(scene, g) for g in scene.gravity or ()])
-        weight = point_mass.weight(_value(scene, mass.mass), gravity)
-        for name, force in zip(of_node(scene, mass.node), weight, strict=True):
-            total[GRAVITY][name] += force
-    return {name: dict(row) for name, row in total.items()}
-
-
-def _sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
-    total: defaultdict[str, Number] = defaultdict(Fraction)
-    for name, row in loads.items():
-        for unknown, value in row.items():
-            total[unknown] += factors.of(name) * value
-    return dict(total)
-
-
 def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
     if contact.node is not None and contact.obstacle is not None:
         rows = node_contact.against_plane(point(scene, contact.node), _plane(scene, contact.obstacle))
@@ -276,9 +231,9 @@ def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
         first, second = (point(scene, node) for node in contact.touched)
         direction = second - first if contact.direction is None else np.array(contact.direction)
         rows = node_contact.between_nodes(first, second, direction)
-    names = _displacements(scene, contact.touched)
+    names = displacements(scene, contact.touched)
     along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
-    origin = [_value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
+    origin = [value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
     return ContactForm(
         name=contact.name,
         normal=_row(names, rows.normal),
@@ -295,4 +250,4 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
 
 def _plane(scene: Scene, name: str) -> Plane:
     item = scene.obstacle(name)
-    return Plane(point=np.array([_value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+    return Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))

@@ -7,7 +7,8 @@ from fractions import Fraction
 
 from contactqp.elements.exact import Number
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.scene.building import ExactProblem, NodeModel, Row
+from contactqp.scene.building import ExactProblem, NodeModel
+from contactqp.scene.exact_loads import Row
 from contactqp.scene.explanation import BuildingBlock, Explanation, counted, friction_block, path_block, report_blocks
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene

@@ -1,0 +1,49 @@
+"""The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from contactqp.elements import point_mass, string
+from contactqp.elements.exact import Number
+from contactqp.scene.corners import GRAVITY, Factors
+from contactqp.scene.exact_numbers import displacements, ends, value
+from contactqp.scene.unknowns import of_node
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene
+
+# A linear form of the unknowns by their names; what is zero is left out.
+Row = Mapping[str, Number]
+
+
+def exact_loads(scene: Scene) -> Mapping[str | None, Row]:
+    """The loads at their full values by their names; what masses weigh is called gravity."""
+    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
+    for load in scene.loads:
+        total[load.name][load.unknown] += value(scene, load.value)
+    for line_load in scene.line_loads:
+        per_length = np.array([value(scene, b) for b in line_load.value])
+        for segment in scene.string(line_load.string).segments:
+            forces = string.uniform_load(per_length, *ends(scene, segment))
+            for name, force in zip(displacements(scene, segment), forces, strict=True):
+                total[line_load.name][name] += force
+    for mass in scene.masses:
+        gravity = np.array([value(scene, g) for g in scene.gravity or ()])
+        weight = point_mass.weight(value(scene, mass.mass), gravity)
+        for name, force in zip(of_node(scene, mass.node), weight, strict=True):
+            total[GRAVITY][name] += force
+    return {name: dict(row) for name, row in total.items()}
+
+
+def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for name, row in loads.items():
+        for unknown, force in row.items():
+            total[unknown] += factors.of(name) * force
+    return dict(total)
