@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.geometry import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.kinematics import measure
+from contactqp.elements.mass import solid_mass
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
@@ -121,6 +122,28 @@ class Gravity:
         if not body.material.density > 0:
             raise InvalidProblem(f"{body.name}: gravity needs a density > 0, {body.material.name} has none")
         return BodyForce(self.body, body.material.density * np.asarray(self.acceleration, dtype=float)).forces(body)
+
+
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """The weight of a body in a motion: f = M a with the body's own mass matrix, so that a free fall strains nothing.
+
+    Parameters
+    ----------
+    body : str
+    acceleration : (d,) array
+        a [length / time^2].
+    lumped : bool
+        Whether M is the lumped mass; consistent, f is that of `Gravity`.
+    """
+
+    body: str
+    acceleration: ArrayLike
+    lumped: bool = False
+
+    def forces(self, body: Body) -> Vector:
+        falling = np.tile(np.asarray(self.acceleration, dtype=float), len(body.mesh.points))
+        return np.asarray(solid_mass(body, self.lumped) @ falling)
 
 
 @dataclass(frozen=True, eq=False)

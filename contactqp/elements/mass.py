@@ -12,7 +12,6 @@ from contactqp.elements.assembly import assemble, pattern
 from contactqp.elements.exact import Number, Numbers, square_root, squared_length
 from contactqp.elements.geometry import Block
 from contactqp.elements.solid import Body
-from contactqp.elements.structure import Structure
 from contactqp.errors import InvalidProblem
 
 
@@ -77,9 +76,3 @@ def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:
     weighted = weights[:, :, None] * (body.material.density * geometry.shape)
     masses = np.matmul(np.swapaxes(weighted, 1, 2), geometry.shape)
     return np.asarray((masses + np.swapaxes(masses, 1, 2)) / 2)
-
-
-def structure_mass(structure: Structure, lumped: bool = False) -> Any:
-    """M of all unknowns of several bodies, free or not: (n, n) CSC [force time^2 / length]."""
-    parts = [solid_mass(structure.solid(body.name), lumped) for body in structure.bodies]
-    return sp.csc_array(sp.block_diag(parts, format="csc"))

@@ -12,6 +12,7 @@ import numpy as np
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
 from contactqp.scene import elimination
+from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
@@ -122,7 +123,7 @@ def _closing_load(claim: Claim, answer: Answer) -> float:
 
 
 def _event_time(claim: Claim, answer: Answer) -> float:
-    return float(answer.instant.event(claim, _contact(claim, answer)).time)
+    return float(answer.instant.event(claim, [_contact(claim, answer)]).time)
 
 
 def _event_load(claim: Claim, answer: Answer) -> float:
@@ -137,6 +138,10 @@ def _events(claim: Claim, answer: Answer) -> int:
 def _along_axis(claim: Claim, answer: Answer, values: Any) -> float:
     axis = answer.scene.axes.index(str(claim.along))
     return float(answer.model.along_axes(values)[_contact(claim, answer), axis])
+
+
+def _velocity(claim: Claim, answer: Answer) -> float:
+    return float(answer.instant.velocity[answer.exact.unknowns.free.index(str(claim.at))])
 
 
 def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
@@ -158,6 +163,9 @@ _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
     "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
+    **OF_MOTIONS,
+    "velocity": _velocity,
+    "contact impulse": lambda claim, answer: float(answer.instant.impulses()[_contact(claim, answer)]),
     "free motions": lambda _, answer: len(answer.solution.free_motions),
     "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
     "closing load factor": _closing,

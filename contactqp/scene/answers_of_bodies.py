@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.bodies import BodyModel, PairedContact
 from contactqp.scene.claims import Claim
 from contactqp.scene.instant import Instant
@@ -116,6 +117,23 @@ def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
     return answer.model.pressures(str(claim.at), answer.solution)
 
 
+def _node_velocity(claim: Claim, answer: BodyAnswer) -> float:
+    model = answer.model
+    every = np.zeros(model.structure.size)
+    every[model.system.free] = answer.instant.velocity
+    v = model.structure.displacements(str(claim.at), every)
+    return float(v[answer.node(claim), model.structure.body(str(claim.at)).axes.index(str(claim.along))])
+
+
+def _event_time(claim: Claim, answer: BodyAnswer) -> float:
+    numbers = answer.model.of_entry(str(claim.at), np.arange(answer.model.problem.contacts), -1.0)
+    return float(answer.instant.event(claim, [int(i) for i in numbers if i >= 0]).time)
+
+
+def _impulse(claim: Claim, answer: BodyAnswer) -> float:
+    return float(answer.model.of_entry(str(claim.at), answer.instant.impulses(), 0.0).sum())
+
+
 _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "node displacement": _node_displacement,
     "stress": _stress,
@@ -135,6 +153,10 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
     "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
+    **OF_MOTIONS,
+    "node velocity": _node_velocity,
+    "event time": _event_time,
+    "contact impulse": _impulse,
     "closed contacts": lambda claim, answer: float(answer.model.closed(str(claim.at), answer.solution).sum()),
     "node gap": lambda claim, answer: float(
         answer.model.gaps(str(claim.at), answer.solution)[answer.contact_node(claim)]

@@ -101,7 +101,7 @@ class BodyModel:
 
     def normal_forces(self, name: str, solution: Solution) -> Vector:
         """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
-        return self._of_entry(name, solution.normal_force, 0.0)
+        return self.of_entry(name, solution.normal_force, 0.0)
 
     def pressures(self, name: str, solution: Solution) -> Vector:
         """lambda / area of each paired node of one entry, (p,) [force / length^2], positive in compression."""
@@ -122,11 +122,11 @@ class BodyModel:
         return self._has_status(name, solution, "stick")
 
     def _has_status(self, name: str, solution: Solution, *statuses: str) -> NDArray[np.bool_]:
-        return self._of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
+        return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: Solution) -> Vector:
         """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
-        return self._of_entry(name, solution.gap, np.nan)
+        return self.of_entry(name, solution.gap, np.nan)
 
     def displacement(self, solution: Solution) -> Vector:
         """u of all unknowns, prescribed ones included."""
@@ -153,9 +153,10 @@ class BodyModel:
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:
             return np.zeros((len(self.contacts[self.place(name)].area), width))
-        return np.column_stack([self._of_entry(name, values[:, k], 0.0) for k in range(width)])
+        return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
 
-    def _of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
+    def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
+        """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
         sizes = [len(contact.area) for contact in self.contacts]
         every = np.full(sum(sizes), otherwise)
         every[self.system.free_contacts([contact.pairing for contact in self.contacts])] = values
@@ -249,7 +250,11 @@ def _loads(scene: Scene, whole: Structure) -> Iterator[tuple[str, loads.Load]]:
     if scene.gravity is not None:
         for body in scene.bodies:
             if body.density is not None and body.density.si > 0:
-                yield GRAVITY, loads.Gravity(body.name, vector(scene.system, scene.gravity))
+                acceleration = vector(scene.system, scene.gravity)
+                if scene.motion is not None:
+                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
+                else:
+                    yield GRAVITY, loads.Gravity(body.name, acceleration)
 
 
 def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from contactqp.errors import SceneError
 from contactqp.scene.checking_bodies import check_bodies, check_no_bodies
 from contactqp.scene.checking_claims import claims_fit
+from contactqp.scene.checking_motion import motion_fits
 from contactqp.scene.checking_path import path_fits
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
@@ -42,6 +43,7 @@ def check(scene: Scene) -> None:
     path_fits(scene)
     if scene.meshed:
         check_bodies(scene)
+        motion_fits(scene, Unknowns((), frozenset()))
         claims_fit(scene, Unknowns((), frozenset()))
         return
     check_no_bodies(scene)
@@ -49,7 +51,8 @@ def check(scene: Scene) -> None:
     _lengths_are_positive(scene)
     _strings_are_straight(scene)
     unknowns = of_scene(scene)
-    for part in (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, claims_fit):
+    parts = (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, motion_fits, claims_fit)
+    for part in parts:
         part(scene, unknowns)
 
 
@@ -69,8 +72,8 @@ def _dimensions_fit(scene: Scene) -> None:
     for i, bar in enumerate(scene.bars):
         if bar.divisions > 1 and d > 1:
             raise SceneError(
-                f"bars[{i}].divisions ({bar.name!r}): expected 1 in a scene with {d} axes, where nothing holds the nodes "
-                f"inside of a bar across it, got {bar.divisions}"
+                f"bars[{i}].divisions ({bar.name!r}): expected 1 in a scene with {d} axes, where nothing holds the "
+                f"nodes inside of a bar across it, got {bar.divisions}"
             )
     if scene.beams and d != 2:
         raise SceneError(f"beams: expected a scene with two axes, got {d}")
@@ -136,7 +139,7 @@ def _lengths_are_positive(scene: Scene) -> None:
             if key == "springs" and direction is None and len(item.nodes) == 1 and len(scene.axes) > 1:
                 raise SceneError(f"{where}.direction ({item.name!r}): expected for a spring to the ground, and missing")
     for i, mass in enumerate(scene.masses):
-        if scene.gravity is None:
+        if scene.gravity is None and scene.motion is None:
             raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
 
 
@@ -284,7 +287,8 @@ def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
             )
     for name in {load.name for load in scene.loads}:
         _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
-    if scene.path is not None and not (scene.loads or scene.line_loads or scene.masses):
+    weighs = scene.gravity is not None and any(bar.density is not None for bar in scene.bars)
+    if scene.path is not None and not (scene.loads or scene.line_loads or scene.masses or weighs):
         raise SceneError("path: expected loads that grow along it, got none")
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
 from contactqp.methods import Method, methods
+from contactqp.scene.checking_motion import motion_claim_fits
 from contactqp.scene.checking_path import time_fits
 from contactqp.scene.claims import Claim
 from contactqp.scene.quantities import QUANTITIES
@@ -65,6 +66,7 @@ def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
         "tie": named("ties"),
         "body": tuple(item.name for item in scene.meshed),
         "elastic body": named("bodies"),
+        "moving part": named("bodies") if scene.meshed else (*named("bars"), *named("masses")),
         "axis": scene.axes,
     }
 
@@ -79,15 +81,14 @@ def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[
     if measure.at is not None and claim.at not in places[measure.at]:
         raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
     if measure.at == "bar" and any(bar.divisions > 1 for bar in scene.bars if bar.name == claim.at):
-        raise SceneError(
-            f"{where}.at: expected a bar in one piece, {claim.at!r} is divided and has a force in each part"
-        )
+        raise SceneError(f"{where}.at: expected a bar in one piece, got {claim.at!r}, each part of which has its own")
     if measure.along is not None and claim.along not in places[measure.along]:
         raise SceneError(f"{where}.along: {unknown(claim.along, places[measure.along], measure.along)}")
     for j, name in enumerate(claim.unknowns or ()):
         if name not in places["unknown"]:
             raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
-    if measure.path and scene.path is None:
+    motion_claim_fits(where, claim, scene)
+    if measure.path and scene.path is None and scene.motion is None:
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
     if measure.friction and not any(c.friction for c in scene.contacts if c.name == claim.at):
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, {claim.at!r} has none")

@@ -43,7 +43,9 @@ def path_fits(scene: Scene) -> None:
 
 def time_fits(where: str, claim: Claim, scene: Scene) -> None:
     """Raise SceneError if the claim is asked of an instant that the scene has not."""
-    if claim.time is not None:
+    if scene.motion is not None:
+        return
+    if isinstance(claim.time, Fraction):
         if scene.path is None:
             raise SceneError(f"{where}.time: expected [path], whose pseudo-time it is, and there is none")
         if not 0 <= claim.time <= end_time(scene):

@@ -32,12 +32,25 @@ def _text(value: Any) -> str:
 
 def _tolerance(value: Any) -> Quantity:
     kinds = [
-        kind for kind in KINDS.values() if kind.name in ("number", "length", "force", "moment", "stiffness", "pressure")
+        KINDS[name]
+        for name in ("number", "length", "force", "moment", "stiffness", "pressure", "time", "velocity", "momentum")
     ]
     tolerance = read_quantity(value, kinds)
     if tolerance.si <= 0:
         raise ValueError(f"expected a positive tolerance, got {value}")
     return tolerance
+
+
+def _instant(value: Any) -> Fraction | Quantity:
+    """A pseudo-time is a number, a time has its unit."""
+    time = read_quantity(value, [KINDS["number"], KINDS["time"]], roots=True)
+    return time if any(time.dimension) else time.si
+
+
+def _not_zero(value: int) -> int:
+    if value == 0:
+        raise ValueError("expected a number from 1 on, or from -1 on downwards, counted from the end, got 0")
+    return value
 
 
 Text = Annotated[str, PlainValidator(_text)]
@@ -50,10 +63,11 @@ class Claim(Block):
     Without `method` it is the exact answer, which every method that promises exactness must give. It is asked at the
     full load, the end of a path. `load_factor` scales all loads instead, and `time` is a pseudo-time of the path; where
     no step of the path stands there, a scene without friction is solved under that load. With friction the answer
-    depends on the way to it, and only the steps of the path have one.
+    depends on the way to it, and only the steps of the path have one. In a motion `time` is a time: meant is the end of
+    the last step that is over then.
 
     `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` which of those of one
-    kind, counted from 1.
+    kind, counted from 1, or from the end, the last being -1.
     """
 
     quantity: QuantityName
@@ -63,9 +77,9 @@ class Claim(Block):
     component: Literal["xx", "yy", "zz", "xy", "yz", "zx", "von-mises"] | None = None
     unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
     load_factor: Number = Fraction(1)
-    time: Number | None = None
+    time: Annotated[Fraction | Quantity, PlainValidator(_instant)] | None = None
     event: Literal["closed", "opened", "stick", "slip"] | None = None
-    occurrence: Annotated[int, Field(strict=True, ge=1)] = 1
+    occurrence: Annotated[int, Field(strict=True), AfterValidator(_not_zero)] = 1
     method: Name | None = None
     penalty: KnobStiffness | None = None
     perturbation: KnobStiffness | None = None
@@ -116,6 +130,8 @@ class Claim(Block):
         where += f" along {self.along}" if self.along else ""
         if self.event is not None:
             which = f" (number {self.occurrence})" if self.occurrence > 1 else ""
+            if self.occurrence < 0:
+                which = " (the last)" if self.occurrence == -1 else f" ({-self.occurrence} from the end)"
             where += f" of {self.event!r}{which}"
         if self.time is not None:
             return f"{self.quantity}{where} at time {self.time}"

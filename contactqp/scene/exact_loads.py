@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contactqp.elements import point_mass, string
-from contactqp.elements.exact import Number
+from contactqp.elements.exact import Number, square_root, squared_length
 from contactqp.scene.corners import GRAVITY, Factors
 from contactqp.scene.exact_numbers import displacements, ends, value
 from contactqp.scene.unknowns import of_node
@@ -23,7 +23,7 @@ Row = Mapping[str, Number]
 
 
 def exact_loads(scene: Scene) -> Mapping[str | None, Row]:
-    """The loads at their full values by their names; what masses weigh is called gravity."""
+    """The loads at their full values by their names; what has mass weighs by the name of gravity."""
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
         total[load.name][load.unknown] += value(scene, load.value)
@@ -33,12 +33,26 @@ def exact_loads(scene: Scene) -> Mapping[str | None, Row]:
             forces = string.uniform_load(per_length, *ends(scene, segment))
             for name, force in zip(displacements(scene, segment), forces, strict=True):
                 total[line_load.name][name] += force
-    for mass in scene.masses:
-        gravity = np.array([value(scene, g) for g in scene.gravity or ()])
-        weight = point_mass.weight(value(scene, mass.mass), gravity)
-        for name, force in zip(of_node(scene, mass.node), weight, strict=True):
-            total[GRAVITY][name] += force
+    for name, force in _weights(scene):
+        total[GRAVITY][name] += force
     return {name: dict(row) for name, row in total.items()}
+
+
+def _weights(scene: Scene) -> Iterator[tuple[str, Number]]:
+    """What weighs at each unknown; half of a bar at each end, which is M g of either mass matrix."""
+    if scene.gravity is None:
+        return
+    gravity = np.array([value(scene, g) for g in scene.gravity])
+    at_nodes: list[tuple[str, Number]] = [(mass.node, value(scene, mass.mass)) for mass in scene.masses]
+    for bar in scene.bars:
+        if bar.density is not None:
+            per_length = value(scene, bar.density) * value(scene, bar.area)
+            for segment in bar.segments:
+                start, end = ends(scene, segment)
+                half = per_length * square_root(squared_length(end - start)) / 2
+                at_nodes += [(node, half) for node in segment]
+    for node, mass in at_nodes:
+        yield from zip(of_node(scene, node), point_mass.weight(mass, gravity), strict=True)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:

@@ -9,7 +9,15 @@ from contactqp.elements.exact import Number
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.exact_loads import Row
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, friction_block, path_block, report_blocks
+from contactqp.scene.explanation import (
+    BuildingBlock,
+    Explanation,
+    counted,
+    friction_block,
+    motion_blocks,
+    path_block,
+    report_blocks,
+)
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import is_rotation
@@ -73,13 +81,21 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
     yield _condensation(exact)
     yield path_block(scene)
-    weigh = "masses only weigh" if scene.masses else "the scene has no masses"
-    yield BuildingBlock("mass matrix", False, f"statics: nothing moves in time, {weigh}")
+    yield from motion_blocks(scene, _masses(scene))
     kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
     yield BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
     yield _exactness(exact)
     yield from report_blocks(scene)
+
+
+def _masses(scene: Scene) -> str:
+    bars, masses = sum(bar.density is not None for bar in scene.bars), len(scene.masses)
+    if scene.motion is None:
+        return "masses only weigh" if bars or masses else "the scene has no masses"
+    kinds = ((bars, "bar", "bars"), (masses, "point mass", "point masses"))
+    counts = (f"{count} {many if count > 1 else one}" for count, one, many in kinds if count)
+    return f"of {' and '.join(counts)}; nothing else has any"
 
 
 def _rotations(exact: ExactProblem) -> BuildingBlock:

@@ -8,7 +8,15 @@ import numpy as np
 
 from contactqp.elements.solid import Body
 from contactqp.scene.bodies import BodyModel, PairedContact
-from contactqp.scene.explanation import BuildingBlock, Explanation, counted, friction_block, path_block, report_blocks
+from contactqp.scene.explanation import (
+    BuildingBlock,
+    Explanation,
+    counted,
+    friction_block,
+    motion_blocks,
+    path_block,
+    report_blocks,
+)
 from contactqp.scene.schema_contacts import Contact
 
 
@@ -65,7 +73,8 @@ def _blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     some = f"contacts touch {touched} of {len(model.system.free)} unknowns"
     yield BuildingBlock("condensation onto the contact unknowns", 0 < touched < len(model.system.free), some)
     yield path_block(scene)
-    yield BuildingBlock("mass matrix", False, "statics: a density only weighs")
+    masses = "a density only weighs" if scene.motion is None else "of all bodies"
+    yield from motion_blocks(scene, masses)
     yield BuildingBlock("Newton loop", False, "linear kinematics: gaps are taken where the bodies start")
     yield BuildingBlock("exact rational numbers", False, "bodies are integrated in floats")
     yield from report_blocks(scene)

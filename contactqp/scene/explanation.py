@@ -39,7 +39,8 @@ class Explanation:
 def path_block(scene: Scene) -> BuildingBlock:
     """Whether loads grow, and how changes are found."""
     if scene.path is None:
-        return BuildingBlock("load path", False, "the loads are applied at once")
+        constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
+        return BuildingBlock("load path", False, constant)
     exactly = scene.path.events is not None
     steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
     steps = f"{scene.path.steps} steps" if scene.path.steps else steps
@@ -49,6 +50,18 @@ def path_block(scene: Scene) -> BuildingBlock:
     names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
     corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
     return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
+
+
+def motion_blocks(scene: Scene, masses: str) -> Iterator[BuildingBlock]:
+    """The mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
+    motion = scene.motion
+    if motion is None:
+        yield BuildingBlock("mass matrix", False, f"statics: {masses}")
+        yield BuildingBlock("time stepping", False, "statics: nothing moves in time")
+        return
+    yield BuildingBlock("mass matrix", True, f"{motion.mass}, {masses}")
+    steps = f"{motion.steps} steps of {float(motion.time_step.si):.6g} s from {float(motion.start.si):.6g} s"
+    yield BuildingBlock("time stepping", True, f"{motion.scheme}, {steps}; one small contact problem each")
 
 
 def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
@@ -72,6 +85,8 @@ def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
     """The methods that a report is limited to, and why; None where it tries all."""
     if scene.report is not None:
         return scene.report.methods, scene.report.why
+    if scene.motion is not None:
+        return ("active-set",), "a motion solves one small contact problem a step, and methods differ in no more"
     frictional = any(contact.friction for contact in scene.contacts)
     if frictional and scene.path is not None and scene.path.events is not None:
         return ("active-set",), "from one exact event to the next all is linear, and no exact method has a part in it"

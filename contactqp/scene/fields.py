@@ -18,8 +18,8 @@ class Block(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
 
-def _reader(kind: str) -> Callable[[Any], Quantity]:
-    return lambda value: read_quantity(value, [KINDS[kind]])
+def _reader(kind: str, roots: bool = False) -> Callable[[Any], Quantity]:
+    return lambda value: read_quantity(value, [KINDS[kind]], roots=roots)
 
 
 def _positive(value: Quantity) -> Quantity:
@@ -105,10 +105,15 @@ Acceleration = Annotated[Quantity, PlainValidator(_reader("acceleration"))]
 Force = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["force"], KINDS["moment"]]))]
 Factor = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["number"], KINDS["length"]]))]
 TieValue = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["length"], KINDS["angle"]]))]
+# Times in which a wave crosses an element are roots.
+Time = Annotated[Quantity, PlainValidator(_reader("time", roots=True))]
+PositiveTime = Annotated[Time, AfterValidator(_positive)]
+Velocity = Annotated[Quantity, PlainValidator(_reader("velocity"))]
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
 LineForces = Annotated[
     tuple[Annotated[Quantity, PlainValidator(_reader("force per length"))], ...], Field(min_length=2, max_length=3)
 ]
 Tractions = Annotated[tuple[Pressure, ...], Field(min_length=2, max_length=3)]
+Velocities = Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=3)]
 Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]

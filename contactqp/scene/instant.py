@@ -1,19 +1,28 @@
-"""Where on the load path of its scene an answer stands."""
+"""Where on the load path or in the motion of its scene an answer stands."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.motion import MotionHistory
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """A pseudo-time; without a path, the factor on all loads. `step` is its place in the history, if it is in it."""
+    """A pseudo-time; without a path, the factor on all loads. `step` is its place in the history, if it is in it.
+
+    In a motion, whose loads are constant, `time` is 1, and `step` says when.
+    """
 
     time: Fraction = Fraction(1)
     history: History | None = None
@@ -36,20 +45,55 @@ class Instant:
             raise SceneError(f"{claim}: expected a step of the load path")
         return self.history.energies[self.step]
 
-    def event(self, claim: Claim, contact: int) -> Event:
-        """The event that the claim speaks of.
+    def event(self, claim: Claim, contacts: Sequence[int]) -> Event:
+        """The event that the claim speaks of, of the problem's contacts that are one contact of the scene.
 
         Raises
         ------
         SceneError
-            The path has fewer.
+            The path or motion has fewer; several contacts of a side slip or stick one by one.
         """
-        found = [event for event in self.events if event.kind == claim.event and event.contact == contact]
-        if len(found) < claim.occurrence:
+        if len(contacts) > 1 and claim.event in ("stick", "slip"):
+            raise SceneError(f"{claim}: expected 'closed' or 'opened': the nodes of a side slip and stick one by one")
+        known = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
+        found = [event for event in known if event.kind == claim.event]
+        number = abs(claim.occurrence)
+        if len(found) < number:
             what = {"closed": "close", "opened": "open", "stick": "stick", "slip": "slip"}[str(claim.event)]
-            times = "" if claim.occurrence == 1 else f" {claim.occurrence} times"
-            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in self.events if e.contact == contact) or "none"
-            raise SceneError(
-                f"{claim}: expected contact {claim.at!r} to {what}{times} on the load path; its events: {seen}"
-            )
-        return found[claim.occurrence - 1]
+            times = "" if number == 1 else f" {number} times"
+            way = "in the motion" if isinstance(self.history, MotionHistory) else "on the load path"
+            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in known) or "none"
+            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {way}; its events: {seen}")
+        return found[claim.occurrence - (claim.occurrence > 0)]
+
+    def _of_one(self, contacts: Sequence[int]) -> list[Event]:
+        return [event for event in self.events if event.contact in contacts]
+
+    def impulses(self) -> NDArray[np.float64]:
+        """(m,) what each normal force has given since the motion set out [force time]."""
+        motion = self.motion
+        force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
+        acting = weight * force[1:] + (1 - weight) * force[:-1]
+        return np.asarray(motion.motion.scheme.body.step * acting.sum(axis=0))
+
+    @property
+    def motion(self) -> MotionHistory:
+        assert isinstance(self.history, MotionHistory)  # claims of motions are asked in motions only
+        return self.history
+
+    @property
+    def velocity(self) -> Any:
+        """(n,) of the free unknowns [length / time]."""
+        return self.motion.motion.states[self.step or 0].velocity
+
+
+def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Event]:
+    """When the first of several contacts closes and the last opens."""
+    members, closed = set(map(int, contacts)), set[int]()
+    for time, together in groupby(events, lambda event: event.time):
+        was = bool(closed)
+        for event in together:
+            if event.contact in members and event.kind in ("closed", "opened"):
+                (closed.add if event.kind == "closed" else closed.discard)(event.contact)
+        if bool(closed) != was:
+            yield Event("closed" if closed else "opened", contacts[0], time)

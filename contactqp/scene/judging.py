@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -18,6 +19,7 @@ from contactqp.errors import (
     NotCertified,
     NotConverged,
     SceneError,
+    TimeStepWarning,
     Unsupported,
 )
 from contactqp.methods import find
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from contactqp.scene.models import Model
 
 Knob = Quantity | str | float | int | bool
+# A step of a motion is over at a time if it is so up to this part of a step.
+SAME_STEP = 1e-6
 # A step of the load path stands at a load factor if it does so to rounding.
 SAME_TIME = 1e-12
 
@@ -176,7 +180,11 @@ def judge(scene: Scene, trial: Trial) -> Judgement:
     Methods that are approximate by design are asked along a load path only where the way matters, with friction.
     """
     options, model = trial.options(scene), build(scene)
-    if scene.path is not None and (find(trial.method).exact or model.problem.frictional):
+    if scene.motion is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TimeStepWarning)  # the history's notes keep what it says
+            history: History = run_model(model, trial.method, **options)
+    elif scene.path is not None and (find(trial.method).exact or model.problem.frictional):
         history = run_model(model, trial.method, **options)
     else:
         history = History([solve(model.problem, trial.method, **options)], [float(end_time(scene))])
@@ -195,12 +203,16 @@ def judge(scene: Scene, trial: Trial) -> Judgement:
     )
 
 
+def _seconds(time: Fraction | Quantity) -> Fraction:
+    return time.si if isinstance(time, Quantity) else time
+
+
 class _Answers:
-    """Answers by pseudo-time: from the load path where it has been there, solved for otherwise."""
+    """Answers by time: from the motion or load path where it has been there, solved for otherwise."""
 
     def __init__(self, model: Model, trial: Trial, history: History) -> None:
         self._model, self._trial, self._history = model, trial, history
-        self._known: dict[Fraction, Answer | BodyAnswer] = {}
+        self._known: dict[Fraction | Quantity, Answer | BodyAnswer] = {}
 
     def of(self, claim: Claim) -> Answer | BodyAnswer:
         """The answer that the claim is about.
@@ -210,11 +222,20 @@ class _Answers:
         SceneError
             With friction, where no step of the path stands there.
         """
+        motion = self._model.scene.motion
+        if motion is not None:
+            return self._moving(motion.end if claim.time is None else _seconds(claim.time))
         whole = end_time(self._model.scene) if has_corners(self._model.scene) else claim.load_factor
         time = whole if claim.time is None else claim.time
         if time not in self._known:
-            self._known[time] = self._at(time, claim)
+            self._known[time] = self._at(_seconds(time), claim)
         return self._known[time]
+
+    def _moving(self, time: Fraction) -> Answer | BodyAnswer:
+        """At the end of the last step that is over at a time, to a rounding of the step."""
+        times = self._history.times
+        step = max(int(np.searchsorted(times, float(time) + SAME_STEP * (times[1] - times[0]), side="right")) - 1, 0)
+        return answer_of(self._model, self._history[step], Instant(history=self._history, step=step))
 
     def _at(self, time: Fraction, claim: Claim) -> Answer | BodyAnswer:
         times = self._history.times

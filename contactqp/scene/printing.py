@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from contactqp.analysis.motion import Moving
 from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
 from contactqp.scene.corners import has_corners
@@ -20,10 +21,13 @@ from contactqp.scene.expectations import Comparison, Shown
 from contactqp.scene.explaining import shortened
 from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
+from contactqp.scene.schema import Scene
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
 
 # Rows of a table on a screen; --json has all.
 MOST_ROWS = 60
+# What a table calls them where that is not the key of the JSON.
+ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
@@ -42,6 +46,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     """Displacements, contact forces, the certificate's verdict, and what was expected of them."""
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
+    if scene.motion is not None:
+        how = f" ({solution.method}, {len(judgement.history) - 1} steps)"
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
@@ -49,8 +55,7 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         for header, table in summaries(judgement.model, solution):
             _print(console, header, [[c if isinstance(c, str) else _number(c) for c in row] for row in table])
     else:
-        unknowns = zip(solution.problem.dof_names or (), solution.displacement, strict=False)
-        _print(console, ["unknown", f"displacement [{length}]"], [[name, _number(u)] for name, u in unknowns])
+        _print(console, *_unknowns(judgement))
         contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
         rows = [[name, str(status), _number(f), _number(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
@@ -61,12 +66,11 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         _print(console, header, rows)
     _print(
         console,
-        ["event", "contact", "time" if has_corners(scene) else "load factor"],
+        ["event", "contact", _when(scene)],
         [[event.kind, names[event.contact], _number(event.time)] for event in judgement.history.events],
     )
-    if scene.path is not None and solution.problem.frictional:
-        end = judgement.history.energies[-1]
-        energies = f"work of the loads {end.work:.12g}, elastic {end.elastic:.12g}, dissipated {end.dissipated:.12g}"
+    energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
+    if energies:
         console.print(escape(f"{energies} {force}*{length}"))
         for note in judgement.history.notes:
             console.print(f"[yellow]{escape(note)}[/yellow]")
@@ -77,6 +81,35 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     free = map(str, solution.free_motions) if isinstance(model, NodeModel) else motions_in_words(model, solution)
     for motion in free:
         console.print(escape(f"free to move: {motion}"))
+
+
+def _unknowns(judgement: Judgement) -> tuple[list[str], list[list[str]]]:
+    """Displacements, in a motion velocities too; of divided bars only those of their ends."""
+    solution, scene = judgement.solution, judgement.scene
+    length, ends = scene.units.length, {node.name for node in scene.nodes}
+    header, columns = ["unknown", f"displacement [{length}]"], [solution.displacement]
+    if isinstance(solution, Moving):
+        header, columns = [*header, f"velocity [{length}/s]"], [*columns, solution.velocity]
+    rows = zip(solution.problem.dof_names or (), *columns, strict=True)
+    return header, [[name, *map(_number, row)] for name, *row in rows if name.rpartition(".")[0] in ends]
+
+
+def _when(scene: Scene) -> str:
+    """What the time of an event is."""
+    if scene.motion is not None:
+        return "time [s]"
+    return "time" if has_corners(scene) else "load factor"
+
+
+def _energies(judgement: Judgement) -> dict[str, float]:
+    """What became of the work, where the way matters: in a motion, and on a load path with friction."""
+    end = judgement.history.energies[-1] if judgement.scene.motion or judgement.scene.path else None
+    if end is None or not (judgement.scene.motion or judgement.solution.problem.frictional):
+        return {}
+    energies = {"work": end.work, "elastic": end.elastic, "dissipated": end.dissipated}
+    if judgement.scene.motion is not None:
+        energies |= {"kinetic": end.kinetic, "impact": end.impact, "drift": end.drift}
+    return energies
 
 
 def _verdict(judgement: Judgement) -> str:
@@ -170,6 +203,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         },
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
         **_friction_data(judgement),
+        **_way_data(judgement),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],
@@ -177,7 +211,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
 
 
 def _friction_data(judgement: Judgement) -> dict[str, Any]:
-    """lambda_T of each contact along the axes, and what became of the work; nothing without friction."""
+    """lambda_T of each contact along the axes; nothing without friction."""
     solution, scene, model = judgement.solution, judgement.scene, judgement.model
     if not solution.problem.frictional:
         return {}
@@ -186,10 +220,15 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
         vectors = model.along_axes(solution.friction_force)
         names = solution.problem.contact_names or ()
         data["friction_force"] = {name: _named(scene.axes, row) for name, row in zip(names, vectors, strict=True)}
-    if scene.path is not None:
-        end = judgement.history.energies[-1]
-        data["energies"] = {"work": end.work, "elastic": end.elastic, "dissipated": end.dissipated}
-        data["notes"] = list(judgement.history.notes)
+    return data
+
+
+def _way_data(judgement: Judgement) -> dict[str, Any]:
+    """Energies and notes, and velocities at the end of a motion."""
+    energies, solution = _energies(judgement), judgement.solution
+    data: dict[str, Any] = {"energies": energies, "notes": list(judgement.history.notes)} if energies else {}
+    if isinstance(solution, Moving):
+        data |= {"time": solution.time, "velocity": _named(solution.problem.dof_names, solution.velocity)}
     return data
 
 

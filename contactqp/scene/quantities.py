@@ -30,7 +30,9 @@ class Measure:
     component: bool = False  # ``component`` is one of COMPONENTS
     matrix: bool = False  # its value is ``rows``
     solved: bool = True  # needs a solution; otherwise read off the problem
-    path: bool = False  # needs the load path
+    path: bool = False  # needs the load path, or a motion
+    motion: bool = False  # needs a motion
+    statics: bool = False  # means nothing in a motion
     event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
     friction: bool = False  # needs a contact with friction
     whole_way: bool = False  # of the whole load path, not of an instant of it
@@ -39,6 +41,10 @@ class Measure:
 
 def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), of="bodies", **asked)
+
+
+def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
+    return Measure(meaning, (kind,), motion=True, of="both", **asked)
 
 
 # Stresses in the order of contactqp.elements.stress, and the equivalent one.
@@ -55,6 +61,7 @@ QUANTITIES = {
         "what the certificate says of other answers under the same load, with friction",
         words=(ONE_ANSWER, FORCES, SEVERAL, POSSIBLE, UNKNOWN),
         of="both",
+        statics=True,
     ),
     "friction force": Measure(
         "component of lambda_T along an axis: what the node does to what it touches, along its own slip",
@@ -69,26 +76,54 @@ QUANTITIES = {
         at="contact",
         along="axis",
         friction=True,
+        statics=True,
     ),
     "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
-    "reaction": Measure("force of a support on the body", ("force", "moment"), at="support"),
+    "reaction": Measure("force of a support on the body", ("force", "moment"), at="support", statics=True),
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
     "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
     "elastic energy": Measure(
-        "1/2 u'Ku on a load path, by penalty methods with friction that of contact springs too",
+        "1/2 u'Ku on a load path or in a motion, by penalty methods with friction that of contact springs too",
         ("energy",),
         path=True,
         of="both",
     ),
-    "work of the loads": Measure("since the load path set out", ("energy",), path=True, of="both"),
-    "dissipated energy": Measure("by friction since the load path set out", ("energy",), path=True, of="both"),
-    "free motions": Measure("number of rigid motions that nothing drives and nothing holds", ("number",), of="both"),
-    "closing load factor": Measure("load factor at which a contact closes", ("number",), at="contact", **_WAY),
-    "closing load": Measure("load on `along` when it closes", ("force",), at="contact", along="unknown", **_WAY),
-    "event time": Measure("pseudo-time of an event of a contact", ("number",), at="contact", event=True, **_WAY),
+    "work of the loads": Measure("since the path or motion set out", ("energy",), path=True, of="both"),
+    "dissipated energy": Measure("by friction since the path or motion set out", ("energy",), path=True, of="both"),
+    "kinetic energy": _of_motions("1/2 v'Mv", "energy"),
+    "total energy": _of_motions("kinetic and elastic energy", "energy"),
+    "impact energy": _of_motions("taken by normal forces since the motion set out", "energy"),
+    "energy drift": _of_motions("what the scheme has made of energy since then", "energy"),
+    "velocity": Measure("velocity of an unknown", ("velocity",), at="unknown", motion=True),
+    "total momentum": _of_motions("of all that moves, along an axis", "momentum", along="axis"),
+    "momentum": _of_motions("of a bar, point mass or body along an axis", "momentum", at="moving part", along="axis"),
+    "contact impulse": _of_motions("normal forces of a contact times the steps they acted", "momentum", at="contact"),
+    "free motions": Measure(
+        "number of rigid motions that nothing drives and nothing holds", ("number",), of="both", statics=True
+    ),
+    "closing load factor": Measure(
+        "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WAY
+    ),
+    "closing load": Measure(
+        "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WAY
+    ),
+    "event time": Measure(
+        "pseudo-time of an event, in a motion its time; a side closes with its first node and opens with its last",
+        ("number", "time"),
+        at="contact",
+        event=True,
+        of="both",
+        **_WAY,
+    ),
     "event load": Measure(
-        "load on `along` at an event of a contact", ("force",), at="contact", along="unknown", event=True, **_WAY
+        "load on `along` at an event of a contact",
+        ("force",),
+        at="contact",
+        along="unknown",
+        event=True,
+        statics=True,
+        **_WAY,
     ),
     "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WAY),
     "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", solved=False),
@@ -103,8 +138,11 @@ QUANTITIES = {
         along="axis",
         near=True,
     ),
+    "node velocity": _of_bodies(
+        "velocity of the node at `near`, along an axis", "velocity", at="body", along="axis", near=True, motion=True
+    ),
     "stress": _of_bodies(
-        "stress at that node, averaged over its elements, tension positive",
+        "stress at the node at `near`, averaged over its elements, tension positive",
         "stress",
         at="elastic body",
         near=True,
@@ -158,6 +196,6 @@ QUANTITIES = {
         "gap of the contact's node at `near`, positive when open", "length", at="contact", near=True
     ),
     "support force": _of_bodies(
-        "sum of the forces of a support on the body, along the support's axis", "force", at="support"
+        "sum of the forces of a support on the body, along the support's axis", "force", at="support", statics=True
     ),
 }

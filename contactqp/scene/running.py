@@ -1,4 +1,4 @@
-"""A scene's answer: its load path if it has one, its one solution otherwise."""
+"""A scene's answer: its motion or load path if it has one, its one solution otherwise."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
 
 def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
-    """Solve a scene; ``history[-1]`` is the solution under the full load.
+    """Solve a scene; ``history[-1]`` is the solution under the full load, or at the end of the motion.
 
     Parameters
     ----------
     scene : Scene
         From `load_scene`, or built in Python. With `path`, loads grow from nothing, together or from corner to corner,
-        and the history has the start, every step and the events; without, it has one solution.
+        and the history has the start, every step and the events; with `motion` it is the `MotionHistory` of `impact`;
+        without both it has one solution.
     method : str
         A name of `contactqp.methods()`.
     **options
@@ -41,6 +42,10 @@ def run_model(model: Model, method: str, **options: Any) -> History:
 def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
     """As `run_model`, of the model's own problem or a copy of it."""
     path = model.scene.path
+    if model.scene.motion is not None:
+        from contactqp.scene.moving import move
+
+        return move(model, problem, method, **options)
     if path is None:
         return History([solve(problem, method, **options)], [1.0])
     corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]

@@ -19,6 +19,7 @@ from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
 from contactqp.scene.models import build
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 from contactqp.scene.schema_contacts import Contact, Obstacle
+from contactqp.scene.schema_motion import Motion
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
 from contactqp.scene.wording import first_error
 
@@ -48,13 +49,15 @@ class Node(Block):
 class Bar(Block):
     """An axial bar between two nodes, in one, two or three dimensions.
 
-    In one dimension it may have `divisions`, elements of equal length; the nodes inside are called ``bar 1``, ``bar 2``.
+    In one dimension it may have `divisions`, elements of equal length; the nodes inside are ``bar 1``, ``bar 2``.
+    With a `density` it weighs, and has inertia in a motion.
     """
 
     name: Name
     nodes: TwoNames
     area: fields.Area
     modulus: fields.Modulus
+    density: fields.Density | None = None
     divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
 
     @property
@@ -104,7 +107,7 @@ class String(Block):
 
 
 class PointMass(Block):
-    """A mass at a node; in statics it weighs `mass` times the scene's gravity."""
+    """A mass at a node: it weighs `mass` times the scene's gravity, and has inertia in a motion."""
 
     name: Name
     node: Name
@@ -230,6 +233,7 @@ class Scene(Block):
     pressures: tuple[PressureLoad, ...] = ()
     point_loads: tuple[PointLoad, ...] = ()
     path: LoadPath | None = None
+    motion: Motion | None = None
     expect: tuple[Expectation, ...] = ()
     published: tuple[Published, ...] = ()
     remarks: tuple[Remark, ...] = ()

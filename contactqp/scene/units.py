@@ -105,6 +105,9 @@ KINDS = {
         Kind("density", Dimension(1, -4, 2), "7850 kg/m^3"),
         Kind("mass", Dimension(1, -1, 2), "2 kg"),
         Kind("acceleration", Dimension(0, 1, -2), "9.81 m/s^2"),
+        Kind("time", Dimension(0, 0, 1), "2 ms"),
+        Kind("velocity", Dimension(0, 1, -1), "3 m/s"),
+        Kind("momentum", Dimension(1, 0, 1), "2 N*s"),
     )
 }
 

@@ -44,18 +44,21 @@ class CaseStudy:
     def rows(self, truth: Truth | None, repeats: int) -> Iterator[Row]:
         """One row for each rung."""
         expected = FullLoad(self.scene)
-        way = self._walk() if self.scene.path is not None and self.problem.frictional else None
+        turns = self.scene.path is not None and self.problem.frictional
+        way = self._walk() if turns or self.scene.motion is not None else None
         for rung in self.rungs:
             judge = expected.unmet if rung.stands_for_exactness else None
             yield attempt(self.problem, rung, truth, repeats, self.name, judge, way)
 
     def _walk(self) -> Walk:
-        """With friction the answer is where the load path leads, and no solution for its last load alone."""
+        """With friction or in a motion the answer is where the way leads, and no solution for its last load alone."""
         model = build(self.scene)
         return lambda problem, method, **options: walk(model, problem, method, **options)[-1]
 
     def truth(self) -> Truth | None:
         """What the case states exactly, and the proven solution where it states nothing."""
+        if self.scene.motion is not None:  # its exact values are those of the continuum, not of its steps
+            return None
         own = proven_solution(self.problem)
         displacement, normal_force = self._stated()
         known = np.concatenate([displacement, normal_force])
@@ -89,7 +92,9 @@ class CaseStudy:
 
 def _at_full_load(claim: Expectation) -> bool:
     whole = claim.load_factor == 1 and claim.time is None
-    return claim.method is None and whole and claim.measure.solved and not claim.measure.path
+    return (
+        claim.method is None and whole and claim.measure.solved and not claim.measure.path and not claim.measure.motion
+    )
 
 
 def _is_exact(claim: Expectation) -> bool:

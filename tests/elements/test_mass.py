@@ -6,13 +6,12 @@ from math import pi
 import numpy as np
 import pytest
 
-from contactqp.elements.mass import bar_mass, solid_mass, structure_mass
+from contactqp.elements.loads import Gravity, Weight
+from contactqp.elements.mass import bar_mass, solid_mass
 from contactqp.elements.material import Material
-from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh_files import mesh_from_skfem
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
-from contactqp.elements.structure import Structure
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import MODELS, distorted
 
@@ -82,17 +81,20 @@ def test_scikit_fem_has_the_same_mass():
     np.testing.assert_allclose(ours.toarray(), M[np.ix_(place, place)], rtol=1e-12, atol=1e-15)
 
 
-def test_bodies_stand_side_by_side():
-    mesh = rectangle(1.0, 1.0, (1, 1), "quad4")
-    light = Material(1.0, 0.3, density=1.0)
-    whole = Structure([Body(mesh, DENSE, "plane-strain", name="a"), Body(mesh, light, "plane-strain", name="b")])
-    M = structure_mass(whole, lumped=True)
-    np.testing.assert_allclose(M.diagonal(), np.repeat([7 / 4, 1 / 4], 8), rtol=1e-13)
+@pytest.mark.parametrize("lumped", [False, True])
+def test_weight_is_mass_times_gravity(lumped):
+    """To rounding that of the integral where linear elements are rectangles; lumped quadratic kinds weigh otherwise."""
+    for kind, same in (("quad4", True), ("quad8", not lumped)):
+        body = Body(rectangle(2.0, 3.0, (3, 2), kind), DENSE, "plane-stress", thickness=0.5)
+        f = Weight("body", [0.0, -9.81], lumped).forces(body)
+        M = solid_mass(body, lumped)
+        np.testing.assert_allclose(f, M @ np.tile([0.0, -9.81], len(body.mesh.points)), rtol=1e-14)
+        assert f.sum() == pytest.approx(-9.81 * 7.0 * 0.5 * 6.0, rel=1e-13)
+        integral = Gravity("body", [0.0, -9.81]).forces(body)
+        assert np.allclose(f, integral, rtol=1e-12, atol=1e-12) is same
 
 
 def test_what_has_no_mass_is_refused():
     mesh = rectangle(1.0, 1.0, (1, 1), "quad4")
     with pytest.raises(InvalidProblem, match="block: a mass needs a density > 0, material has none"):
         solid_mass(Body(mesh, Material(1.0, 0.3), "plane-strain", name="block"))
-    with pytest.raises(InvalidProblem, match="expected an elastic body, got the membrane"):
-        structure_mass(Structure([Membrane(mesh, 1.0)]))

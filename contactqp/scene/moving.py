@@ -1,0 +1,123 @@
+"""A scene in motion: from its model to `impact`, and the momentum of its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.analysis.impact import impact
+from contactqp.analysis.motion import MotionHistory
+from contactqp.errors import InvalidProblem, SceneError, Unsupported
+from contactqp.methods import find
+from contactqp.problem import ContactProblem
+from contactqp.scene.building import NodeModel
+from contactqp.scene.inertia import free_places, mass_on_all
+from contactqp.scene.starts import started
+
+if TYPE_CHECKING:
+    from contactqp.scene.models import Model
+
+Vector = NDArray[np.float64]
+# What `impact` takes beside the options of a method.
+OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "start_time", "load")
+
+
+def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> MotionHistory:
+    """The motion that the scene states, of the model's own problem or a copy of it.
+
+    Raises
+    ------
+    SceneError
+        What `impact` refuses, with its key in ``motion``; an option that belongs there.
+    Unsupported
+        A method that is approximate by design.
+    """
+    motion, value = model.scene.motion, model.scene.system.value
+    assert motion is not None
+    if not find(method).exact:
+        raise Unsupported(f"{method}: approximate by design; in a motion contact springs are the scheme 'penalty'")
+    for name in OWN:
+        if name in options:
+            raise SceneError(f"{name}: expected in [motion], and not as an option of {method!r}")
+    knobs: dict[str, Any] = {}
+    for name in ("theta", "restitution"):
+        if getattr(motion, name) is not None:
+            knobs[name] = float(getattr(motion, name))
+    if motion.penalty is not None:
+        knobs["penalty"] = float(value(motion.penalty))
+    free = free_places(model)
+    mass = mass_on_all(model)[free][:, free]
+    displacement, velocity = start_of(model, "displacements"), start_of(model, "velocities")
+    try:
+        return impact(
+            problem,
+            mass,
+            displacement[free],
+            velocity[free],
+            float(motion.duration.si),
+            float(motion.time_step.si),
+            motion.scheme,
+            start_time=float(motion.start.si),
+            method=method,
+            **knobs,
+            **options,
+        )
+    except InvalidProblem as error:
+        raise SceneError(f"motion.{error}") from None
+
+
+def start_of(model: Model, key: str) -> Vector:
+    """What all unknowns start with, ``displacements`` or ``velocities``, in the scene's units.
+
+    Raises
+    ------
+    SceneError
+        A body that is set going along an axis that a support holds.
+    """
+    places = dict(_places(model))
+    start = np.zeros(sum(len(at) for at in places.values()))
+    held = np.ones(len(start), dtype=bool)
+    held[free_places(model)] = False
+    for i, item in enumerate(getattr(model.scene.motion, key)):
+        for name, number in started(model.scene, item):
+            if number and held[places[name]].any():
+                raise SceneError(f"motion.{key}[{i}] ({item.of!r}): expected 0 for {name!r}, which supports hold")
+            start[places[name]] = float(number)
+    return start
+
+
+def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, part: str | None = None) -> float:
+    """The sum of M v over the unknowns along an axis, of one bar, point mass or body or of the whole scene.
+
+    M is what the scheme steps with. At nodes that parts share, the mass of all of them counts.
+    """
+    free = free_places(model)
+    sums = mass_on_all(model)[:, free] @ velocity  # fixed unknowns too: a consistent mass spreads to them
+    sums[free] = history.motion.scheme.body.mass @ velocity
+    places = dict(_places(model))
+    return float(sum(sums[places[name]].sum() for name in _along(model, axis, part)))
+
+
+def _along(model: Model, axis: str, part: str | None) -> list[str]:
+    scene = model.scene
+    if part is None:
+        return [name for name, _ in _places(model) if name.rpartition(".")[2] == axis]
+    if not isinstance(model, NodeModel):
+        return [f"{part}.{axis}"]
+    nodes = {bar.name: bar.chain for bar in scene.bars} | {mass.name: (mass.node,) for mass in scene.masses}
+    return [f"{node}.{axis}" for node in nodes[part]]
+
+
+def _places(model: Model) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """What starts are named by, unknowns or ``body.axis``, and where it stands among all unknowns."""
+    if isinstance(model, NodeModel):
+        for name, place in model.exact.unknowns.place.items():
+            yield name, np.array([place])
+        return
+    for body in model.structure.bodies:
+        first, d = model.structure.first(body.name), len(body.axes)
+        for i, axis in enumerate(body.axes):
+            yield f"{body.name}.{axis}", np.arange(first + i, first + body.size, d)
