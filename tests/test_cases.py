@@ -16,8 +16,9 @@ CASES = sorted(file.name for file in FOLDER.glob("*.toml"))
 SCENES = {name: cq.load_scene(FOLDER / name) for name in CASES}
 # Without a contact there is nothing to enforce: those cases are judged above.
 TOUCHING = [name for name, scene in SCENES.items() if scene.contacts and report_methods(scene) is None]
-OF_NODES = [name for name, scene in SCENES.items() if scene.nodes]
-MESHED = [name for name, scene in SCENES.items() if scene.meshed]
+MOVING = [name for name, scene in SCENES.items() if scene.motion is not None]
+OF_NODES = [name for name, scene in SCENES.items() if scene.nodes and name not in MOVING]
+MESHED = [name for name, scene in SCENES.items() if scene.meshed and name not in MOVING]
 EXACT_METHODS = ("lagrange-multiplier", "master-slave", "augmented-lagrangian", "lemke", "osqp", "clarabel")
 
 
@@ -89,6 +90,27 @@ def test_expectations_of_bodies_say_how_exact_they_are(name):
             blurred = claim.tolerance.si > F(1, 10**8)
             words = ("discretisation", "is at the middle", "pulls down")
             assert not blurred or any(word in claim.derivation for word in words), claim.derivation
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_expectations_of_motions_say_how_exact_they_are(name):
+    """What steps and elements blur to 2 % and with the word for it, times by steps; all else to 1e-6."""
+    for claim in SCENES[name].expect:
+        if claim.quantity == "event time":
+            steps = claim.tolerance.si / SCENES[name].motion.time_step.si
+            assert steps <= 5
+            assert "step" in claim.derivation
+        elif not any(claim.tolerance.dimension):
+            assert claim.tolerance.si <= F(1, 50)
+            assert claim.tolerance.si <= F(1, 10**6) or "discretisation" in claim.derivation, claim.derivation
+
+
+def test_every_example_of_impact_is_there():
+    sources = " ".join(SCENES[name].source for name in MOVING)
+    for words in ("Example 2.23", "first benchmark", "second benchmark", "Dabaghi"):
+        assert words in sources
+    claimed = {claim.quantity for name in MOVING for claim in SCENES[name].expect}
+    assert {"total momentum", "momentum", "contact impulse", "total energy", "impact energy", "velocity"} <= claimed
 
 
 def test_the_motions_of_what_is_free_are_named():
