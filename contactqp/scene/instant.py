@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.motion import MotionHistory
+from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 

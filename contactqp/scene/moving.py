@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.impact import impact
-from contactqp.analysis.motion import MotionHistory
+from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.methods import find
 from contactqp.problem import ContactProblem

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.analysis.motion import Moving
+from contactqp.analysis.motion.history import Moving
 from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
 from contactqp.scene.corners import has_corners

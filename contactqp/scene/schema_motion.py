@@ -16,7 +16,7 @@ MOST_STEPS = 1_000_000
 
 
 def _known_scheme(value: str) -> str:
-    from contactqp.analysis.schemes import SCHEMES
+    from contactqp.analysis.motion.schemes import SCHEMES
 
     if value not in SCHEMES:
         raise ValueError(unknown(value, SCHEMES, "scheme"))
@@ -63,7 +63,7 @@ class Motion(Block):
 
     @model_validator(mode="after")
     def _fits_the_scheme(self) -> Self:
-        from contactqp.analysis.schemes import SCHEMES
+        from contactqp.analysis.motion.schemes import SCHEMES
 
         for name, low in (("theta", Fraction(1, 2)), ("restitution", Fraction(0))):
             value = getattr(self, name)

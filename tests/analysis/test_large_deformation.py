@@ -8,6 +8,9 @@ from scipy.optimize import brentq
 
 import contactqp as cq
 from contactqp.analysis.large.deformation import LargeHistory
+from contactqp.elements.material import Material
+from contactqp.elements.shapes import box
+from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from tests.analysis.arches import RISE, arch, arch_limit, arch_load, node_over, orders
 
@@ -186,6 +189,16 @@ def test_ties_move_the_body_and_work_on_it():
     assert history.energies[-1].work == pytest.approx(history.energies[-1].elastic, rel=1e-2)
 
 
+@pytest.mark.parametrize("method", ["clarabel", "lemke"])
+def test_stiffness_along_a_tie_makes_the_step_convex_for_every_method(method):
+    """The tangent is indefinite along the tie alone, whose displacement is given: the same problem, now convex."""
+    ways = dict(tie=[[0.0, 1.0]], tie_values=[[-0.3]], steps=5)
+    history = cq.large_deformation(arch(), [[0, 0]], method=method, **ways)
+    w = -history.displacements[:, 1]
+    np.testing.assert_allclose([solution.tie_force[0] for solution in history], arch_load(w), atol=1e-12)
+    assert arch().tangent(history[3].displacement).toarray()[1, 1] < 0
+
+
 def test_a_pendulum_without_stiffness_falls_to_where_it_hangs():
     """A bar on a hinge, loaded across its axis: a mechanism until it has turned into the load."""
     bar = cq.Supported(cq.NonlinearTruss([[0, 0], [1, 0]], [[0, 1]], 100.0, 1.0), held=[0, 1])
@@ -264,6 +277,28 @@ def test_a_foot_that_lands_while_it_moves_slides_from_where_it_lands():
     where = cq.large_deformation(body, [[lands, -lands]], steps=1)[-1].displacement[0]
     assert end(1) == pytest.approx(where, rel=3e-2)  # of 2, where it would go without friction
     assert end(20) == pytest.approx(where, rel=1e-3)
+
+
+def test_a_block_in_space_is_dragged_with_friction_that_opposes_its_slip():
+    """A soft cube is pressed on a floor by its top and dragged askew until all of it slides: |l_T| = mu l_N."""
+    part = Body(box((1.0, 1.0, 1.0), (2, 2, 2)), Material(1.0, 0.3), "3d", name="cube")
+    solid, X = cq.NonlinearSolid(part), part.mesh.points
+    top = np.flatnonzero(X[:, 2] == 1)
+    A = np.eye(part.size)[(3 * top[:, None] + np.arange(3)).ravel()]
+    floor = cq.ObstacleContact(part.surface("bottom"), cq.Plane([0, 0, 0], [0, 0, 1]), dimension=part.size)
+    moves = [np.tile(move, len(top)) for move in ([0, 0, -0.1], [1.0, 0.5, -0.1], [1.0, 0.5, -0.1])]
+    history = cq.large_deformation(
+        solid, [np.zeros(part.size)] * 3, floor, steps=2, friction=0.3, tie=A, tie_values=moves
+    )
+    dragged = history[4]
+    assert set(dragged.contact_status) == {"slip"}
+    np.testing.assert_allclose(np.linalg.norm(dragged.friction_force, axis=1), 0.3 * dragged.normal_force, rtol=1e-9)
+    total = dragged.friction_force.sum(axis=0)
+    np.testing.assert_allclose(total / np.linalg.norm(total), np.array([2, 1]) / np.sqrt(5), atol=1e-2)
+    # The step that moves nothing changes nothing: all stick where they slid to.
+    np.testing.assert_array_equal(history[5].displacement, dragged.displacement)
+    assert set(history[5].contact_status) == {"stick"}
+    assert all(solution.certificate.passed for solution in history)
 
 
 def test_failures_carry_the_history_and_resume():

@@ -68,6 +68,10 @@ def find_balance(
     for _ in range(settings.max_iter):
         K = loaded.hessian(now, forces)
         start_error = _imbalance_before(loaded, now, K, forces, target, settings)
+        if not iterations and start_error.nothing and _sticks(loaded, now, forces, target, settings):
+            step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
+            stayed = NewtonIteration(start_error.force, start_error.length, 1.0, 0.0, changed=False)
+            return Balance(now, forces, now, step, (stayed,), time.perf_counter() - started)
         step = newton_step(loaded, now, K, target, settings, step, forces)
         weight = max(weight, _weight(loaded, now, K, target, step))
         fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
@@ -83,6 +87,23 @@ def find_balance(
         f"Newton's method: {settings.max_iter} iterations leave {iterations[-1].force_error:.3g} of the forces and "
         f"{iterations[-1].length_error:.3g} of the displacement" + (f"; full steps fail: {reason}" if reason else "")
     )
+
+
+def _sticks(loaded: LoadedBody, now: Instant, forces: Forces, target: Target, settings: NewtonSettings) -> bool:
+    """Whether contacts with friction hold a body where it is, without slip and within their bounds.
+
+    A step that changes nothing leaves slips of rounding and forces at their bounds, from which no method can tell stick
+    from slip.
+    """
+    if target.anchor is None or loaded.contact is None or loaded.friction is None or forces.friction is None:
+        return False
+    slip, reach = loaded.contact.slip_since(now.displacement, target.anchor), now.contact.rounding
+    bound = loaded.friction * forces.normal * (1 + 1e-12)
+    closed = forces.normal > 0
+    still = np.all(np.linalg.norm(slip[closed], axis=1) <= reach[closed])
+    left = settings.tolerance * float(np.max(abs(now.displacement), initial=0.0))
+    touches = np.all(abs(now.contact.gap[closed]) <= np.maximum(reach, left)[closed])
+    return bool(still and touches and np.all(np.linalg.norm(forces.friction, axis=1) <= bound))
 
 
 def _imbalance_before(

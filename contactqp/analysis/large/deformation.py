@@ -107,6 +107,9 @@ class LargeHistory(History):
         )
         self.limit_points = tuple(limit_points)
 
+    def __repr__(self) -> str:
+        return super().__repr__() if len(self) else "LargeHistory(no solutions)"
+
     @property
     def iterations(self) -> tuple[tuple[NewtonIteration, ...], ...]:
         """Of every solution, what each step of Newton's method left: squared from one to the next at the end."""

@@ -20,6 +20,8 @@ from contactqp.solving import solve
 # How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
 BEYOND = 1.5
 SINGULAR_SHIFT = 1e-3
+# Stiffnesses along ties that are tried, over the largest diagonal of the tangent.
+ALONG_TIES = (1.0, 1e2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,7 @@ def newton_step(
 ) -> NewtonStep:
     """The minimum of 1/2 du'K du - r'du over E_N du <= gap and A du = b - A u, with friction if there is any.
 
+    Where K is indefinite across the ties alone, stiffness along them makes the problem convex and is no other problem.
     Where K is indefinite but has positive energy on the motions that keep the closed contacts closed, that is a local
     minimum: its closed set is found by signs. Where it has not, no step leads to a minimum; K is then shifted,
     K + shift 1, which leads down and leaves every equilibrium where it is. The step says so.
@@ -76,9 +79,15 @@ def newton_step(
     NotConverged
         The step has no answer.
     """
+    stiff, load = K, target.load
     if not positive_semidefinite(K):
-        return _indefinite(loaded, now, K, target, settings, forces)
-    problem = loaded.step_problem(now, K, target.load, target.tie_value, slipped(loaded, now, target))
+        along = _stiffness_along_ties(loaded, K)
+        if along is None:
+            return _indefinite(loaded, now, K, target, settings, forces)
+        # A u = b is known: springs along the ties that are relaxed there change neither the answer nor its forces.
+        stiff = sp.csc_array(K + along * (loaded.tie.T @ loaded.tie))
+        load = load + along * (loaded.tie.T @ (target.tie_value - loaded.tie @ now.displacement))
+    problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
     try:
         return _solved(problem, now, settings, before)
     except NoEquilibrium as error:
@@ -86,6 +95,18 @@ def newton_step(
             raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
     # A mechanism without stiffness, which its load drives: it gains stiffness as it moves.
     return _shifted(loaded, now, K, target, settings, SINGULAR_SHIFT * float(np.max(abs(K.diagonal()))))
+
+
+def _stiffness_along_ties(loaded: LoadedBody, K: Any) -> float | None:
+    """c so that K + c A'A is positive semidefinite, or None if no stiffness along the ties does that."""
+    square = sp.csc_array(loaded.tie.T @ loaded.tie)
+    if not square.nnz:
+        return None
+    unit = float(np.max(abs(K.diagonal())) / np.max(square.diagonal()))
+    for size in ALONG_TIES:
+        if positive_semidefinite(sp.csc_array(K + size * unit * square)):
+            return size * unit
+    return None
 
 
 def slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array | None:
