@@ -63,11 +63,11 @@ def solid_mass(body: Body, lumped: bool = False) -> Any:
             share = np.einsum("eii->ei", masses)
             share = share * (masses.sum(axis=(1, 2)) / share.sum(axis=1))[:, None]
             total += np.bincount(block.nodes.ravel(), weights=share.ravel(), minlength=nodes)
-        scalar = sp.diags_array(total)
+        scalar = sp.diags(total)
     else:
         where = pattern([block.nodes for block in body.mesh.blocks], nodes)
         scalar = assemble(where, np.concatenate([masses.ravel() for masses in blocks])[np.newaxis, np.newaxis])
-    return sp.csc_array(sp.kron(scalar, sp.eye_array(body.dimension)))
+    return sp.csc_array(sp.kron(scalar, sp.identity(body.dimension)))
 
 
 def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:

@@ -261,7 +261,8 @@ def test_a_membrane_does_not_move(tmp_path, capsys):
     file = tmp_path / "membrane.toml"
     file.write_text(
         'title = "m"\naxes = ["x", "y", "z"]\nmotion = { duration = "1 s", time_step = "1 s" }\n'
-        '[[membranes]]\nname = "m"\ntension = "1 N/m"\nshape = { kind = "disc", element = "tri3", radius = "1 m", divisions = [2, 2] }\n'
+        '[[membranes]]\nname = "m"\ntension = "1 N/m"\n'
+        'shape = { kind = "disc", element = "tri3", radius = "1 m", divisions = [2, 2] }\n'
     )
     refuse(capsys, str(file), "membranes: expected none in a motion, they have no mass")
 
