@@ -13,6 +13,7 @@ from contactqp.analysis.motion.mass import massless, read_mass, redistributed_ma
 from contactqp.analysis.motion.run import MotionRun
 from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
 from contactqp.analysis.motion.schemes.scheme import Body
+from contactqp.certificate import refuse_not_positive
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -119,8 +120,8 @@ def impact(
     refuse_other("impact", problem, ContactProblem)
     kind = _kind(scheme)
     knobs = _knobs(kind, scheme, theta, restitution, penalty)
-    _refuse_not_positive("duration", duration)
-    _refuse_not_positive("time_step", time_step)
+    refuse_not_positive("duration", duration)
+    refuse_not_positive("time_step", time_step)
     n = problem.dimension
     u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
     _refuse_start(problem, u, v)
@@ -154,13 +155,8 @@ def _knobs(kind: Kind, scheme: str, theta: Any, restitution: Any, penalty: Any) 
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= 1:
             raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
     if penalty is not None:
-        _refuse_not_positive("penalty", penalty)
+        refuse_not_positive("penalty", penalty)
     return Knobs(float(theta), float(restitution), None if penalty is None else float(penalty))
-
-
-def _refuse_not_positive(name: str, value: Any) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
-        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
 
 
 def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:

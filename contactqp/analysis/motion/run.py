@@ -18,6 +18,7 @@ from contactqp.analysis.motion.mass import touched
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import Answered, Posed, StepContact
+from contactqp.certificate import refuse_not_positive
 from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, TimeStepWarning
 from contactqp.problem import Vector
 from contactqp.solution import Work
@@ -54,8 +55,7 @@ class MotionRun:
 
     def lasting(self, duration: float) -> MotionHistory:
         """The history so far and of the steps that a duration takes."""
-        if isinstance(duration, bool) or not isinstance(duration, (int, float, np.number)) or not 0 < duration < np.inf:
-            raise InvalidProblem(f"duration: expected a positive number, got {duration!r}")
+        refuse_not_positive("duration", duration)
         ratio = duration / self._scheme.body.step
         whole = abs(ratio - round(ratio)) <= WHOLE
         return self._steps(max(round(ratio) if whole else int(np.ceil(ratio)), 1))
