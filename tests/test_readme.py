@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.cli import main
-from contactqp.scene.judging import judge_all
+from contactqp.scene.judging import Judgement, judge_all
 
 README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
 
@@ -127,6 +127,17 @@ def test_the_example_with_friction_prints_what_is_shown(
     printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     shown = README.split("and exits with 0:")[1].split("```")[1].strip("\n").splitlines()
     assert shown == [line for line in printed if line and set(line.strip()) != {"─"}]
+
+
+def test_the_example_of_a_motion_meets_what_it_expects(tmp_path: pathlib.Path) -> None:
+    case = tmp_path / "rod.toml"
+    case.write_text(_block("toml", 3))
+    (judgement,) = judge_all(cq.load_scene(case))
+    assert len(judgement.expectations) == 2
+    assert judgement.met
+    assert isinstance(judgement, Judgement)
+    times = {event.kind: event.time for event in judgement.history.events}
+    assert times == pytest.approx({"closed": 1e-4, "opened": 1.8e-4}, abs=2e-6)
 
 
 def test_the_method_table_names_methods_that_exist() -> None:

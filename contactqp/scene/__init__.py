@@ -47,7 +47,25 @@ With friction the answer depends on the way of the loads, from corner to corner 
     value = "300 N"
     derivation = "mu times the weight"
 
+A scene with a motion moves in time, under constant loads::
+
+    bars = [{ name = "rod", nodes = ["a", "b"], area = "2 cm^2", modulus = "210 GPa", density = "7850 kg/m^3", \
+        divisions = 50 }]
+
+    [motion]                                # its keys are in schema_motion
+    duration = "1 ms"
+    time_step = "2 us"
+    scheme = "moreau-jean"                  # one of contactqp.impact
+    velocities = [{ of = "rod", value = ["3 m/s"] }]
+
+    [[expect]]
+    quantity = "velocity"
+    at = "b.x"
+    time = "0.5 ms"                         # a time has its unit; the last step that is over then
+    value = "3 m/s"
+    derivation = "nothing touches it yet"
+
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
-``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``study``, ``published``
+``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``motion``, ``study``, ``published``
 and ``remarks``.
 """

@@ -251,10 +251,10 @@ def _loads(scene: Scene, whole: Structure) -> Iterator[tuple[str, loads.Load]]:
         for body in scene.bodies:
             if body.density is not None and body.density.si > 0:
                 acceleration = vector(scene.system, scene.gravity)
-                if scene.motion is not None:
-                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
-                else:
+                if scene.motion is None:
                     yield GRAVITY, loads.Gravity(body.name, acceleration)
+                else:
+                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
 
 
 def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:

@@ -22,6 +22,8 @@ def motion_fits(scene: Scene, unknowns: Unknowns) -> None:
         return
     if scene.path is not None:
         raise SceneError("motion: expected [motion] or [path], got both")
+    if scene.study:
+        raise SceneError("study: expected none in a motion, whose steps have no knob to sweep")
     for i, contact in enumerate(scene.contacts):
         if contact.slip_origin is not None:
             raise SceneError(

@@ -48,6 +48,11 @@ WRONG = {
         "bars[0].density ('rod'): expected a density such as",
     ),
     "a path too": ("[motion]", "path = { steps = 3 }\n[motion]", "motion: expected [motion] or [path], got both"),
+    "a study": (
+        "[[expect]]",
+        '[[study]]\nmethod = "penalty"\npenalty = ["1 N/m"]\n[[expect]]',
+        "study: expected none in a motion",
+    ),
     "no duration": ('duration = "20 ms"\n', "", "motion.duration: expected, and missing"),
     "a duration without a unit": ('"20 ms"', "20", "motion.duration: expected a time such as"),
     "a negative duration": ('"20 ms"', '"-20 ms"', "motion.duration: expected a positive number, got '-20 ms'"),

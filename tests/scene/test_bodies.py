@@ -290,3 +290,22 @@ def test_a_load_factor_of_one_is_the_problem_itself():
     model = build(Scene(**PRESSED))
     np.testing.assert_array_equal(model.load_at(F(1)), model.problem.load)
     np.testing.assert_array_equal(model.load_at(F(1, 2)), model.problem.load / 2)
+
+
+def test_a_side_closes_with_its_first_node_and_opens_with_its_last():
+    """On a load path as in a motion. Pressed from the right the block swells by nu (1 + nu) p / E towards the floor."""
+    swells = F(100) * F(39, 100) / 210_000  # of its 1 mm
+    changes = {
+        "supports": [*PRESSED["supports"], {"name": "top", "on": "block.top", "axis": "y"}],
+        "pressures": [{"name": "press", "side": "block.right", "value": "100 MPa"}],
+        "obstacles": [{"name": "floor", "point": ["0 mm", f"-{swells * F(7, 20)} mm"], "normal": [0, 1]}],
+        "path": {"steps": 5, "corners": [{"press": 1}, {"press": -1}]},
+    }
+    events = {"closed": "2/5", "opened": "1 + 2/5"}
+    expect = [
+        {"quantity": "event time", "at": "foot", "event": event, "value": time, "derivation": "the step after it"}
+        for event, time in events.items()
+    ]
+    judgement = judge(Scene(**PRESSED | changes, expect=expect), Trial())
+    assert judgement.met, judgement.expectations
+    assert len([event for event in judgement.history.events if event.kind == "closed"]) == 5
