@@ -66,6 +66,6 @@ A scene with a motion moves in time, under constant loads::
     derivation = "nothing touches it yet"
 
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
-``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``path``, ``motion``, ``study``, ``published``
-and ``remarks``.
+``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``study``, ``published`` and
+``remarks``.
 """

@@ -119,9 +119,7 @@ def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
 
 def _node_velocity(claim: Claim, answer: BodyAnswer) -> float:
     model = answer.model
-    every = np.zeros(model.structure.size)
-    every[model.system.free] = answer.instant.velocity
-    v = model.structure.displacements(str(claim.at), every)
+    v = model.structure.displacements(str(claim.at), model.velocity(answer.instant.velocity))
     return float(v[answer.node(claim), model.structure.body(str(claim.at)).axes.index(str(claim.along))])
 
 

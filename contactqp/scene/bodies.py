@@ -132,6 +132,12 @@ class BodyModel:
         """u of all unknowns, prescribed ones included."""
         return self.system.expand(solution.displacement)
 
+    def velocity(self, free: Vector) -> Vector:
+        """v of all unknowns from that of the free ones; supports stand still."""
+        every = np.zeros(self.structure.size)
+        every[self.system.free] = free
+        return every
+
     def support_forces(self, solution: Solution, time: Fraction) -> Vector:
         """What the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
         pressed = self.system.load - self.load_on_all(time)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.motion import Moving
 from contactqp.scene.units import KINDS
 from contactqp.solution import Solution
 
@@ -20,17 +21,21 @@ Table = tuple[list[str], list[list[str | float]]]
 
 
 def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
-    """For each body how far it moves, and for each contact of the scene its force, peak pressure and smallest gap."""
+    """For each body how far it moves and how fast, for each contact of the scene its force, peak pressure and gap."""
     system = model.scene.system
     length, force = system.length, system.force
     pressure = system.label(KINDS["pressure"].dimension)
-    u = model.displacement(solution)
+    fields = [model.displacement(solution)]
+    header = ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"]
+    if isinstance(solution, Moving):
+        fields.append(model.velocity(solution.velocity))
+        header += [f"lowest velocity [{length}/s]", f"highest [{length}/s]"]
     rows: list[list[str | float]] = []
     for body in model.structure.bodies:
-        moved = model.structure.displacements(body.name, u)
-        for axis, low, high in zip(body.axes, moved.min(axis=0), moved.max(axis=0), strict=True):
-            rows.append([body.name, axis, float(low), float(high)])
-    yield ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"], rows
+        ranges = [model.structure.displacements(body.name, field) for field in fields]
+        for i, axis in enumerate(body.axes):
+            rows.append([body.name, axis, *(float(x) for r in ranges for x in (r[:, i].min(), r[:, i].max()))])
+    yield header, rows
     header = ["contact", "nodes", "pressing", f"normal force [{force}]", f"peak pressure [{pressure}]"]
     header.append(f"smallest gap [{length}]")
     if model.problem.frictional:
