@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -24,17 +23,18 @@ from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
-from contactqp.errors import InvalidProblem, SceneError
+from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Units
-from contactqp.scene.corners import GRAVITY, Factors, end_time, factors_at, has_corners
-from contactqp.scene.meshing import body_mesh, nearest_node
+from contactqp.scene.body_loads import at_key, loads_of, supports_of
+from contactqp.scene.corners import Factors, end_time, factors_at, has_corners
+from contactqp.scene.meshing import body_mesh
 from contactqp.scene.obstacles import height_of, obstacle
-from contactqp.scene.units import number, vector
+from contactqp.scene.units import number
 from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
-    from contactqp.scene.schema_bodies import Body, PointLoad, Support
+    from contactqp.scene.schema_bodies import Body
     from contactqp.scene.schema_contacts import Contact
 
 Vector = NDArray[np.float64]
@@ -180,17 +180,17 @@ def body_model(scene: Scene) -> BodyModel:
     """
     bodies: list[Part] = []
     for i, body in enumerate(scene.bodies):
-        with _at(f"bodies[{i}] ({body.name!r})"):
+        with at_key(f"bodies[{i}] ({body.name!r})"):
             bodies.append(_body(scene, body))
     for i, membrane in enumerate(scene.membranes):
-        with _at(f"membranes[{i}] ({membrane.name!r})"):
+        with at_key(f"membranes[{i}] ({membrane.name!r})"):
             tension = number(scene.system, membrane.tension)
             bodies.append(Membrane(body_mesh(scene, membrane), tension, name=membrane.name))
-    with _at("bodies"):
+    with at_key("bodies"):
         whole = Structure(bodies)
-    acting = list(_loads(scene, whole))
-    supports = list(_supports(scene, whole))
-    with _at("supports"):
+    acting = list(loads_of(scene, whole))
+    supports = list(supports_of(scene, whole))
+    with at_key("supports"):
         system = whole.assemble(supports, [load for _, load in acting])
     by_name: dict[str, Vector] = {}
     if has_corners(scene):
@@ -199,7 +199,7 @@ def body_model(scene: Scene) -> BodyModel:
         system = replace(system, load=_sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
     contacts = []
     for i, contact in enumerate(scene.contacts):
-        with _at(f"contacts[{i}] ({contact.name!r})"):
+        with at_key(f"contacts[{i}] ({contact.name!r})"):
             contacts.append(_contact(scene, whole, contact))
     return BodyModel(scene, whole, system, tuple(supports), tuple(contacts), by_name)
 
@@ -208,59 +208,11 @@ def _sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
     return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
-@contextmanager
-def _at(where: str) -> Iterator[None]:
-    """What the elements refuse is refused with the key that they were made from."""
-    try:
-        yield
-    except InvalidProblem as error:
-        raise SceneError(f"{where}: {error}") from None
-
-
 def _body(scene: Scene, body: Body) -> solid.Body:
     density = 0.0 if body.density is None else number(scene.system, body.density)
     material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
     thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
     return solid.Body(body_mesh(scene, body), material, body.model, thickness=thickness, name=body.name)
-
-
-def _nodes(scene: Scene, whole: Structure, place: Support | PointLoad) -> str | int:
-    if place.near is None:
-        whole.body(place.body).mesh.nodes(place.nodes)
-        return place.nodes
-    return nearest_node(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
-
-
-def _supports(scene: Scene, whole: Structure) -> Iterator[Held]:
-    for i, support in enumerate(scene.supports):
-        with _at(f"supports[{i}] ({support.name!r})"):
-            nodes = _nodes(scene, whole, support)
-        value = 0.0 if support.value is None else number(scene.system, support.value)
-        yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
-
-
-def _loads(scene: Scene, whole: Structure) -> Iterator[tuple[str, loads.Load]]:
-    """Every load with its name; what bodies weigh is called gravity."""
-    for i, traction in enumerate(scene.tractions):
-        with _at(f"tractions[{i}] ({traction.name!r})"):
-            whole.body(traction.body).mesh.side(traction.nodes)
-        yield traction.name, loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
-    for i, pressure in enumerate(scene.pressures):
-        with _at(f"pressures[{i}] ({pressure.name!r})"):
-            whole.body(pressure.body).mesh.side(pressure.nodes)
-        yield pressure.name, loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
-    for i, point_load in enumerate(scene.point_loads):
-        with _at(f"point_loads[{i}] ({point_load.name!r})"):
-            nodes = _nodes(scene, whole, point_load)
-        yield point_load.name, loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
-    if scene.gravity is not None:
-        for body in scene.bodies:
-            if body.density is not None and body.density.si > 0:
-                acceleration = vector(scene.system, scene.gravity)
-                if scene.motion is None:
-                    yield GRAVITY, loads.Gravity(body.name, acceleration)
-                else:
-                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
 
 
 def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
