@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
@@ -92,19 +91,21 @@ def _one_thing(scene: Scene, where: str, name: str, unknowns: Unknowns) -> None:
 def motion_claim_fits(where: str, claim: Claim, scene: Scene) -> None:
     """Raise SceneError if the claim means nothing in a motion, or, without one, needs it."""
     measure, motion = claim.measure, scene.motion
+    in_time = any(any(number.dimension) for number in claim.stated)
     if motion is None:
         if measure.motion:
             raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [motion], and there is none")
-        for name, quantity in _times(claim):
-            raise SceneError(f"{where}.{name}: expected a time only with [motion], got {quantity}")
+        if isinstance(claim.time, Quantity):
+            raise SceneError(f"{where}.time: expected a time only with [motion], got {claim.time}")
+        if claim.quantity == "event time" and in_time:
+            raise SceneError(f"{where}: {claim.quantity!r} expects a pseudo-time, a number, without [motion]")
         return
     if measure.statics:
         raise SceneError(f"{where}.quantity: {claim.quantity!r} is asked of statics, and not in a motion")
     if claim.load_factor != 1:
         raise SceneError(f"{where}.load_factor: expected none in a motion, whose loads are constant")
-    stated = dict(_times(claim))
-    if claim.quantity == "event time" and "value" not in stated and "printed" not in stated:
-        raise SceneError(f'{where}.value: expected a time such as "2 ms" in a motion, got a number')
+    if claim.quantity == "event time" and not in_time:
+        raise SceneError(f'{where}: {claim.quantity!r} expects a time such as "2 ms" in a motion, got a number')
     if claim.time is None:
         return
     if not isinstance(claim.time, Quantity):
@@ -116,14 +117,3 @@ def motion_claim_fits(where: str, claim: Claim, scene: Scene) -> None:
         )
     if not measure.solved or measure.whole_way:
         raise SceneError(f"{where}.time: {claim.quantity!r} depends on no time")
-
-
-def _times(claim: Claim) -> Iterator[tuple[str, Quantity]]:
-    """The keys of the claim that hold a time with its unit."""
-    if isinstance(claim.time, Quantity):
-        yield "time", claim.time
-    if claim.quantity == "event time":
-        for key, targets in (("value", getattr(claim, "targets", ())), ("printed", [getattr(claim, "target", None)])):
-            for target in targets:
-                if target is not None and any(target.dimension):
-                    yield key, target

@@ -99,6 +99,11 @@ class Claim(Block):
         stated = {name: getattr(self, name) for name in (*KNOBS, "update")}
         return {name: value for name, value in stated.items() if value is not None}
 
+    @property
+    def stated(self) -> list[Quantity]:
+        """The numbers that are claimed."""
+        return []
+
     @model_validator(mode="after")
     def _complete(self) -> Self:
         measure = self.measure
@@ -169,6 +174,10 @@ class Expectation(Claim):
         texts = [self.value] if self.rows is None else [f"{text} {self.unit}" for row in self.rows for text in row]
         return [read_quantity(text, self.kinds, roots=True) for text in texts]
 
+    @property
+    def stated(self) -> list[Quantity]:
+        return self.targets if self.kinds else []
+
 
 class Published(Claim):
     """What the source prints, and whether that is right.
@@ -193,6 +202,10 @@ class Published(Claim):
     @property
     def target(self) -> Quantity:
         return read_quantity(self.printed, self.kinds)
+
+    @property
+    def stated(self) -> list[Quantity]:
+        return [self.target]
 
     @property
     def half_digit(self) -> Quantity:

@@ -136,7 +136,7 @@ WRONG = {
     "an event at a number": (
         CLAIM,
         'quantity = "event time"\nat = "foot"\nevent = "closed"\nvalue = "1"',
-        'expect[0].value: expected a time such as "2 ms" in a motion, got a number',
+        """expect[0]: 'event time' expects a time such as "2 ms" in a motion, got a number""",
     ),
     "an event number zero": (
         CLAIM,
@@ -205,7 +205,7 @@ OF_STATICS = {
     ),
     "an event": (
         'quantity = "event time"\nat = "foot"\nevent = "closed"\nvalue = "1 s"',
-        "expect[0].value: expected a time only with [motion], got 1 s",
+        "expect[0]: 'event time' expects a pseudo-time, a number, without [motion]",
     ),
 }
 

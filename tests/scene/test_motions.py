@@ -320,6 +320,42 @@ def test_any_exact_method_solves_the_steps_and_approximate_ones_are_refused():
         judge(Scene(**BALL), Trial("active-set", {"theta": 1.0}))
 
 
+def test_bodies_collide_and_exchange_momentum_exactly():
+    """One block flies at another that rests: what the pair gives one it takes from the other, to rounding."""
+    upper = BLOCK["bodies"][0] | {"name": "upper", "shape": BLOCK["bodies"][0]["shape"] | {"corner": ["0 m", "2 cm"]}}
+    data = BLOCK | {
+        "gravity": None,
+        "bodies": [*BLOCK["bodies"], upper],
+        "contacts": [{"name": "pair", "sides": ["upper.bottom", "block.top"], "pairing": "mortar", "reach": "2 cm"}],
+        "motion": BLOCK["motion"] | {"velocities": [{"of": "upper", "value": ["0 m/s", "-1 m/s"]}]},
+    }
+    right = [
+        claim("event time", "10 ms", at="pair", event="closed", tolerance="0.4 ms"),
+        claim("total momentum", "-0.01 N*s", along="y", time="10.5 ms"),
+        claim("total momentum", "-0.01 N*s", along="y"),
+    ]
+    found = rows(data, *right)
+    assert all(row.ok for row in found), found
+
+
+def test_a_box_falls_in_space():
+    shape = {"kind": "box", "element": "hex8", "size": ["1 cm", "1 cm", "1 cm"], "divisions": [1, 1, 2]}
+    body = BLOCK["bodies"][0] | {"shape": shape, "model": "3d", "thickness": None}
+    data = BLOCK | {
+        "axes": ["x", "y", "z"],
+        "gravity": ["0 m/s^2", "0 m/s^2", "-10 m/s^2"],
+        "bodies": [body],
+        "obstacles": [{"name": "plane", "point": ["0 m", "0 m", "-1 cm"], "normal": [0, 0, 1]}],
+    }
+    found = rows(
+        data,
+        claim("total momentum", "-0.0004 N*s", along="z", time="40 ms", tolerance=1e-10),
+        claim("node velocity", "-0.4 m/s", at="block", along="z", near=["0 m"] * 3, time="40 ms", tolerance=1e-10),
+        claim("event time", "44.72 ms", at="foot", event="closed", tolerance="0.4 ms"),
+    )
+    assert all(row.ok for row in found), found
+
+
 def test_knobs_reach_the_scheme():
     for scheme, knobs, speed in (
         ("paoli-schatzman", {"restitution": "1/4"}, -0.75),
