@@ -17,6 +17,8 @@ from contactqp.errors import InvalidProblem, NotConverged
 # Armijo's part of the slope, and the shortest fraction of a step that is tried.
 SUFFICIENT = 1e-4
 SHORTEST = 2.0**-30
+# How far a shifted step is stretched.
+LONGEST = 2.0**10
 # The weight of what violates constraints in the merit, over the largest force: above 1 the merit is exact.
 WEIGHT = 2.0
 # A full step that leaves less than this part of the imbalance is taken although the merit rises: near the answer a
@@ -167,6 +169,8 @@ def _searched(
             reason, merit, more = str(error), np.inf, 0.0
         if np.isfinite(merit):
             if not by_merit or merit <= start + SUFFICIENT * fraction * min(slope, 0.0) + max(rounding, more):
+                if by_merit and step.shift and fraction == 1:
+                    fraction, new = _stretched(loaded, now, target, step, weight, merit, new)
                 return fraction, new, reason
             if fraction == 1 and not step.shift:
                 left = _imbalance_after(loaded, now, new, K, target, settings, step)
@@ -175,6 +179,23 @@ def _searched(
             reason = "the energy does not fall"
         fraction /= 2
     raise NotConverged(f"Newton's method: no part of the step can be taken: {reason}")
+
+
+def _stretched(
+    loaded: LoadedBody, now: Instant, target: Target, step: NewtonStep, weight: float, merit: float, new: Instant
+) -> tuple[float, Instant]:
+    """A shifted step is too short, most of all off a saddle: twice as far as long as that is further down."""
+    fraction = 1.0
+    while fraction < LONGEST:
+        try:
+            further = loaded.at(now.displacement + 2 * fraction * step.increment)
+            lower, rounding = _merit(loaded, further, target, weight)
+        except InvalidProblem:
+            break
+        if not lower < merit - rounding:
+            break
+        fraction, new, merit = 2 * fraction, further, lower
+    return fraction, new
 
 
 def _weight(loaded: LoadedBody, now: Instant, K: Any, target: Target, step: NewtonStep) -> float:

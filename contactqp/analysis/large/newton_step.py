@@ -18,7 +18,7 @@ from contactqp.solution import Solution
 from contactqp.solving import solve
 
 # How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
-BEYOND = 1.5
+BEYOND = 1.2
 SINGULAR_SHIFT = 1e-3
 # Stiffnesses along ties that are tried, over the largest diagonal of the tangent.
 ALONG_TIES = (1.0, 1e2)
@@ -170,7 +170,10 @@ def _indefinite(
     except NotConverged:
         pass
     else:
-        if not negative_on(K, sp.vstack([contact.normal[np.flatnonzero(closed)], loaded.tie], format="csr")):
+        rows = sp.vstack([contact.normal[np.flatnonzero(closed)], loaded.tie], format="csr")
+        # On the way to contacts that were open the energy may rise all the same.
+        inside = np.all(contact.gap >= -contact.rounding) and not np.any(value)
+        if not negative_on(K, rows) and (not inside or r @ du >= -float(contact.rounding @ normal)):
             return stationary_step(loaded, now, K, target, du, Forces(normal, tie))
     return _shifted(loaded, now, K, target, settings, BEYOND * -min(lowest_eigenvalue(K), 0.0))
 

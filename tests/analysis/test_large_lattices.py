@@ -1,0 +1,67 @@
+"""Random lattices over a floor and a ball: every answer is held to the conditions of an equilibrium by hand."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import contactqp as cq
+from tests.analysis.lattices import lattice
+
+
+def conditions(body, contact, load, solution):
+    """The largest violation: balance over the largest load, overlap, tension, force without contact."""
+    u, force = solution.displacement, solution.normal_force
+    state = contact.state(u)
+    balance = load - body.internal_force(u) - state.normal.T @ force
+    return max(
+        np.abs(balance).max() / np.abs(load).max(), -state.gap.min(), -force.min(), np.abs(state.gap * force).max()
+    )
+
+
+@pytest.mark.parametrize("seed", [*range(6), 24, 45])
+def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
+    """24 and 45 snap, a long way."""
+    body, contact, load = lattice(seed)
+    history = cq.large_deformation(body, [load], contact, steps=5)
+    last = history[-1]
+    assert conditions(body, contact, load, last) < 1e-10
+    assert last.normal_force.max() > 1e-3
+    assert history.stable[-1]
+    wrong = cq.large_deformation(body, [0.99 * load], contact, steps=5)[-1]
+    assert conditions(body, contact, load, wrong) > 1e-3
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
+    body, contact, load = lattice(seed)
+    last = cq.large_deformation(body, [load], contact, steps=5)[-1]
+    random = np.random.default_rng(seed)
+    found = minimize(
+        lambda u: body.energy(u) - load @ u,
+        last.displacement + 1e-3 * random.uniform(-1, 1, len(load)),
+        jac=lambda u: body.internal_force(u) - load,
+        constraints=dict(
+            type="ineq",
+            fun=lambda u: contact.state(u).gap,
+            jac=lambda u: -contact.state(u).normal.toarray(),
+        ),
+        method="SLSQP",
+        options=dict(ftol=1e-14, maxiter=500),
+    )
+    np.testing.assert_allclose(found.x, last.displacement, atol=1e-5)
+    assert found.fun == pytest.approx(last.energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_arc_length_meets_load_control_where_nothing_snaps(seed):
+    body, contact, load = lattice(seed)
+    by_load = cq.large_deformation(body, [load], contact, steps=5)
+    assert not by_load.notes
+    path = cq.large_deformation(body, [load], contact, control="arc-length", steps=25)
+    assert all(conditions(body, contact, t * load, at) < 1e-10 for t, at in zip(path.times[1:], path[1:], strict=True))
+    kinds = [(event.kind, event.contact) for event in path.events if event.time < 1]
+    assert sorted({contact for kind, contact in kinds}) == sorted(np.flatnonzero(by_load[-1].normal_force))
+    k = int(np.searchsorted(path.times, 1))
+    a, b = path.times[k - 1], path.times[k]
+    between = path.displacements[k - 1] + (1 - a) / (b - a) * (path.displacements[k] - path.displacements[k - 1])
+    np.testing.assert_allclose(between, by_load[-1].displacement, atol=2e-2 * np.abs(between).max())
