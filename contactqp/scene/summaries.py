@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion import Moving
+from contactqp.analysis.motion.history import Moving
 from contactqp.scene.units import KINDS
 from contactqp.solution import Solution
 

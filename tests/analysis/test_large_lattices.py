@@ -18,9 +18,9 @@ def conditions(body, contact, load, solution):
     )
 
 
-@pytest.mark.parametrize("seed", [*range(6), 24, 45])
+@pytest.mark.parametrize("seed", [0, 1, 4, 7, 24])
 def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
-    """24 and 45 snap, a long way."""
+    """7 starts with an overlap; 24 snaps, a long way."""
     body, contact, load = lattice(seed)
     history = cq.large_deformation(body, [load], contact, steps=5)
     last = history[-1]
@@ -31,7 +31,7 @@ def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
     assert conditions(body, contact, load, wrong) > 1e-3
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 4])
 def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     body, contact, load = lattice(seed)
     last = cq.large_deformation(body, [load], contact, steps=5)[-1]
@@ -52,16 +52,27 @@ def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     assert found.fun == pytest.approx(last.energy, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", [0, 2, 3])
+@pytest.mark.parametrize("seed", [0, 4, 7])
 def test_arc_length_meets_load_control_where_nothing_snaps(seed):
     body, contact, load = lattice(seed)
     by_load = cq.large_deformation(body, [load], contact, steps=5)
     assert not by_load.notes
     path = cq.large_deformation(body, [load], contact, control="arc-length", steps=25)
     assert all(conditions(body, contact, t * load, at) < 1e-10 for t, at in zip(path.times[1:], path[1:], strict=True))
-    kinds = [(event.kind, event.contact) for event in path.events if event.time < 1]
-    assert sorted({contact for kind, contact in kinds}) == sorted(np.flatnonzero(by_load[-1].normal_force))
     k = int(np.searchsorted(path.times, 1))
+    np.testing.assert_array_equal(path[k].normal_force > 0, by_load[-1].normal_force > 0)
     a, b = path.times[k - 1], path.times[k]
     between = path.displacements[k - 1] + (1 - a) / (b - a) * (path.displacements[k] - path.displacements[k - 1])
     np.testing.assert_allclose(between, by_load[-1].displacement, atol=2e-2 * np.abs(between).max())
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_a_snap_under_load_is_a_limit_point_of_the_path(seed):
+    body, contact, load = lattice(seed)
+    (note, *_) = cq.large_deformation(body, [load], contact, steps=5).notes
+    told = [float(number.strip(":")) for number in note.split("jumps")[0].split() if number[:2] == "0."]
+    path = cq.large_deformation(body, [load], contact, control="arc-length", steps=30)
+    limit = path.limit_points[0]
+    assert (limit.kind, limit.smooth) == ("maximum", True)
+    assert limit.load_factor == pytest.approx(told[-1], rel=2e-3)
+    assert limit.load_factor <= told[-1]

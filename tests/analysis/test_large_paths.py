@@ -45,7 +45,7 @@ def test_the_printed_force_of_the_course_has_another_limit():
 
 
 def test_the_path_converges_quadratically():
-    history = cq.large_deformation(arch(), DOWN, **(BY_ARC | dict(arc_length=0.15, steps=6)))
+    history = cq.large_deformation(arch(), DOWN, **(BY_ARC | dict(arc_length=0.1, steps=6)))
     found = [orders(iterations)[-1] for iterations in history.iterations if len(orders(iterations))]
     assert len(found) >= 3  # other steps are too short to tell
     assert min(found) > 1.8
@@ -138,6 +138,18 @@ def test_bifurcations_on_the_way_are_told():
     assert "branch off" in second
     assert -history.displacements[:, 1].min() > 2 * rise
     np.testing.assert_allclose(history.times, arch_load(-history.displacements[:, 1], rise), atol=1e-11)
+
+
+def test_a_path_that_turns_sharply_goes_on_and_not_back():
+    """Of a flat arch whose load counts for much in the length of an arc the limit is a needle in (u, t)."""
+    steep = dict(control="arc-length", steps=30, arc_length=0.3)
+    start = cq.large_deformation(arch(), DOWN, steps=1, start=None, control="arc-length", arc_length=1e-3)[0]
+    start = dataclasses.replace(start, load_scale=3.0)
+    history = cq.large_deformation(arch(), DOWN, start=start, **steep)
+    w = -history.displacements[:, 1]
+    assert np.all(np.diff(w) > 0)
+    assert [limit.kind for limit in history.limit_points] == ["maximum", "minimum"]
+    assert history.limit_points[0].load_factor == pytest.approx(arch_limit()[0], rel=1e-10)
 
 
 def test_arcs_in_space_with_many_bars():

@@ -48,6 +48,31 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
     return np.asarray(found)
 
 
+def determinant_sign(matrix: Any) -> float:
+    """The sign of the determinant of a square matrix, 0 if it is singular."""
+    if matrix.shape[0] <= DENSE_SIZE:
+        return float(np.linalg.slogdet(matrix.toarray())[0])
+    from scipy.sparse.linalg import splu
+
+    try:
+        factor = splu(sp.csc_matrix(matrix))
+    except RuntimeError:
+        return 0.0
+    return float(np.prod(np.sign(factor.U.diagonal()))) * _parity(factor.perm_r) * _parity(factor.perm_c)
+
+
+def _parity(order: Any) -> float:
+    """1 for an even permutation, -1 for an odd one: a cycle of length c is c - 1 exchanges."""
+    seen, sign = np.zeros(len(order), dtype=bool), 1.0
+    for start in range(len(order)):
+        at, length = start, 0
+        while not seen[at]:
+            seen[at], at, length = True, int(order[at]), length + 1
+        if length and length % 2 == 0:
+            sign = -sign
+    return sign
+
+
 def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Vector, closed: Mask) -> Any:
     """A stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed set.
 

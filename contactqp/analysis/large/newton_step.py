@@ -203,14 +203,21 @@ def _shifted(
     return NewtonStep(problem, step.increment, step.forces, shift=shift, solution=step.solution)
 
 
-def stationary_step(loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces) -> NewtonStep:
+def stationary_step(
+    loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces, grazing: int | None = None
+) -> NewtonStep:
     """An increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
 
     Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
-    r + s du: it has the same balance and the same signs, and says nothing about stability.
+    r + s du: it has the same balance and the same signs, and says nothing about stability. A contact that grazes, with
+    no force at gap 0, has a gap that is wider by its rounding: on the other side of zero it would have a force.
     """
     springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
     stiff = sp.csc_array(K + springs * sp.identity(K.shape[0])) if springs else K
     load = target.load + springs * du
     problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
+    if grazing is not None:
+        gap = problem.gap.copy()
+        gap[grazing] += now.contact.rounding[grazing]
+        problem = problem.replace(gap=gap)
     return NewtonStep(problem, du, forces, springs=springs)

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.large.active_kkt import Mask, solve_system
+from contactqp.analysis.large.active_kkt import Mask, determinant_sign, solve_system
 from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import NewtonIteration
 from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
@@ -19,6 +19,8 @@ from contactqp.errors import InvalidProblem, NotConverged
 
 # Newton's method on a fixed set either converges in a few steps or not at all.
 ITERATIONS = 20
+# Two directions whose angle has a lower cosine are too far apart for neighbours on a path.
+SHARP = 0.5
 
 
 class Control(Protocol):
@@ -108,6 +110,11 @@ class Direction:
     load_factor: float  # t'
     normal: Vector  # (m,) rates of the normal forces
     tie: Vector
+    sense: float  # the sign of the determinant of the equations' derivatives with this direction as the last row
+
+    def turned(self) -> Direction:
+        """The other way along the path."""
+        return Direction(-self.displacement, -self.load_factor, -self.normal, -self.tie, -self.sense)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +148,8 @@ class PathEquations:
             c_u, c_t = control.row(now, t)
             open_tie = self.tie_start + t * self.tie_rate - self.loaded.tie @ now.displacement
             right = [t * self.load - now.internal, now.contact.gap[B], open_tie, np.array([-control.value(now, t)])]
-            du, normal, tie, dt = self._solve(K, now, B, c_u, np.zeros(len(B)), c_t, np.concatenate(right))
+            matrix = self._bordered(K, now, B, c_u, np.zeros(len(B)), c_t)
+            du, normal, tie, dt = self._parted(solve_system(matrix, np.concatenate(right)), B)
             before, t = now, float(t + dt)
             now, forces = self._at(before.displacement + du), Forces(normal, tie)
             target = self.target(t)
@@ -154,7 +162,8 @@ class PathEquations:
             if left.nothing:
                 if not finished:
                     return PathPoint(now, t, forces)
-                step = stationary_step(self.loaded, before, K, target, du, forces)
+                grazing = control.contact if isinstance(control, Touch) else None
+                step = stationary_step(self.loaded, before, K, target, du, forces, grazing)
                 spent = time.perf_counter() - started
                 return PathPoint(now, t, forces, Balance(now, forces, before, step, tuple(iterations), spent))
         raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {left.size:.3g} of forces and lengths")
@@ -174,15 +183,30 @@ class PathEquations:
         forces = np.zeros(len(B)) if row_forces is None else row_forces[B]
         right = np.zeros(len(self.load) + len(B) + len(self.tie_rate) + 1)
         right[-1] = 1.0
-        v, normal, tie, rate = self._solve(K, now, B, row, forces, row_t, right)
+        matrix = self._bordered(K, now, B, row, forces, row_t)
+        v, normal, tie, rate = self._parted(solve_system(matrix, right), B)
         length = float(np.sqrt(v @ v + (self.scale * rate) ** 2))
         if not np.isfinite(length) or length == 0:
             raise NotConverged("the path has no direction there")
-        return Direction(v / length, rate / length, normal / length, tie / length)
+        # The determinant is linear in its last row and vanishes across the direction, so this is its sign with the
+        # direction as the last row, too.
+        return Direction(v / length, rate / length, normal / length, tie / length, determinant_sign(matrix))
 
     def onwards(self, point: PathPoint, closed: Mask, before: Direction) -> Direction:
-        """The tangent that goes on as a direction did."""
-        return self.direction(point, closed, before.displacement, self.scale**2 * before.load_factor)
+        """The tangent that goes on as a direction did before.
+
+        Along a path the sign of the determinant stays, however sharply it turns; it changes where other paths branch
+        off, which a path crosses without a turn. At a limit of the load the displacement does not turn either.
+        """
+        found = self.direction(point, closed, before.displacement, self.scale**2 * before.load_factor)
+        v, w = found.displacement, before.displacement
+        straight = float(v @ w) > SHARP * float(np.linalg.norm(v) * np.linalg.norm(w))
+        crossed = straight and self.cosine(before, found) > SHARP
+        return found if found.sense == before.sense or crossed else found.turned()
+
+    def cosine(self, one: Direction, other: Direction) -> float:
+        """Of the angle between two directions."""
+        return float(one.displacement @ other.displacement + self.scale**2 * one.load_factor * other.load_factor)
 
     def distance(self, one: PathPoint, other: PathPoint) -> float:
         """The length |u - u_0|^2 + scale^2 (t - t_0)^2 is the square of."""
@@ -195,15 +219,18 @@ class PathEquations:
         except InvalidProblem as error:
             raise NotConverged(str(error)) from error
 
-    def _solve(
-        self, K: Any, now: Instant, B: Any, c_u: Vector, c_l: Vector, c_t: float, right: Vector
-    ) -> tuple[Vector, Vector, Vector, float]:
-        n, b, k = len(self.load), len(B), len(self.tie_rate)
+    def _bordered(self, K: Any, now: Instant, B: Any, row: Vector, row_forces: Vector, row_t: float) -> Any:
+        """The derivatives of the equations by u, l_B, nu and t, and a last row."""
+        b, k = len(B), len(self.tie_rate)
         rows = sp.vstack([now.contact.normal[B], self.loaded.tie], format="csr")
         loads = sp.csr_array(np.concatenate([-self.load, np.zeros(b), -self.tie_rate])[:, None])
-        border = sp.csr_array(np.concatenate([c_u, c_l, np.zeros(k)])[None, :])
+        border = sp.csr_array(np.concatenate([row, row_forces, np.zeros(k)])[None, :])
         inner = sp.bmat([[K, rows.T], [rows, None]], format="csr") if b + k else sp.csr_array(K)
-        found = solve_system(sp.bmat([[inner, loads], [border, sp.csr_array([[c_t]])]], format="csc"), right)
+        return sp.bmat([[inner, loads], [border, sp.csr_array([[row_t]])]], format="csc")
+
+    def _parted(self, found: Vector, B: Any) -> tuple[Vector, Vector, Vector, float]:
+        """u, (m,) l, nu and t of a solution."""
+        n, b, k = len(self.load), len(B), len(self.tie_rate)
         normal = np.zeros(self.loaded.contacts)
         normal[B] = found[n : n + b]
         return found[:n], normal, found[n + b : n + b + k], float(found[-1])

@@ -13,6 +13,7 @@ from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, Li
 from contactqp.analysis.large.deformation_steps import large_solution
 from contactqp.analysis.large.load_control import forces_of
 from contactqp.analysis.large.path_equations import (
+    SHARP,
     Control,
     Direction,
     PathEquations,
@@ -141,12 +142,15 @@ class PathFollower:
         NotConverged
         """
         part, failure = 1.0, None
-        for _ in range(HALVINGS):
+        for halving in range(HALVINGS):
             try:
                 point = self._to(pace, part)
                 event = self._first_event(point)
                 if event is None:
-                    self._keep(point, self._closed, self.path.onwards(point, self._closed, self._direction), pace, part)
+                    onwards = self.path.onwards(point, self._closed, self._direction)
+                    if halving + 1 < HALVINGS:
+                        self._refuse_sharp(point, onwards)
+                    self._keep(point, self._closed, onwards, pace, part)
                 else:
                     self._switch(*event, pace, part)
             except NotConverged as error:
@@ -154,6 +158,17 @@ class PathFollower:
                 continue
             return
         raise NotConverged(f"no part of a step along the path converges: {failure}") from failure
+
+    def _refuse_sharp(self, point: PathPoint, onwards: Direction) -> None:
+        """Raise where the path has turned too far for a point to be known as the next one, or has gone back."""
+        start, ahead, path = self._point, self._direction, self.path
+        moved, risen = point.displacement - start.displacement, point.load_factor - start.load_factor
+        for direction in (ahead, onwards):
+            along = moved @ direction.displacement + path.scale**2 * risen * direction.load_factor
+            if along <= 0:
+                raise NotConverged("the step turns back")
+        if path.cosine(ahead, onwards) < SHARP:
+            raise NotConverged("the path turns sharply")
 
     def _to(self, pace: Pace, part: float, *, finished: bool = True) -> PathPoint:
         """The point at a part of the step on the contacts that are closed now."""
@@ -166,12 +181,7 @@ class PathFollower:
         )
         u, t = start.displacement + far * ahead.displacement, start.load_factor + far * ahead.load_factor
         control = pace.control(self.path, start, ahead, part)
-        point = self.path.point(u, t, forces, self._closed, control, finished=finished)
-        along = (point.displacement - start.displacement) @ ahead.displacement
-        along += self.path.scale**2 * (point.load_factor - start.load_factor) * ahead.load_factor
-        if along <= 0:
-            raise NotConverged("the step turns back")
-        return point
+        return self.path.point(u, t, forces, self._closed, control, finished=finished)
 
     def _first_event(self, point: PathPoint) -> tuple[int, PathPoint] | None:
         """The contact that first closes or opens on the way to a point, and where it does."""
