@@ -17,6 +17,8 @@ from contactqp.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 # What rounding may make of a length or a force, over the lengths and forces that meet.
 ROUNDED = 1e-12
+# Changes of combination that are tried, a contact.
+CHANGES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,8 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
     """u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
 
     The combination of states is changed where its answer breaks the law: contacts in tension open, overlapping ones
-    close and stick, friction beyond mu l_N slips, slip against its friction sticks. It starts from the states that
+    close and stick, friction beyond mu l_N slips, slip against its friction sticks; all at once until a combination
+    comes back, then one contact at a time, which closes slipping as it moved. It starts from the states that
     `forces` show. Rows, gaps, slip origins and ties are those of `problem`, which has one tangent a contact.
 
     Raises
@@ -45,13 +48,19 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
         raise ValueError("friction of a problem without tangential rows")
     status = _states(problem.friction, forces)
     seen: set[bytes] = set()
-    while status.tobytes() not in seen:
-        seen.add(status.tobytes())
+    one_by_one = False
+    for _ in range(CHANGES * (problem.contacts + 1)):
         answer = _on(K, problem, load, status)
-        changed = _lawful(problem, answer, status)
-        if np.array_equal(changed, status):
+        changed = _lawful(problem, answer, status, one_by_one)
+        differ = np.flatnonzero(changed != status)
+        if not differ.size:
             return answer.increment, Forces(answer.normal, answer.tie, answer.friction[:, None])
-        status = changed
+        one_by_one |= status.tobytes() in seen
+        seen.add(status.tobytes())
+        status = status.copy()
+        if one_by_one:  # the last contact that breaks the law: Murty's rule, which ends where the law has one answer
+            differ = differ[-1:]
+        status[differ] = changed[differ]
     raise NotConverged("the combination of stick and slip comes back: the tangent is indefinite there")
 
 
@@ -81,8 +90,8 @@ def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combin
     return Combination(found[:n], normal, friction, found[len(found) - k :])
 
 
-def _lawful(problem: ContactProblem, answer: Combination, status: Status) -> Status:
-    """The states that the answer asks for."""
+def _lawful(problem: ContactProblem, answer: Combination, status: Status, slipping: bool) -> Status:
+    """The states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
     u, bound = answer.increment, np.asarray(problem.friction) * answer.normal
     E_T, origin = sp.csr_array(problem.tangent), np.asarray(problem.slip_origin)[:, 0]
     excess, slip = problem.normal @ u - problem.gap, E_T @ u - origin
@@ -92,6 +101,7 @@ def _lawful(problem: ContactProblem, answer: Combination, status: Status) -> Sta
     slides = (status == STICK) & (abs(answer.friction) > bound * (1 + ROUNDED))
     changed[slides] = np.where(answer.friction[slides] > 0, SLIP_ON, SLIP_BACK)
     changed[(abs(status) == SLIP_ON) & (status * slip < -along)] = STICK
-    changed[(status == OPEN) & (excess > apart)] = STICK
+    closes = (status == OPEN) & (excess > apart)
+    changed[closes] = np.where(slip[closes] > 0, SLIP_ON, SLIP_BACK) if slipping else STICK
     changed[(status != OPEN) & (answer.normal < 0)] = OPEN
     return changed
