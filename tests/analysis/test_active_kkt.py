@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.analysis.active_kkt import (
+from contactqp.analysis.large.active_kkt import (
     by_signs,
     determinant_sign,
     lowest_eigenvalue,
@@ -13,8 +13,8 @@ from contactqp.analysis.active_kkt import (
     positive_semidefinite,
     solve_system,
 )
-from contactqp.analysis.coulomb_kkt import coulomb_by_signs
-from contactqp.analysis.loaded_body import Forces
+from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
+from contactqp.analysis.large.loaded_body import Forces
 from contactqp.errors import NotConverged
 from contactqp.factorization import DENSE_SIZE
 
