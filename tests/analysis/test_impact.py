@@ -330,3 +330,49 @@ def test_random_motions_pass_wherever_they_are_looked_at(seed: int) -> None:
         assert all(history[k].certificate.passed for k in range(0, 21, 4)), scheme
         touched += int(np.count_nonzero(history.normal_forces))
     assert touched > 10
+
+
+@pytest.mark.parametrize("scheme", ["newmark", "paoli-schatzman"])
+def test_a_block_that_friction_holds_stays_where_it_is(scheme: str) -> None:
+    """Pushed by 0.8 of what friction can hold, on the plane or up to a rounding above it."""
+    block = sliding_block(friction=0.5, gravity=10.0).replace(load=[8.0, -20.0])
+    for height in (0.0, 1e-16):
+        history = cq.impact(block.replace(gap=[1.0]), [2.0, 2.0], [0.0, height - 1.0], [0.0, 0.0], 0.1, 0.01, scheme)
+        np.testing.assert_allclose(history.displacements[:, 0], 0.0, atol=1e-15)
+        assert history.friction_forces is not None
+        np.testing.assert_allclose(history.friction_forces[2:, 0, 0], 8.0, rtol=1e-9)
+        np.testing.assert_allclose(history.normal_forces[2:, 0], 20.0, rtol=1e-9)
+
+
+def test_friction_from_the_start_is_of_second_order_in_newmarks_scheme() -> None:
+    block = sliding_block(friction=0.1, gravity=10.0).replace(load=[8.0, -20.0])
+    history = cq.impact(block, [2.0, 2.0], [0.0, 0.0], [1.0, 0.0], 0.5, 0.01, "newmark")
+    np.testing.assert_allclose(history.displacements[:, 0], history.times + 1.5 * history.times**2, atol=1e-12)
+
+
+def test_a_block_rests_though_another_unknown_has_no_mass() -> None:
+    K = np.zeros((3, 3))
+    K[1:, 1:] = [[1.0, -1.0], [-1.0, 1.0]]
+    block = cq.ContactProblem(K, [-10.0, 0, 0], [[-1.0, 0, 0]], [0.0])
+    history = cq.impact(block, [1.0, 1.0, 0.0], np.zeros(3), np.zeros(3), 0.1, 0.01, "newmark")
+    np.testing.assert_allclose(history.normal_forces[:, 0], 10.0, rtol=1e-12)
+
+
+def test_a_tie_of_unknowns_without_mass_has_its_whole_force() -> None:
+    """A chain whose first node lies on the ground and is held sideways against a pull of 4 in all, at rest."""
+    chain = np.diag([1.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1)
+    load, row = np.tile([1.0, -1.0], 4), np.eye(8)
+    problem = cq.ContactProblem(np.kron(100 * chain, np.eye(2)), load, -row[1:2], [0.0], tie=row[:1])
+    rest = cq.solve(problem)
+    for scheme in ("modified-mass", "newmark"):
+        history = cq.impact(problem, np.ones(8), rest.displacement, np.zeros(8), 0.05, 1e-3, scheme)
+        np.testing.assert_allclose(history.tie_forces[1:, 0], 4.0, rtol=1e-9)
+        np.testing.assert_allclose(history.normal_forces[2:, 0], 4.0, rtol=1e-9)
+
+
+def test_a_tie_of_a_mass_to_an_unknown_without_is_unsupported() -> None:
+    K = np.zeros((4, 4))
+    K[:3, :3] = 100 * np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    problem = cq.ContactProblem(K, [0, 0, 0, -10.0], [[-1.0, 0, 0, 0]], [0.0], tie=[[1.0, 0, 0, -1.0]])
+    with pytest.raises(cq.Unsupported, match="modified-mass: tie 0 acts on unknowns with mass and on others without"):
+        cq.impact(problem, np.ones(4), np.zeros(4), np.zeros(4), 0.1, 0.01, "modified-mass")

@@ -106,7 +106,8 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
     ways, weight = scheme.contact_way(u, v), scheme.contact_weight()
 
     def along(force: Vector, rows: Any) -> Vector:
-        acting = weight * force[1:] + (1 - weight) * force[:-1]
+        share = np.repeat(weight, force.shape[1] // max(len(weight), 1))
+        acting = share * force[1:] + (1 - share) * force[:-1]
         return np.asarray(np.einsum("ij,ij->i", acting, (rows @ ways.T).T))
 
     work = np.einsum("ij,ij->i", (loads[1:] + loads[:-1]) / 2, np.diff(u, axis=0))

@@ -4,7 +4,9 @@
     E_N u+ <= g,  l_N+ >= 0,  complementary
 
 With mass at the contacts it creates energy at impacts and its contact forces chatter: it is kept because people use it.
-Without (`modified_mass`) contact nodes are in static equilibrium, K u+ + E'l+ = f+ there, and both are cured.
+Without (`modified_mass`) contact nodes are in static equilibrium, K u+ + E'l+ + A'nu = f+ there, and both are cured.
+A tie between unknowns with mass and without would have the mean of a step on one side and its end on the other: it is
+refused, as is such a contact.
 """
 
 from __future__ import annotations
@@ -27,12 +29,13 @@ class Trapezoidal(Scheme):
         self.templates = (body.template(self._inertia + body.stiffness),)
         self._massless = massless(body.mass)
         self._any_massless = bool(np.any(self._massless))
+        self._bare_contacts = body.on_massless("contact", name)
+        self._tie_share = np.where(body.on_massless("tie", name), 1.0, 0.5)
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """The contact forces of bodies that rest on each other, from M a + E_N'l = f - K u, E_N a <= 0."""
+        """The contact forces of bodies that rest on each other; they count half in the first step."""
         state = super().first(displacement, velocity, load)
-        if not self._any_massless:
-            state.normal_force[:] = self.body.starting(displacement, velocity, load)[1]
+        _, state.normal_force[:], state.friction_force[:] = self.body.starting(displacement, velocity, load)
         return state
 
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
@@ -49,11 +52,11 @@ class Trapezoidal(Scheme):
         velocity = 2 / h * found.increment - state.velocity
         if self._any_massless:
             velocity[self._massless] = found.increment[self._massless] / h
-        return State(found.unknown, velocity, found.normal, found.friction, found.tie / 2, u)
+        return State(found.unknown, velocity, found.normal, found.friction, self._tie_share * found.tie, u)
 
-    def contact_weight(self) -> float:
+    def contact_weight(self) -> Vector:
         """Half of a force works before its instant and half after; all of it where there is no mass."""
-        return 1.0 if self._any_massless else 0.5
+        return np.where(self._bare_contacts, 1.0, 0.5)
 
 
 class BackwardEuler(Scheme):

@@ -19,13 +19,17 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.errors import Unsupported
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solving import solve
 
 Block = NDArray[np.float64]  # one row a step
 
 NO_SLIP = np.zeros(0)
+# Gaps and velocities that are this part of their own lengths are none: bodies at rest are known to some roundings.
+RESTING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +78,66 @@ class Body:
         forces = np.zeros(problem.contacts), np.zeros(self.tangent.shape[0]), np.zeros(problem.ties)
         return State(displacement, velocity, *forces, before)
 
-    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector]:
-        """The acceleration and the normal forces (m,) of bodies that rest on each other at the start.
+    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector, Vector]:
+        """The acceleration, normal forces (m,) and friction ((d-1) m,) of bodies that rest on each other at the start.
 
-        M a + E_N'l + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move.
+        M a + E_N'l_N + E_T'l_T + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move apart or
+        together, where Coulomb's law has the slip E_T (v + h a), on the unknowns with mass.
         """
         problem, force = self.problem, load - self.stiffness @ displacement
         room, approach = problem.gap - problem.normal @ displacement, problem.normal @ velocity
-        resting = np.flatnonzero((room <= 0) & (approach == 0))
-        normal = np.zeros(problem.contacts)
-        start = solve(
-            ContactProblem(self.mass, force, problem.normal[resting], np.zeros(len(resting)), tie=problem.tie)
+        sizes = abs(problem.normal)
+        closed = room <= RESTING * (sizes @ abs(displacement) + abs(problem.gap))
+        still = abs(approach) <= RESTING * (sizes @ abs(velocity))
+        moving, bare = np.flatnonzero(~massless(self.mass)), massless(self.mass).astype(float)
+        resting = np.flatnonzero(closed & still & (sizes @ bare == 0))
+        rows, rough = np.zeros(0, dtype=np.intp), {}
+        if self.tangent.shape[0] and len(resting):
+            width = self.tangent.shape[0] // problem.contacts
+            rows = (resting[:, None] * width + np.arange(width)).ravel()
+            slipping = -(self.tangent[rows] @ velocity) / self.step
+            rough = dict(
+                tangent=self.tangent[rows][:, moving],
+                friction=problem.friction[resting],  # type: ignore[index]
+                slip_origin=slipping,
+            )
+        start = ContactProblem(
+            self.mass[moving][:, moving],
+            force[moving],
+            problem.normal[resting][:, moving],
+            np.zeros(len(resting)),
+            tie=problem.tie[abs(problem.tie) @ bare == 0][:, moving],
+            **rough,
         )
-        normal[resting] = start.normal_force
-        return start.displacement, normal
+        acceleration, normal = np.zeros(problem.dimension), np.zeros(problem.contacts)
+        friction = np.zeros(self.tangent.shape[0])
+        found = solve(start)
+        acceleration[moving], normal[resting] = found.displacement, found.normal_force
+        if found.friction_force is not None:
+            friction[rows] = found.friction_force.ravel()
+        return acceleration, normal, friction
+
+    def on_massless(self, what: str, scheme: str) -> NDArray[np.bool_]:
+        """(m,) contacts or (k,) ties whose unknowns have no mass.
+
+        Raises
+        ------
+        Unsupported
+            One acts on unknowns with mass and on others without.
+        """
+        problem, bare = self.problem, massless(self.mass)
+        groups = [problem.tie] if what == "tie" else [problem.normal]
+        if what == "contact" and self.tangent.shape[0]:
+            width = self.tangent.shape[0] // problem.contacts
+            groups += [self.tangent[place::width] for place in range(width)]
+        on_bare, on_mass = (
+            sum(abs(rows) @ unknowns.astype(float) for rows in groups) > 0 for unknowns in (bare, ~bare)
+        )
+        if np.any(on_bare & on_mass):
+            i = int(np.argmax(on_bare & on_mass))
+            name = f"tie {i}" if what == "tie" else problem.contact_name(i)
+            raise Unsupported(f"{scheme}: {name} acts on unknowns with mass and on others without; take another scheme")
+        return np.asarray(on_bare)
 
     def pull(self, state: State) -> Vector:
         """E_N'l_N + E_T'l_T of a state."""
@@ -129,9 +179,9 @@ class Scheme(ABC):
         del velocities
         return np.diff(displacements, axis=0)
 
-    def contact_weight(self) -> float:
-        """The part of a contact force that works in its own step; the rest works in the step after."""
-        return 1.0
+    def contact_weight(self) -> Vector:
+        """(m,) the part of a contact's force that works in its own step; the rest works in the step after."""
+        return np.ones(self.body.problem.contacts)
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
         """(steps + 1,) 1/2 v'Mv of states given as (steps + 1, n) arrays."""
