@@ -376,3 +376,19 @@ def test_a_tie_of_a_mass_to_an_unknown_without_is_unsupported() -> None:
     problem = cq.ContactProblem(K, [0, 0, 0, -10.0], [[-1.0, 0, 0, 0]], [0.0], tie=[[1.0, 0, 0, -1.0]])
     with pytest.raises(cq.Unsupported, match="modified-mass: tie 0 acts on unknowns with mass and on others without"):
         cq.impact(problem, np.ones(4), np.zeros(4), np.zeros(4), 0.1, 0.01, "modified-mass")
+
+
+@pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "deuflhard-krause-ertel", "backward-euler"])
+def test_a_body_that_fits_exactly_between_walls_stays_there(scheme: str) -> None:
+    """Walls on both sides: what presses them together has no bound but rounding."""
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        way, load = rng.normal(size=3), 10 * rng.normal(size=3)
+        walls = np.outer([rng.uniform(0.1, 3.0), -rng.uniform(0.1, 3.0), 1.7], way)
+        body = cq.ContactProblem(np.zeros((3, 3)), load, walls, np.zeros(3))
+        mass = np.full(3, rng.uniform(0.1, 3.0))
+        history = cq.impact(
+            body, mass, np.zeros(3), np.zeros(3), 0.1, 0.01, scheme, load=lambda t, f=load: f * np.cos(40 * t)
+        )
+        np.testing.assert_allclose(history.displacements @ way, 0.0, atol=1e-12)
+        assert history.displacements.any()

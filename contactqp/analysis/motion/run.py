@@ -19,7 +19,15 @@ from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import Answered, Posed, StepContact
 from contactqp.certificate import refuse_not_positive
-from contactqp.errors import BackendFailed, InvalidProblem, NotCertified, NotConverged, TimeStepWarning
+from contactqp.errors import (
+    BackendFailed,
+    InvalidProblem,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    TimeStepWarning,
+)
 from contactqp.problem import Vector
 from contactqp.solution import Work
 
@@ -97,7 +105,7 @@ class MotionRun:
             posed = self._scheme.pose(state, load, next_load, answers)
             try:
                 found = contact.solve(posed)
-            except (NotConverged, NotCertified, BackendFailed) as error:
+            except (NotConverged, NotCertified, BackendFailed, NoEquilibrium, SeveralEquilibria) as error:
                 done = len(self._motion.states) - 1
                 for pairs in self._pending:
                     del pairs[self._steps_since(done) :]  # a step of two problems may have answered one

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.factorization import Array
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem, Vector
@@ -25,6 +26,8 @@ ROUNDING = 1e-13
 # A friction force that is this near to the cone slips.
 ON_CONE = 1e-9
 REFINEMENTS = 2
+# Compliance, as part of its own, that is given to contacts whose forces nothing else bounds.
+SQUEEZED = 1e-13
 
 
 def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, options: dict[str, Any]) -> Vector:
@@ -34,7 +37,16 @@ def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, op
         if found is not None:
             return found
     dual = ContactProblem(stiffness=W, load=-c, normal=-np.eye(len(c)), gap=np.zeros(len(c)))
-    return np.maximum(solve(dual, method, **options).displacement, 0.0)
+    try:
+        return np.maximum(solve(dual, method, **options).displacement, 0.0)
+    except (NoEquilibrium, NotCertified, NotConverged) as error:
+        # Contacts that squeeze a body between them: a rounding of c decides whether the forces are bounded.
+        found = _by_active_set(W + np.diag(SQUEEZED * W.diagonal()), c, start)
+        if found is not None:
+            return found
+        if isinstance(error, NoEquilibrium):
+            raise NotConverged(f"the contacts of the step leave no room: {error}") from error
+        raise
 
 
 def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | None:
