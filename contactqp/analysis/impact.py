@@ -122,6 +122,12 @@ def impact(
     knobs = _knobs(kind, scheme, theta, restitution, penalty)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
+    if (
+        isinstance(start_time, bool)
+        or not isinstance(start_time, (int, float, np.number))
+        or not np.isfinite(start_time)
+    ):
+        raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")
     n = problem.dimension
     u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
     _refuse_start(problem, u, v)
@@ -146,14 +152,14 @@ def _kind(scheme: str) -> Kind:
 
 
 def _knobs(kind: Kind, scheme: str, theta: Any, restitution: Any, penalty: Any) -> Knobs:
+    for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= 1:
+            raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
     given = {"theta": theta != 0.5, "restitution": restitution != 0.0, "penalty": penalty is not None}
     for name, is_given in given.items():
         if is_given and name not in kind.knobs:
             takers = ", ".join(other for other, its in SCHEMES.items() if name in its.knobs)
             raise InvalidProblem(f"{name}: the scheme {scheme!r} has none; {takers} take one")
-    for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= 1:
-            raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
     if penalty is not None:
         refuse_not_positive("penalty", penalty)
     return Knobs(float(theta), float(restitution), None if penalty is None else float(penalty))

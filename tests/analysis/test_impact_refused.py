@@ -45,6 +45,12 @@ BALL: dict[str, Any] = dict(
         (dict(penalty=1e3), "penalty: the scheme 'moreau-jean' has none; penalty take one"),
         (dict(scheme="penalty"), "penalty: the scheme 'penalty' has no default stiffness"),
         (dict(scheme="penalty", penalty=-1.0), "penalty: expected a positive number, got -1.0"),
+        (dict(duration=1e300, time_step=1e-100), "duration: 1e\\+300 takes more steps of 1e-100 than can be counted"),
+        (dict(start_time="noon"), "start_time: expected a finite number, got 'noon'"),
+        (dict(start_time=np.nan), "start_time: expected a finite number, got nan"),
+        (dict(theta=np.array([0.5, 0.6])), "theta: expected a number from 0.5 to 1"),
+        (dict(restituion=0.5, duration=0.1), "active-set: unknown option 'restituion'"),
+        (dict(tolerance=-1.0, duration=0.1), "tolerance: expected a positive number, got -1"),
         (dict(load=3.0), "load: expected a function of time, got 3.0"),
         (dict(load=lambda t: [0.0, t]), r"load at time 0: expected shape \(1,\), got \(2,\)"),
         (dict(scheme="modified-mass"), "contacts act on so many unknowns that their mass cannot be moved"),
@@ -68,10 +74,11 @@ def test_methods_that_are_approximate_and_friction_with_springs_are_unsupported(
 
 
 def test_asymmetric_and_incomplete_masses_are_refused() -> None:
-    pair = cq.ContactProblem(np.eye(2), [0, 0], [[1.0, 0]], [1.0])
+    pair = cq.ContactProblem(1e4 * np.eye(2), [0, 0], [[1.0, 0]], [1.0])
     for mass, message in (
         ([[1.0, 0.5], [0.0, 1.0]], "symmetric"),
         ([[1.0, 0.5], [0.5, 0.0]], "not positive semidefinite"),
+        ([[1.0, 1.5], [1.5, 1.0]], "expected a positive semidefinite matrix, got an indefinite one"),
     ):
         with pytest.raises(cq.InvalidProblem, match=message):
             cq.impact(pair, mass, [0, 0], [0, 0], 1.0, 0.1)

@@ -9,11 +9,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import null_space
+from contactqp.factorization import factorise, null_space
 from contactqp.problem import ContactProblem, Vector
 
 # Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
 ASYMMETRY = 1e-6
+# Rounding and print precision leave a semidefinite mass, scaled to a diagonal of one, pivots as negative as this.
+INDEFINITE = 1e-6
 # Rigid motions keep their mass to this part of it.
 KEPT = 1e-9
 
@@ -24,7 +26,7 @@ def read_mass(mass: Any, n: int) -> Any:
     Raises
     ------
     InvalidProblem
-        Another shape, values that are not finite, an asymmetric matrix, a negative diagonal, mass that couples to an
+        Another shape, values that are not finite, an asymmetric or indefinite matrix, mass that couples to an
         unknown that has none.
     """
     values = mass if sp.issparse(mass) else np.asarray(mass)
@@ -47,7 +49,21 @@ def read_mass(mass: Any, n: int) -> Any:
     beside = np.sqrt(diagonal[difference.row] * diagonal[difference.col])
     if np.any(difference.data > ASYMMETRY * beside):
         raise InvalidProblem("mass: expected a symmetric matrix")
-    return sp.csr_matrix((M + M.T) / 2)
+    M = sp.csr_matrix((M + M.T) / 2)
+    _refuse_indefinite(M)
+    return M
+
+
+def _refuse_indefinite(M: Any) -> None:
+    """An indefinite mass creates energy, and the stiffness that a step adds may hide it."""
+    diagonal = M.diagonal()
+    moving = np.flatnonzero(diagonal > 0)
+    if not (M - sp.diags(diagonal)).count_nonzero():
+        return
+    try:
+        factorise((M + sp.diags(INDEFINITE * diagonal)).tocsr()[moving][:, moving])
+    except InvalidProblem as error:
+        raise InvalidProblem("mass: expected a positive semidefinite matrix, got an indefinite one") from error
 
 
 def massless(mass: Any) -> NDArray[np.bool_]:

@@ -36,6 +36,8 @@ BLOCK = 64
 TOLERANCE = 1e-9
 # A duration that is this near to a whole number of steps is one.
 WHOLE = 1e-6
+# Times of more steps than this are no longer apart in double precision.
+MOST_STEPS = 2.0**53
 # A contact that lasts less than so many steps is not resolved.
 RESOLVED = 10
 # Central differences may step at their critical step, known to this part.
@@ -64,7 +66,12 @@ class MotionRun:
     def lasting(self, duration: float) -> MotionHistory:
         """The history so far and of the steps that a duration takes."""
         refuse_not_positive("duration", duration)
-        ratio = duration / self._scheme.body.step
+        with np.errstate(over="ignore"):
+            ratio = float(np.float64(duration) / self._scheme.body.step)
+        if ratio > MOST_STEPS:
+            raise InvalidProblem(
+                f"duration: {duration:g} takes more steps of {self._scheme.body.step:g} than can be counted"
+            )
         whole = abs(ratio - round(ratio)) <= WHOLE
         return self._steps(max(round(ratio) if whole else int(np.ceil(ratio)), 1))
 

@@ -75,6 +75,8 @@ class StepContact:
         self._rubbing = len(self._T) if template.frictional else 0
         self._rows = rows
         self._prepare_ties()
+        if options:
+            self._refuse_options()
         self._W = rows @ self._compliance(rows.T)
 
     @property
@@ -92,6 +94,14 @@ class StepContact:
         rows = np.empty((m, 1 + width, self._E.shape[1]))
         rows[:, 0], rows[:, 1:] = -self._E, self._T.reshape(m, width, -1)
         return rows.reshape(-1, self._E.shape[1])
+
+    def _refuse_options(self) -> None:
+        """What a method says of its options at the first contact it says before the motion begins."""
+        if self._frictional:
+            width = 1 + len(self._T) // self.template.contacts
+            frictional_forces(np.eye(width), -np.eye(width)[0], np.ones(1), self._method, self._options)
+        else:
+            normal_forces(np.eye(1), -np.ones(1), np.zeros(1, dtype=bool), self._method, self._options)
 
     def _prepare_ties(self) -> None:
         self._tied: DenseCholesky | None = None
