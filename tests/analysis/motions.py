@@ -46,3 +46,15 @@ def sliding_block(friction: float = 0.3, mass: float = 2.0, gravity: float = 9.8
         tangent=[[1.0, 0.0]],
         friction=friction,
     )
+
+
+def brick(friction: float, corners: int) -> cq.ContactProblem:
+    """A rigid brick of unit mass over a plane, unknowns (translation, rotation), with redundant contacts."""
+    places = [(1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (1, 0), (0, -1), (-1, 0)][:corners]
+    arms = [np.array([x, y, -0.5]) for x, y in places]
+    normal = [-np.r_[0.0, 0.0, 1.0, np.cross(arm, [0.0, 0.0, 1.0])] for arm in arms]
+    tangent = [np.r_[way, np.cross(arm, way)] for arm in arms for way in np.eye(3)[:2]]
+    load = [0.0, 0.0, -10.0, 0.0, 0.0, 0.0]
+    return cq.ContactProblem(
+        np.zeros((6, 6)), load, np.array(normal), np.full(corners, 0.05), tangent=np.array(tangent), friction=friction
+    )

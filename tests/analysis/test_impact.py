@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from tests.analysis.motions import GAP, LENGTH, SPEED, WAVE, rod_at_wall, rod_matrices, sliding_block, thrown_rod
+from tests.analysis.motions import GAP, LENGTH, SPEED, WAVE, brick, rod_at_wall, rod_matrices, sliding_block, thrown_rod
 
 # Scheme, Courant number, its arguments.
 GOOD: list[Any] = [
@@ -392,3 +392,14 @@ def test_a_body_that_fits_exactly_between_walls_stays_there(scheme: str) -> None
         )
         np.testing.assert_allclose(history.displacements @ way, 0.0, atol=1e-12)
         assert history.displacements.any()
+
+
+@pytest.mark.parametrize(("friction", "corners"), [(0.3, 4), (1.5, 4), (0.3, 8), (1.5, 8)])
+def test_a_brick_thrown_on_a_plane_comes_to_rest(friction: float, corners: int) -> None:
+    """What four or eight redundant contacts press against each other is rounding where the brick comes to rest."""
+    spin = [1.0, 0.5, -1.0, 0.3, 0.2, 0.5]
+    history = cq.impact(brick(friction, corners), [1, 1, 1, 0.4, 0.4, 0.6], np.zeros(6), spin, 0.5, 5e-3)
+    assert not history.velocities[-1].any()
+    assert np.sum(history.normal_forces[-1]) == pytest.approx(10.0)
+    assert history[-1].certificate.passed
+    assert abs(history.energies[-1].drift) < 1e-12

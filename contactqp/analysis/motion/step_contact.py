@@ -27,6 +27,12 @@ DEPENDENT = 1e-10
 # An unknown whose own force S_jj x_j is this part of those that meet there is at rest: forces with friction are known
 # to some thousand roundings, and what is tolerated of residuals is a thousand times as much.
 AT_REST = 1e-12
+# A force whose own effect on its contact is this part of all that moves it there is rounding.
+DUST = 16 * np.finfo(float).eps
+# A contact with friction that is less than its bound by this part sticks.
+STICKS = 1e-12
+# A slip that should be none is sharpened beyond this part of the lengths that meet there.
+SHARP = 1e-11
 # Up to so many contact unknowns have their inverse formed; a correction makes its answers as good as those of factors.
 FEW = 60
 
@@ -155,18 +161,81 @@ class StepContact:
             free = free - self._of_ties @ tie
         normal, friction = self._forces(gap - self._E @ free, posed.looked_at, free, origin)
         if normal.any():
-            pull, size = self._E.T @ normal, abs(self._E).T @ normal
             if self._frictional:
-                pull, size = pull + self._T.T @ friction, size + abs(self._T).T @ abs(friction)
-            response = self._respond(pull)
-            if self._tied is not None:
-                change = self._tied.solve(self._A @ response)
-                tie, response = tie - change, response - self._of_ties @ change
-            free = free - response
+                normal, friction = self._without_dust(normal, friction, gap - self._E @ free)
+            response, change = self._response(normal, friction)
+            if self._frictional and normal.any():
+                better = self._sharpened(normal, friction, free - response, gap, origin)
+                if better is not None:
+                    normal, friction = better
+                    response, change = self._response(normal, friction)
+            size = abs(self._E).T @ normal
+            if self._frictional:
+                size = size + abs(self._T).T @ abs(friction)
+            tie, free = tie - change, free - response
             # What comes to rest does so exactly, and not up to the rounding of the forces that stop it.
             free[way.schur.diagonal() * abs(free) <= AT_REST * (abs(reduced) + size)] = 0.0
         x = way.expand(free, inner)
         return Answered(x if posed.base is None else posed.base + x, normal, friction, tie, x)
+
+    def _response(self, normal: Vector, friction: Vector) -> tuple[Vector, Vector]:
+        """What contact forces move, and the tie forces (k,) that they call up."""
+        pull = self._E.T @ normal
+        if self._frictional:
+            pull = pull + self._T.T @ friction
+        response = self._respond(pull)
+        if self._tied is None:
+            return response, np.zeros(len(self._A))
+        change = self._tied.solve(self._A @ response)
+        return response - self._of_ties @ change, change
+
+    def _without_dust(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
+        """Forces without those that move their own contact by less than the rounding of what moves it in all.
+
+        All rows of a contact are in one unit of length, and so are the effects of its forces.
+        """
+        m = len(normal)
+        width = 1 + len(friction) // m
+        force = np.column_stack([normal, friction.reshape(m, width - 1)])
+        own = self._W.diagonal().reshape(m, width) * abs(force)
+        meeting = (abs(self._W) @ abs(force).ravel()).reshape(m, width)
+        meeting[:, 0] += abs(c)
+        dust = own <= DUST * np.max(meeting, axis=1, keepdims=True)
+        pushless, rubless = np.all(dust, axis=1), np.all(dust[:, 1:], axis=1)
+        force[rubless, 1:] = 0.0
+        force[pushless] = 0.0
+        return force[:, 0], force[:, 1:].ravel()
+
+    def _sharpened(
+        self, normal: Vector, friction: Vector, x: Vector, gap: Vector, origin: Any
+    ) -> tuple[Vector, Vector] | None:
+        """Forces corrected by what is left at contacts that push and do not slip, or None where nothing is to be had.
+
+        Forces are known to some roundings of the largest, such as a weight. Where others are all that acts on a body
+        that comes to rest, that moves it, by a rounding that is as large as anything that moves there.
+        """
+        m, width = len(normal), len(friction) // len(normal)
+        size, bound = np.linalg.norm(friction.reshape(m, width), axis=1), self.template.friction * normal  # type: ignore[operator]
+        sticks = (normal > 0) & (size < (1 - STICKS) * bound)
+        left = np.column_stack([gap - self._E @ x, (self._T @ x - origin).reshape(m, width)])
+        lengths = abs(self._T) @ abs(x) + abs(origin)
+        slips = np.max(abs(left[:, 1:]), axis=1) > SHARP * np.max(lengths.reshape(m, width), axis=1)
+        if not np.any(sticks & slips):
+            return None
+        active = np.zeros((m, 1 + width), dtype=bool)
+        active[:, 0], active[:, 1:] = normal > 0, sticks[:, None]
+        rows = np.flatnonzero(active)
+        with_slip = np.zeros((m, 1 + width, m, 1 + width))  # forces of corrections: of a sliding contact on its cone
+        with_slip.reshape(m * (1 + width), -1)[rows, rows] = 1.0
+        slides = np.flatnonzero((normal > 0) & ~sticks)
+        with_slip[slides, 1:, slides, 0] = -friction.reshape(m, width)[slides] / normal[slides, None]
+        ways = with_slip.reshape(m * (1 + width), -1)[:, rows]
+        change = ways @ np.linalg.lstsq((self._W @ ways)[rows], -left.ravel()[rows], rcond=None)[0]
+        change = change.reshape(m, 1 + width)
+        sharp_normal, sharp_friction = normal + change[:, 0], friction - change[:, 1:].ravel()
+        if np.any(sharp_normal < 0):
+            return None
+        return sharp_normal, sharp_friction
 
     def _limits(self, posed: Posed) -> tuple[Vector, Any, Any]:
         """Gap, slip origin and tie value of x - base."""
