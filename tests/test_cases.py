@@ -9,7 +9,7 @@ import pytest
 import contactqp as cq
 from contactqp.scene.explanation import report_methods
 from contactqp.scene.judging import Judgement, Trial, judge, judge_all, trials
-from contactqp.scene.schema import LoadPath
+from contactqp.scene.schema_path import LoadPath
 
 FOLDER = Path(__file__).parents[1] / "cases"
 CASES = sorted(file.name for file in FOLDER.glob("*.toml"))
