@@ -76,7 +76,9 @@ def test_snap_through_onto_a_floor_is_told_with_its_load():
     assert not any(iteration.shift for iteration in leapt.iterations[1])  # no iterate saw the crest
     assert leapt.notes[0].startswith("snap-through at load factor 0.05806")
     history = cq.large_deformation(arch(), [DOWN], node_over(FLOOR), steps=10)
-    (note,) = history.notes
+    (note,), (snap,) = history.notes, history.snaps
+    assert snap.low < snap.high == pytest.approx(limit, rel=1e-6)
+    assert (snap.unknown, snap.after) == (1, pytest.approx(-0.3))
     assert note.startswith("snap-through at load factor 0.290327")
     assert limit == pytest.approx(0.290327, abs=1e-6)
     assert [(event.kind, event.time) for event in history.events] == [("closed", pytest.approx(0.3))]
@@ -385,3 +387,13 @@ def test_bad_arguments_are_refused(change, message):
 def test_friction_with_an_approximate_method_is_refused():
     with pytest.raises(Unsupported, match="approximate"):
         cq.large_deformation(arch(), [DOWN], node_over(FLOOR), friction=0.3, method="penalty", penalty=1e4)
+
+
+def test_a_slack_chain_takes_its_shape_without_a_snap():
+    """At no load a chain has motions without stiffness; how far it falls then is no jump off a stable equilibrium."""
+    nodes = [[0.0, 0.0], [0.6, -0.8], [1.4, -0.8], [2.0, 0.0]]
+    chain = cq.Supported(cq.NonlinearTruss(nodes, [[0, 1], [1, 2], [2, 3]], 1e4, 1.0), held=[0, 1, 6, 7])
+    history = cq.large_deformation(chain, [[0.0, -1.0, 0.0, -3.0]], steps=2)
+    assert np.max(abs(history.displacements[1])) > 0.05
+    assert any(iteration.shift for iteration in history.iterations[1])
+    assert (history.notes, history.snaps) == ((), ())

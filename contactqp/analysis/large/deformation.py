@@ -86,8 +86,34 @@ class LimitPoint:
     smooth: bool = True  # False: a contact closes or opens there
 
 
+@dataclass(frozen=True, eq=False)
+class Snap:
+    """Where load control jumps: the load factor lies between `low` and `high`."""
+
+    low: float
+    high: float
+    told: bool  # whether it is known to a small part of the step
+    unknown: int  # the one that jumps furthest
+    before: float  # its displacement [length]
+    after: float
+
+    @property
+    def note(self) -> str:
+        """In words."""
+        where = f"at load factor {self.high:.6g}"
+        if not self.told:
+            where = f"between the load factors {self.low:.6g} and {self.high:.6g}"
+        return (
+            f"snap-through {where}: the tangent loses its definiteness and unknown {self.unknown} jumps from "
+            f"{self.before:.6g} to {self.after:.6g}, the next equilibrium down the energy"
+        )
+
+
 class LargeHistory(History):
-    """The equilibria of a path; `times` are the load factors, which an arc length may take back and forth."""
+    """The equilibria of a path; `times` are the load factors, which an arc length may take back and forth.
+
+    `limit_points` are those of arc length and displacement control, `snaps` the jumps of load control.
+    """
 
     def __init__(
         self,
@@ -95,6 +121,7 @@ class LargeHistory(History):
         notes: Iterable[str] = (),
         limit_points: Iterable[LimitPoint] = (),
         events: Iterable[Event] | None = None,
+        snaps: Iterable[Snap] = (),
     ) -> None:
         found, told = list(solutions), tuple(notes)
         happened = _Found(found).events if events is None else partial(tuple, tuple(events))
@@ -106,6 +133,7 @@ class LargeHistory(History):
             notes=partial(tuple, told),
         )
         self.limit_points = tuple(limit_points)
+        self.snaps = tuple(snaps)
 
     def __repr__(self) -> str:
         return super().__repr__() if len(self) else "LargeHistory(no solutions)"

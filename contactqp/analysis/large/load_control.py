@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
 from contactqp.analysis.large.constrained_newton import Balance, find_balance
-from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, Snap
 from contactqp.analysis.large.deformation_steps import large_solution
 from contactqp.analysis.large.loaded_body import Forces, LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, Target
@@ -24,6 +24,8 @@ HALVINGS = 20
 KNOWN = 1e-3
 # What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
 JUMP = 0.3
+# A motion of less stiffness than this part of the largest has none.
+NO_STIFFNESS = 1e-10
 # Where between the ends of a step a crest of the energy is looked for: Newton's method may have leapt over it.
 BETWEEN = (0.25, 0.5, 0.75)
 
@@ -68,6 +70,7 @@ class LoadControl:
         """
         solutions: list[LargeSolution] = []
         notes: list[str] = []
+        snaps: list[Snap] = []
         first = times[0]
         try:
             if isinstance(start, LargeSolution):
@@ -75,16 +78,16 @@ class LoadControl:
             else:
                 solutions.append(self.first(start, first))
             for t in times[1:]:
-                solutions.append(self._next(solutions[-1], t, notes))
+                solutions.append(self._next(solutions[-1], t, notes, snaps))
         except NotConverged as error:
             at = times[len(solutions)]
-            so_far = LargeHistory(solutions, notes)
+            so_far = LargeHistory(solutions, notes, snaps=snaps)
             last = solutions[-1] if solutions else None
             raise NotConverged(f"large_deformation: at load factor {at:.6g}: {error}", so_far, last) from error
         except NotCertified as error:
             at = times[len(solutions)]
             raise NotCertified(f"large_deformation: at load factor {at:.6g}: {error}", error.solution) from error
-        return LargeHistory(solutions, notes)
+        return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
         """The equilibrium from which the steps set out, near a displacement."""
@@ -95,7 +98,7 @@ class LoadControl:
         balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), target, self.settings)
         return large_solution(self.loaded, balance, target, t, self.settings)
 
-    def _next(self, before: LargeSolution, t: float, notes: list[str]) -> LargeSolution:
+    def _next(self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap]) -> LargeSolution:
         target = self.program.at(t)
         if self.loaded.friction is not None and before.position is not None:
             touching = (before.normal_force > 0) | (before.gap <= 0)
@@ -116,7 +119,10 @@ class LoadControl:
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
         if self.loaded.friction is None and (balance.shifted or self._leaps(before, balance)):
-            notes.extend(self._jump(before, balance, t))
+            snap = None if self._slack(before) else self._jump(before, balance, t)
+            if snap is not None:
+                snaps.append(snap)
+                notes.append(snap.note)
         solution = large_solution(self.loaded, balance, target, t, self.settings)
         if solution.negative and not before.negative:
             notes.append(
@@ -140,8 +146,17 @@ class LoadControl:
                     return True
         return False
 
-    def _jump(self, before: LargeSolution, balance: Balance, t: float) -> list[str]:
-        """The note of a step whose displacement does not shrink with it."""
+    def _slack(self, before: LargeSolution) -> bool:
+        """Whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the first
+        load, and what moves far then has not snapped."""
+        if np.any(before.load) or np.any(before.normal_force):
+            return False
+        K = sp.csc_array(self.loaded.body.tangent(before.displacement))
+        least = NO_STIFFNESS * float(np.max(abs(K.diagonal()), initial=0.0))
+        return bool(negative_on(sp.csc_array(K - least * sp.identity(K.shape[0])), self.loaded.tie))
+
+    def _jump(self, before: LargeSolution, balance: Balance, t: float) -> Snap | None:
+        """Of a step whose displacement does not shrink with it."""
         low, high = before.load_factor, t
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)
@@ -158,15 +173,10 @@ class LoadControl:
             else:
                 high, end = middle, u
         if np.linalg.norm(end - start) < JUMP * whole:
-            return []
+            return None
         j = int(np.argmax(abs(end - start)))
-        where = f"at load factor {high:.6g}"
-        if high - low > KNOWN * (t - before.load_factor):
-            where = f"between the load factors {low:.6g} and {high:.6g}"
-        return [
-            f"snap-through {where}: the tangent loses its definiteness and unknown {j} jumps from "
-            f"{start[j]:.6g} to {end[j]:.6g}, the next equilibrium down the energy"
-        ]
+        told = high - low <= KNOWN * (t - before.load_factor)
+        return Snap(low, high, told, j, float(start[j]), float(end[j]))
 
 
 def forces_of(solution: LargeSolution) -> Forces:
