@@ -59,6 +59,7 @@ def run_command(
     from contactqp.scene.judging import Failure, Judgement, judge_all
     from contactqp.scene.loading import load_scene
     from contactqp.scene.printing import judgement_data, print_judgements
+    from contactqp.scene.printing_paths import print_failure
     from contactqp.study.friction_files import outcome_data, run_files, split_files
 
     named, foreign = split_files(cases)
@@ -74,6 +75,8 @@ def run_command(
         outcomes += (found := judge_all(scene, methods, knobs))
         for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
             _complain(failure.message)
+            if not as_json:
+                print_failure(console, failure)
         if not as_json:
             print_judgements(console, [outcome for outcome in found if isinstance(outcome, Judgement)])
         for file in files.write(found) if files is not None else ():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -90,6 +91,40 @@ class LogarithmicLaw:
         """(1 - 2 h) / (1 + 2 eps)^2."""
         square = 1 + 2 * np.asarray(eps)
         return np.asarray((1 - np.log(square)) / square**2)
+
+
+@dataclass(frozen=True)
+class LawOfEachBar:
+    """One law for each of B bars: eps is (B,). If one of them cannot bear a bar of no length, all are kept from it."""
+
+    laws: tuple[BarLaw, ...]
+
+    @property
+    def length_free(self) -> bool:
+        return all(law.length_free for law in self.laws)
+
+    def energy(self, eps: Any) -> Array:
+        """w of each."""
+        return self._of_each("energy", eps)
+
+    def stress(self, eps: Any) -> Array:
+        """S of each."""
+        return self._of_each("stress", eps)
+
+    def modulus(self, eps: Any) -> Array:
+        """C of each."""
+        return self._of_each("modulus", eps)
+
+    def _of_each(self, name: str, eps: Any) -> Array:
+        strains, values = np.asarray(eps, dtype=float), np.empty(len(self.laws))
+        for law, bars in self._groups():
+            values[bars] = getattr(law, name)(strains[bars])
+        return values
+
+    def _groups(self) -> Iterator[tuple[BarLaw, list[int]]]:
+        """The distinct laws, and the bars that follow them."""
+        for law in dict.fromkeys(self.laws):
+            yield law, [i for i, other in enumerate(self.laws) if other == law]
 
 
 LAWS: dict[str, BarLaw] = {"green": GreenLaw(), "engineering": EngineeringLaw(), "logarithmic": LogarithmicLaw()}

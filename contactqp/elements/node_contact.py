@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.elements.exact import Number, Numbers, unit_vector
-from contactqp.elements.obstacle import Plane, tangents
+from contactqp.elements.obstacle import Obstacle, Plane, tangents
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,13 @@ def against_plane(point: Any, plane: Plane) -> ContactRows:
     n = plane.outward()
     gap: Number = plane.distance(np.asarray(point)[np.newaxis, :])[0]
     return ContactRows(normal=-n, gap=gap, tangent=tangents(n))
+
+
+def against_surface(point: Any, obstacle: Obstacle) -> ContactRows:
+    """The same of any obstacle, in floats, with its normal nearest to the point."""
+    at = np.asarray(point, dtype=float)[np.newaxis, :]
+    n = np.asarray(obstacle.normals(at), dtype=float)[0]
+    return ContactRows(normal=-n, gap=float(obstacle.distance(at)[0]), tangent=tangents(n))
 
 
 def between_nodes(first: Any, second: Any, direction: Any) -> ContactRows:

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
 from contactqp.scene import elimination
+from contactqp.scene.answers_of_large import OF_LARGE
 from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
+from contactqp.scene.deforming import DeformableModel, friction_along_axes
 from contactqp.scene.exact_numbers import point
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
@@ -84,6 +87,8 @@ def _tie_force(claim: Claim, answer: Answer) -> float:
 def _reaction(claim: Claim, answer: Answer) -> float:
     """r = K u + E_N' l_N + E_T' l_T + A' nu - f at a fixed unknown: the force of the support on the body."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
+    if isinstance(solution, LargeSolution):
+        return float(DeformableModel(answer.model).support_forces(solution)[exact.unknowns.place[at]])
     stiffness = sum(float(k) * answer.displacement(j) for (i, j), k in exact.stiffness.items() if i == at)
     rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
     forces = [*solution.normal_force, *solution.tie_force]
@@ -96,6 +101,8 @@ def _reaction(claim: Claim, answer: Answer) -> float:
 
 def _bar_force(claim: Claim, answer: Answer) -> float:
     scene = answer.scene
+    if scene.large:
+        return DeformableModel(answer.model).bar_force(str(claim.at), answer.solution.displacement)
     item = next(bar for bar in scene.bars if bar.name == claim.at)
     start, end = (point(scene, node) for node in item.nodes)
     displacement = np.concatenate([answer.of_node(node) for node in item.nodes])
@@ -137,7 +144,7 @@ def _events(claim: Claim, answer: Answer) -> int:
 
 def _along_axis(claim: Claim, answer: Answer, values: Any) -> float:
     axis = answer.scene.axes.index(str(claim.along))
-    return float(answer.model.along_axes(values)[_contact(claim, answer), axis])
+    return float(values[_contact(claim, answer), axis])
 
 
 def _velocity(claim: Claim, answer: Answer) -> float:
@@ -151,10 +158,13 @@ def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
 _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "displacement": lambda claim, answer: answer.displacement(str(claim.at)),
     "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),
+    "total normal force": lambda _, answer: float(answer.solution.normal_force.sum()),
     "gap": lambda claim, answer: float(answer.solution.gap[_contact(claim, answer)]),
     "status": lambda claim, answer: str(answer.solution.contact_status[_contact(claim, answer)]),
-    "friction force": lambda claim, answer: _along_axis(claim, answer, answer.solution.friction_force),
-    "slip": lambda claim, answer: _along_axis(claim, answer, answer.solution.slip),
+    "friction force": lambda claim, answer: _along_axis(
+        claim, answer, friction_along_axes(answer.model, answer.solution)
+    ),
+    "slip": lambda claim, answer: _along_axis(claim, answer, answer.model.along_axes(answer.solution.slip)),
     "tie force": _tie_force,
     "reaction": _reaction,
     "bar force": _bar_force,
@@ -164,6 +174,7 @@ _READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
     "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
     **OF_MOTIONS,
+    **OF_LARGE,
     "velocity": _velocity,
     "contact impulse": lambda claim, answer: float(answer.instant.impulses()[_contact(claim, answer)]),
     "free motions": lambda _, answer: len(answer.solution.free_motions),

@@ -21,6 +21,7 @@ from contactqp.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at
 from contactqp.scene.exact_loads import Row, exact_loads, sum_of
 from contactqp.scene.exact_numbers import displacements, ends, point, value
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
@@ -226,7 +227,7 @@ def _assemble(scene: Scene) -> Stiffness:
 
 def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
     if contact.node is not None and contact.obstacle is not None:
-        rows = node_contact.against_plane(point(scene, contact.node), _plane(scene, contact.obstacle))
+        rows = _against(scene, point(scene, contact.node), contact.obstacle)
     else:
         first, second = (point(scene, node) for node in contact.touched)
         direction = second - first if contact.direction is None else np.array(contact.direction)
@@ -248,6 +249,10 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
     return {name: value for name, value in zip(names, values, strict=True) if value}
 
 
-def _plane(scene: Scene, name: str) -> Plane:
+def _against(scene: Scene, where: Numbers, name: str) -> node_contact.ContactRows:
+    """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
     item = scene.obstacle(name)
-    return Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+    if item.kind == "plane":
+        plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+        return node_contact.against_plane(where, plane)
+    return node_contact.against_surface(where, obstacle(scene, name))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from contactqp.errors import SceneError
 from contactqp.scene.checking_bodies import check_bodies, check_no_bodies
 from contactqp.scene.checking_claims import claims_fit
+from contactqp.scene.checking_large import control_fits, large_fits
 from contactqp.scene.checking_motion import motion_fits
 from contactqp.scene.checking_path import path_fits
 from contactqp.scene.units import KINDS, Dimension
@@ -41,6 +42,7 @@ def check(scene: Scene) -> None:
     _dimensions_fit(scene)
     _obstacles_have_directions(scene)
     path_fits(scene)
+    large_fits(scene)
     if scene.meshed:
         check_bodies(scene)
         motion_fits(scene, Unknowns((), frozenset()))
@@ -51,7 +53,10 @@ def check(scene: Scene) -> None:
     _lengths_are_positive(scene)
     _strings_are_straight(scene)
     unknowns = of_scene(scene)
-    parts = (_fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, motion_fits, claims_fit)
+    parts = (
+        _fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, control_fits, motion_fits,
+        claims_fit,
+    )  # fmt: skip
     for part in parts:
         part(scene, unknowns)
 
@@ -70,7 +75,7 @@ def _names_are_distinct(scene: Scene) -> None:
 def _dimensions_fit(scene: Scene) -> None:
     d = len(scene.axes)
     for i, bar in enumerate(scene.bars):
-        if bar.divisions > 1 and d > 1:
+        if bar.divisions > 1 and d > 1 and not scene.large:
             raise SceneError(
                 f"bars[{i}].divisions ({bar.name!r}): expected 1 in a scene with {d} axes, where nothing holds the "
                 f"nodes inside of a bar across it, got {bar.divisions}"

@@ -38,7 +38,7 @@ def check_no_bodies(scene: Scene) -> None:
     if not scene.nodes:
         raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")
     for i, obstacle in enumerate(scene.obstacles):
-        if obstacle.kind != "plane":
+        if obstacle.kind != "plane" and not scene.large:
             raise SceneError(
                 f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
             )
@@ -135,13 +135,19 @@ def _bodies_exist(scene: Scene) -> None:
                 )
 
 
-def _obstacles_exist(scene: Scene) -> None:
-    d, known = len(scene.axes), [obstacle.name for obstacle in scene.obstacles]
+def obstacles_exist_in(scene: Scene) -> None:
+    """Refuse obstacles that the scene has not enough dimensions for, or too many."""
+    d = len(scene.axes)
     for i, obstacle in enumerate(scene.obstacles):
         if d not in _DIMENSIONS[obstacle.kind]:
             raise SceneError(
                 f"obstacles[{i}].kind ({obstacle.name!r}): a {obstacle.kind} does not exist in {d} dimensions"
             )
+
+
+def _obstacles_exist(scene: Scene) -> None:
+    known = [obstacle.name for obstacle in scene.obstacles]
+    obstacles_exist_in(scene)
     for i, contact in enumerate(scene.contacts):
         where = f"contacts[{i}]"
         if contact.touched:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
 from contactqp.methods import Method, methods
+from contactqp.scene.checking_large import large_claim_fits
 from contactqp.scene.checking_motion import motion_claim_fits
 from contactqp.scene.checking_path import time_fits
 from contactqp.scene.claims import Claim
@@ -88,6 +89,7 @@ def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[
         if name not in places["unknown"]:
             raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
     motion_claim_fits(where, claim, scene)
+    large_claim_fits(where, claim, scene)
     if measure.path and scene.path is None and scene.motion is None:
         raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
     if measure.friction and not any(c.friction for c in scene.contacts if c.name == claim.at):

@@ -67,7 +67,8 @@ class Claim(Block):
     the last step that is over then.
 
     `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` which of those of one
-    kind, counted from 1, or from the end, the last being -1.
+    kind, counted from 1, or from the end, the last being -1. Limit points and snaps at large deformations are counted
+    alike. Where an unknown is controlled there, `reached` is its displacement at the step that is meant.
     """
 
     quantity: QuantityName
@@ -78,6 +79,7 @@ class Claim(Block):
     unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
     load_factor: Number = Fraction(1)
     time: Annotated[Fraction | Quantity, PlainValidator(_instant)] | None = None
+    reached: fields.Length | None = None
     event: Literal["closed", "opened", "stick", "slip"] | None = None
     occurrence: Annotated[int, Field(strict=True), AfterValidator(_not_zero)] = 1
     method: Name | None = None
@@ -120,10 +122,12 @@ class Claim(Block):
                 raise ValueError(f"the quantity {self.quantity!r} expects {what}")
         if self.unknowns is not None and not measure.matrix:
             raise ValueError(f"the quantity {self.quantity!r} expects no 'unknowns'")
-        if self.occurrence != 1 and not measure.event:
+        if self.occurrence != 1 and not (measure.event or measure.counted):
             raise ValueError(f"the quantity {self.quantity!r} expects no 'occurrence'")
         if self.time is not None and self.load_factor != 1:
             raise ValueError("expected 'time' or 'load_factor', got both")
+        if self.reached is not None and (self.time is not None or self.load_factor != 1):
+            raise ValueError("expected 'reached' or a load factor, got both")
         if self.knobs and self.method is None:
             raise ValueError(f"{next(iter(self.knobs))!r} expects 'method', whose knob it is")
         return self
@@ -133,11 +137,12 @@ class Claim(Block):
         where = f" {self.component}{where}" if self.component else where
         where += f" near ({', '.join(map(str, self.near))})" if self.near else ""
         where += f" along {self.along}" if self.along else ""
-        if self.event is not None:
-            which = f" (number {self.occurrence})" if self.occurrence > 1 else ""
-            if self.occurrence < 0:
-                which = " (the last)" if self.occurrence == -1 else f" ({-self.occurrence} from the end)"
-            where += f" of {self.event!r}{which}"
+        which = f" (number {self.occurrence})" if self.occurrence > 1 else ""
+        if self.occurrence < 0:
+            which = " (the last)" if self.occurrence == -1 else f" ({-self.occurrence} from the end)"
+        where += f" of {self.event!r}{which}" if self.event is not None else which
+        if self.reached is not None:
+            return f"{self.quantity}{where} where {self.reached} is reached"
         if self.time is not None:
             return f"{self.quantity}{where} at time {self.time}"
         return self.quantity + where + (f" at load factor {self.load_factor}" if self.load_factor != 1 else "")

@@ -15,6 +15,7 @@ from contactqp.scene.explanation import (
     counted,
     friction_block,
     motion_blocks,
+    newton_block,
     path_block,
     report_blocks,
 )
@@ -23,6 +24,7 @@ from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import is_rotation
 
 MOST_NAMES = 12
+_EXACT = "exact rational numbers"
 _ELEMENTS = (
     ("bars", "axial bars"),
     ("springs", "springs"),
@@ -83,9 +85,9 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield path_block(scene)
     yield from motion_blocks(scene, _masses(scene))
     kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
-    yield BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
+    yield newton_block(scene, kinds)
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
-    yield _exactness(exact)
+    yield BuildingBlock(_EXACT, False, "large displacements are in floats") if scene.large else _exactness(exact)
     yield from report_blocks(scene)
 
 
@@ -120,7 +122,7 @@ def _condensation(exact: ExactProblem) -> BuildingBlock:
 
 def _exactness(exact: ExactProblem) -> BuildingBlock:
     reason = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
-    return BuildingBlock("exact rational numbers", exact.rational, reason)
+    return BuildingBlock(_EXACT, exact.rational, reason)
 
 
 def _form(row: Row) -> str:

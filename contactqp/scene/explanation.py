@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 from contactqp.analysis.load_path import DEFAULT_STEPS
 from contactqp.scene.corners import load_names
+from contactqp.scene.deforming import DEFAULT_STEPS as DEFAULT_LARGE_STEPS
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
+    from contactqp.scene.schema_path import LoadPath
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ def path_block(scene: Scene) -> BuildingBlock:
     if scene.path is None:
         constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
         return BuildingBlock("load path", False, constant)
+    if scene.large:
+        return BuildingBlock("load path", True, _large_path(scene.path))
     exactly = scene.path.events is not None
     steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
     steps = f"{scene.path.steps} steps" if scene.path.steps else steps
@@ -50,6 +54,29 @@ def path_block(scene: Scene) -> BuildingBlock:
     names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
     corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
     return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
+
+
+def _large_path(path: LoadPath) -> str:
+    control = path.control or "load"
+    steps = f"{path.steps or DEFAULT_LARGE_STEPS} steps"
+    if control == "load":
+        grown = f"{len(path.corners)} corners" if path.corners else "the full loads"
+        return f"load control: from nothing to {grown}, {steps} a leg; a jump is told with its load"
+    way = f"{path.controlled} goes to {path.target}" if control == "displacement" else "along the path"
+    return f"{control} control: {way} in {steps}; the load factor follows, through limit points"
+
+
+def newton_block(scene: Scene, kinds: str) -> BuildingBlock:
+    """Whether tangents change, and with what; `kinds` are the elements of the scene."""
+    if not scene.large:
+        return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
+    laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
+    return BuildingBlock(
+        "Newton loop",
+        True,
+        f"large displacements: tangents, gaps and normals are updated in every step, one contact problem each; bars by "
+        f"the law {laws}",
+    )
 
 
 def motion_blocks(scene: Scene, masses: str) -> Iterator[BuildingBlock]:
@@ -85,6 +112,8 @@ def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
     """The methods that a report is limited to, and why; None where it tries all."""
     if scene.report is not None:
         return scene.report.methods, scene.report.why
+    if scene.large:
+        return ("active-set",), "methods differ only in Newton's steps, and the convex ones refuse unstable tangents"
     if scene.motion is not None:
         return ("active-set",), "a motion solves one small contact problem a step, and methods differ in no more"
     frictional = any(contact.friction for contact in scene.contacts)

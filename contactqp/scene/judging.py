@@ -184,7 +184,7 @@ def judge(scene: Scene, trial: Trial) -> Judgement:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TimeStepWarning)  # the history's notes keep what it says
             history: History = run_model(model, trial.method, **options)
-    elif scene.path is not None and (find(trial.method).exact or model.problem.frictional):
+    elif scene.large or (scene.path is not None and (find(trial.method).exact or model.problem.frictional)):
         history = run_model(model, trial.method, **options)
     else:
         history = History([solve(model.problem, trial.method, **options)], [float(end_time(scene))])
@@ -225,6 +225,8 @@ class _Answers:
         motion = self._model.scene.motion
         if motion is not None:
             return self._moving(motion.end if claim.time is None else _seconds(claim.time))
+        if self._model.scene.large:
+            return self._deformed(claim)
         whole = end_time(self._model.scene) if has_corners(self._model.scene) else claim.load_factor
         time = whole if claim.time is None else claim.time
         if time not in self._known:
@@ -236,6 +238,25 @@ class _Answers:
         times = self._history.times
         step = max(int(np.searchsorted(times, float(time) + SAME_STEP * (times[1] - times[0]), side="right")) - 1, 0)
         return answer_of(self._model, self._history[step], Instant(history=self._history, step=step))
+
+    def _deformed(self, claim: Claim) -> Answer | BodyAnswer:
+        """At a step of the path, which no other load has an answer without."""
+        scene, history = self._model.scene, self._history
+        wanted, found, what = float(end_time(scene)), history.times, "load factor"
+        if claim.time is not None or claim.load_factor != 1:
+            wanted = float(claim.load_factor if claim.time is None else _seconds(claim.time))
+        elif claim.reached is not None and scene.path is not None:
+            what = f"{scene.path.controlled}"
+            wanted = float(scene.system.value(claim.reached))
+            place = (self._model.problem.dof_names or ()).index(what)
+            found = history.displacements[:, place]
+        elif scene.path is not None and scene.path.control not in (None, "load"):
+            wanted = float(found[-1])
+        step = len(found) - 1 - int(np.argmin(abs(found[::-1] - wanted)))
+        if abs(found[step] - wanted) > SAME_TIME * max(1.0, float(np.max(abs(found)))):
+            raise SceneError(f"{claim}: expected a step of the path, nearest: {what} {found[step]:.12g}")
+        instant = Instant(Fraction(float(history.times[step])), history, step)
+        return answer_of(self._model, history[step], instant)
 
     def _at(self, time: Fraction, claim: Claim) -> Answer | BodyAnswer:
         times = self._history.times

@@ -1,4 +1,4 @@
-"""The rigid obstacles of a scene of bodies."""
+"""The rigid obstacles of a scene in floats."""
 
 from __future__ import annotations
 

@@ -7,25 +7,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
+from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.analysis.motion.history import Moving
 from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
-from contactqp.scene.corners import has_corners
+from contactqp.scene.deforming import friction_along_axes
 from contactqp.scene.expectations import Comparison, Shown
 from contactqp.scene.explaining import shortened
 from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
-from contactqp.scene.schema import Scene
+from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
+from contactqp.scene.tables import MOST_ROWS, print_table, written
 
-# Rows of a table on a screen; --json has all.
-MOST_ROWS = 60
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 
@@ -48,32 +46,29 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
     if scene.motion is not None:
         how = f" ({solution.method}, {len(judgement.history) - 1} steps)"
+    if isinstance(judgement.history, LargeHistory):
+        how = f" ({len(judgement.history)} equilibria, the last at {when(scene)} {judgement.history.times[-1]:.6g})"
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
     if not isinstance(judgement.model, NodeModel):
         for header, table in summaries(judgement.model, solution):
-            _print(console, header, [[c if isinstance(c, str) else _number(c) for c in row] for row in table])
+            print_table(console, header, [[c if isinstance(c, str) else written(c) for c in row] for row in table])
     else:
-        _print(console, *_unknowns(judgement))
+        print_table(console, *_unknowns(judgement))
         contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
-        rows = [[name, str(status), _number(f), _number(g)] for name, status, f, g in contacts]
+        rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
         if solution.problem.frictional:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
-            vectors = judgement.model.along_axes(solution.friction_force)
-            rows = [[*row, *map(_number, vector)] for row, vector in zip(rows, vectors, strict=True)]
-        _print(console, header, rows)
-    _print(
-        console,
-        ["event", "contact", _when(scene)],
-        [[event.kind, names[event.contact], _number(event.time)] for event in judgement.history.events],
-    )
+            vectors = friction_along_axes(judgement.model, solution)
+            rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
+        print_table(console, header, rows)
+    print_way(console, judgement.history, when(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
         console.print(escape(f"{energies} {force}*{length}"))
-        for note in judgement.history.notes:
-            console.print(f"[yellow]{escape(note)}[/yellow]")
+        print_notes(console, judgement.history)
     _print_comparisons(console, [judgement], [])
     if not judgement.expectations and not judgement.published:
         console.print("the case expects nothing of this method")
@@ -91,20 +86,14 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[list[str]]]:
     if isinstance(solution, Moving):
         header, columns = [*header, f"velocity [{length}/s]"], [*columns, solution.velocity]
     rows = zip(solution.problem.dof_names or (), *columns, strict=True)
-    return header, [[name, *map(_number, row)] for name, *row in rows if name.rpartition(".")[0] in ends]
-
-
-def _when(scene: Scene) -> str:
-    """What the time of an event is."""
-    if scene.motion is not None:
-        return "time [s]"
-    return "time" if has_corners(scene) else "load factor"
+    return header, [[name, *map(written, row)] for name, *row in rows if name.rpartition(".")[0] in ends]
 
 
 def _energies(judgement: Judgement) -> dict[str, float]:
     """What became of the work, where the way matters: in a motion, and on a load path with friction."""
-    end = judgement.history.energies[-1] if judgement.scene.motion or judgement.scene.path else None
-    if end is None or not (judgement.scene.motion or judgement.solution.problem.frictional):
+    scene = judgement.scene
+    end = judgement.history.energies[-1] if scene.motion or scene.path else None
+    if end is None or not (scene.motion or scene.large or judgement.solution.problem.frictional):
         return {}
     energies = {"work": end.work, "elastic": end.elastic, "dissipated": end.dissipated}
     if judgement.scene.motion is not None:
@@ -123,10 +112,10 @@ def _print_comparisons(console: Console, judgements: Sequence[Judgement], before
     """Two tables, with the columns `before` where there is more than one method."""
     header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
     rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.expectations]
-    _print(console, header, rows)
+    print_table(console, header, rows)
     header = [*before, "printed in the source", "value", "ours", "unit", "difference", "half digit", "verdict"]
     rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.published]
-    _print(console, header, rows)
+    print_table(console, header, rows)
 
 
 def _trial(judgement: Judgement) -> list[str]:
@@ -151,22 +140,7 @@ def _comparison(row: Comparison) -> list[str | Text]:
 def _shown(value: Shown) -> str:
     if isinstance(value, str):
         return value
-    return "(" + ", ".join(f"{number:.6g}" for number in value) + ")" if isinstance(value, tuple) else _number(value)
-
-
-def _number(value: float) -> str:
-    return f"{value:.12g}"
-
-
-def _print(console: Console, header: list[str], rows: Sequence[Sequence[str | Text]]) -> None:
-    if not rows:
-        return
-    table = Table(*(escape(text) for text in header), box=box.SIMPLE, pad_edge=False)
-    for row in rows[:MOST_ROWS]:
-        table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
-    console.print(table)
-    if len(rows) > MOST_ROWS:
-        console.print(f"... and {len(rows) - MOST_ROWS} more rows (--json has all)")
+    return "(" + ", ".join(f"{number:.6g}" for number in value) + ")" if isinstance(value, tuple) else written(value)
 
 
 def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
@@ -204,6 +178,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
         **_friction_data(judgement),
         **_way_data(judgement),
+        **large_data(judgement.history),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
         "published": [_comparison_data(row) for row in judgement.published],
@@ -217,7 +192,7 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
         return {}
     data: dict[str, Any] = {}
     if isinstance(model, NodeModel):
-        vectors = model.along_axes(solution.friction_force)
+        vectors = friction_along_axes(model, solution)
         names = solution.problem.contact_names or ()
         data["friction_force"] = {name: _named(scene.axes, row) for name, row in zip(names, vectors, strict=True)}
     return data
@@ -256,7 +231,7 @@ def print_explanation(console: Console, explanation: Explanation) -> None:
         for row in rows[:MOST_ROWS]:
             console.print(escape(f"  {row}"))
     blocks = [[block.name, "included" if block.included else "left out", block.reason] for block in explanation.blocks]
-    _print(console, ["block", "", "why"], blocks)
+    print_table(console, ["block", "", "why"], blocks)
 
 
 def print_methods(console: Console, methods: Iterable[Method]) -> None:
@@ -272,7 +247,7 @@ def print_methods(console: Console, methods: Iterable[Method]) -> None:
         ]
         for m in methods
     ]
-    _print(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
+    print_table(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
 
 
 def _abilities(method: Method) -> str:

@@ -33,6 +33,9 @@ class Measure:
     path: bool = False  # needs the load path, or a motion
     motion: bool = False  # needs a motion
     statics: bool = False  # means nothing in a motion
+    large: bool = False  # needs large deformations
+    small: bool = False  # means nothing at large deformations
+    counted: bool = False  # there are several of it: ``occurrence`` says which
     event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
     friction: bool = False  # needs a contact with friction
     whole_way: bool = False  # of the whole load path, not of an instant of it
@@ -43,6 +46,10 @@ def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), of="bodies", **asked)
 
 
+def _of_large(meaning: str, kind: str, **asked: Any) -> Measure:
+    return Measure(meaning, (kind,), large=True, **asked)
+
+
 def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), motion=True, of="both", **asked)
 
@@ -50,9 +57,12 @@ def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
 # Stresses in the order of contactqp.elements.stress, and the equivalent one.
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
 _WAY: dict[str, Any] = {"path": True, "whole_way": True}
+_POINT: dict[str, Any] = {"counted": True, "whole_way": True}
+_READ_OFF: dict[str, Any] = {"solved": False, "small": True}
 QUANTITIES = {
     "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown"),
     "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact"),
+    "total normal force": Measure("sum of the normal forces of all contacts", ("force",)),
     "gap": Measure("gap of a contact, positive when open", ("length",), at="contact"),
     "status": Measure(
         "open, closed or grazing; with friction open, stick, slip or grazing", words=STATUSES, at="contact"
@@ -62,6 +72,7 @@ QUANTITIES = {
         words=(ONE_ANSWER, FORCES, SEVERAL, POSSIBLE, UNKNOWN),
         of="both",
         statics=True,
+        small=True,
     ),
     "friction force": Measure(
         "component of lambda_T along an axis: what the node does to what it touches, along its own slip",
@@ -77,14 +88,20 @@ QUANTITIES = {
         along="axis",
         friction=True,
         statics=True,
+        small=True,
     ),
     "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support", statics=True),
     "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
     "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
-    "energy": Measure("1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones", ("energy",), of="both"),
+    "energy": Measure(
+        "1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones; elastic energy - f'u where it is large",
+        ("energy",),
+        of="both",
+    ),
     "elastic energy": Measure(
-        "1/2 u'Ku on a load path or in a motion, by penalty methods with friction that of contact springs too",
+        "1/2 u'Ku on a load path or in a motion, by penalty methods with friction that of contact springs too; at "
+        "large deformations that of all bars",
         ("energy",),
         path=True,
         of="both",
@@ -100,7 +117,11 @@ QUANTITIES = {
     "momentum": _of_motions("of a bar, point mass or body along an axis", "momentum", at="moving part", along="axis"),
     "contact impulse": _of_motions("normal forces of a contact times the steps they acted", "momentum", at="contact"),
     "free motions": Measure(
-        "number of rigid motions that nothing drives and nothing holds", ("number",), of="both", statics=True
+        "number of rigid motions that nothing drives and nothing holds",
+        ("number",),
+        of="both",
+        statics=True,
+        small=True,
     ),
     "closing load factor": Measure(
         "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WAY
@@ -126,11 +147,20 @@ QUANTITIES = {
         **_WAY,
     ),
     "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WAY),
-    "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", solved=False),
-    "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, solved=False),
-    "tie rank": Measure("number of independent ties", ("number",), solved=False),
-    "reduced stiffness": Measure("T'KT on the masters", ("stiffness",), matrix=True, solved=False),
-    "reduced load": Measure("T'(f - K b) on the masters", ("force",), matrix=True, solved=False),
+    "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", **_READ_OFF),
+    "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, **_READ_OFF),
+    "tie rank": Measure("number of independent ties", ("number",), **_READ_OFF),
+    "reduced stiffness": Measure("T'KT on the masters", ("stiffness",), matrix=True, **_READ_OFF),
+    "reduced load": Measure("T'(f - K b) on the masters", ("force",), matrix=True, **_READ_OFF),
+    "load factor": _of_large("what the loads are multiplied by where it is asked", "number"),
+    "load": _of_large("load on an unknown where it is asked", "force", at="unknown"),
+    "limit load factor": _of_large("load factor at a limit point, where it is greatest or least", "number", **_POINT),
+    "limit load": _of_large("load on an unknown at a limit point", "force", at="unknown", **_POINT),
+    "limit displacement": _of_large("displacement of an unknown at a limit point", "length", at="unknown", **_POINT),
+    "limit points": _of_large("number of limit points of the path", "number", whole_way=True),
+    "snap-through load factor": _of_large("load factor at which load control jumps", "number", **_POINT),
+    "snap-through load": _of_large("load on an unknown where load control jumps", "force", at="unknown", **_POINT),
+    "snap-throughs": _of_large("number of jumps on the path", "number", whole_way=True),
     "node displacement": _of_bodies(
         "displacement of the node of a body at `near`, along an axis",
         "length",

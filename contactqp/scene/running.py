@@ -25,7 +25,8 @@ def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
     scene : Scene
         From `load_scene`, or built in Python. With `path`, loads grow from nothing, together or from corner to corner,
         and the history has the start, every step and the events; with `motion` it is the `MotionHistory` of `impact`;
-        without both it has one solution.
+        without both it has one solution. With ``deformation = "large"`` it is the `LargeHistory` of
+        `large_deformation`.
     method : str
         A name of `contactqp.methods()`.
     **options
@@ -42,6 +43,12 @@ def run_model(model: Model, method: str, **options: Any) -> History:
 def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
     """As `run_model`, of the model's own problem or a copy of it."""
     path = model.scene.path
+    if model.scene.large:
+        from contactqp.scene.building import NodeModel
+        from contactqp.scene.deforming import deform
+
+        assert isinstance(model, NodeModel)  # large deformations are offered of nodes only
+        return deform(model, method, **options)
     if model.scene.motion is not None:
         from contactqp.scene.moving import move
 

@@ -50,8 +50,9 @@ class Node(Block):
 class Bar(Block):
     """An axial bar between two nodes, in one, two or three dimensions.
 
-    In one dimension it may have `divisions`, elements of equal length; the nodes inside are ``bar 1``, ``bar 2``.
-    With a `density` it weighs, and has inertia in a motion.
+    In one dimension, or at large deformations, it may have `divisions`, elements of equal length; the nodes inside are
+    ``bar 1``, ``bar 2``. With a `density` it weighs, and has inertia in a motion. Its `law` at large deformations is
+    linear in Green's strain if nothing else is stated.
     """
 
     name: Name
@@ -60,6 +61,7 @@ class Bar(Block):
     modulus: fields.Modulus
     density: fields.Density | None = None
     divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
+    law: Literal["green", "engineering", "logarithmic"] | None = None
 
     @property
     def chain(self) -> tuple[Name, ...]:
@@ -191,6 +193,7 @@ class Scene(Block):
     about: str = ""
     units: UnitNames = UnitNames()
     axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1, max_length=3), AfterValidator(_axes)]
+    deformation: Literal["small", "large"] = "small"
     gravity: Annotated[tuple[fields.Acceleration, ...], Field(min_length=1, max_length=3)] | None = None
     nodes: tuple[Node, ...] = ()
     bars: tuple[Bar, ...] = ()
@@ -236,6 +239,11 @@ class Scene(Block):
     def file(self) -> Path | None:
         """The case file it was read from, if any."""
         return self._file
+
+    @property
+    def large(self) -> bool:
+        """Whether displacements may be large."""
+        return self.deformation == "large"
 
     @property
     def meshed(self) -> tuple[Body | Membrane, ...]:

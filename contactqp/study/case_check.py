@@ -62,13 +62,15 @@ def check_case(problem_file: str, candidate_file: str, tolerance: float = 1e-9) 
     SceneError, InvalidProblem
         Of either file.
     Unsupported
-        A motion, or a load path with friction: what is right at its end depends on the way there.
+        A motion, a load path with friction, a large deformation: what is right at its end depends on the way there.
     """
     scene = load_scene(problem_file)
     model = build(scene)
     problem = model.problem
     if scene.motion is not None:
         raise Unsupported(f"{problem_file}: check: a motion has no answer of its own at its end")
+    if scene.large:
+        raise Unsupported(f"{problem_file}: check: a large deformation has no problem of its own at its end")
     if scene.path is not None and problem.frictional:
         raise Unsupported(f"{problem_file}: check: a load path with friction has no answer of its own at its end")
     data = _read(candidate_file)
