@@ -17,7 +17,8 @@ SCENES = {name: cq.load_scene(FOLDER / name) for name in CASES}
 # Without a contact there is nothing to enforce: those cases are judged above.
 TOUCHING = [name for name, scene in SCENES.items() if scene.contacts and report_methods(scene) is None]
 MOVING = [name for name, scene in SCENES.items() if scene.motion is not None]
-OF_NODES = [name for name, scene in SCENES.items() if scene.nodes and name not in MOVING]
+LARGE = [name for name, scene in SCENES.items() if scene.large]
+OF_NODES = [name for name, scene in SCENES.items() if scene.nodes and name not in (*MOVING, *LARGE)]
 MESHED = [name for name, scene in SCENES.items() if scene.meshed and name not in MOVING]
 EXACT_METHODS = ("lagrange-multiplier", "master-slave", "augmented-lagrangian", "lemke", "osqp", "clarabel")
 
@@ -111,6 +112,17 @@ def test_every_example_of_impact_is_there():
         assert words in sources
     claimed = {claim.quantity for name in MOVING for claim in SCENES[name].expect}
     assert {"total momentum", "momentum", "contact impulse", "total energy", "impact energy", "velocity"} <= claimed
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_expectations_of_large_deformations_say_how_exact_they_are(name):
+    """Limit points and balance to 1e-10, jumps as far as they are halved down, and a chain to the word for it."""
+    for claim in SCENES[name].expect:
+        if any(claim.tolerance.dimension):
+            assert claim.targets[0].si == 0 or "second order" in claim.derivation
+        elif claim.tolerance.si > F(1, 10**10):
+            assert claim.tolerance.si <= F(1, 200)
+            assert "second order" in claim.derivation or "millionth" in claim.derivation, claim.derivation
 
 
 def test_the_motions_of_what_is_free_are_named():
