@@ -86,6 +86,28 @@ def test_the_rod_of_the_example_bounces_and_every_scheme_leaves_the_energy_of_th
         ), scheme
 
 
+def test_the_arch_of_the_example_snaps_onto_its_floor(capsys: pytest.CaptureFixture[str]) -> None:
+    scope: dict[str, object] = {}
+    exec(compile(_block("python", 4), "README.md", "exec"), scope)
+    note, _, *limits = capsys.readouterr().out.splitlines()
+    assert note.startswith("snap-through at load factor 0.290327: ")
+    assert "unknown 1 jumps from -0.084" in note
+    assert "to -0.3, " in note
+    assert limits == ["maximum 0.290327 -0.0845", "minimum -0.290327 -0.3155"]
+    last = scope["snapped"][-1]  # type: ignore[index]
+    np.testing.assert_allclose(last.displacement, [0, -0.3], atol=1e-15)
+    assert last.normal_force[0] == pytest.approx(1 + 100 / 1.04**1.5 * 0.003, rel=1e-12)
+    assert round(last.normal_force[0], 5) == 1.28286
+
+
+def test_the_example_of_a_large_deformation_meets_what_it_expects(tmp_path: pathlib.Path) -> None:
+    case = tmp_path / "arch.toml"
+    case.write_text(next(block for block in re.findall(r"```toml\n(.*?)```", README, re.DOTALL) if '"large"' in block))
+    (judgement,) = judge_all(cq.load_scene(case))
+    assert len(judgement.expectations) == 2
+    assert judgement.met
+
+
 def test_the_case_example_is_a_scene(tmp_path: pathlib.Path) -> None:
     case = tmp_path / "bar.toml"
     case.write_text(_block("toml"))
@@ -104,7 +126,7 @@ def test_the_example_of_files_writes_reads_and_judges(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(_block("python", 4), "README.md", "exec"), {})
+    exec(compile(_block("python", 5), "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "[[2.69230769 2.15384615]]" in printed
     assert "passed" in printed
