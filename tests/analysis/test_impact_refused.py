@@ -192,3 +192,20 @@ def test_a_start_inside_a_wall_is_not_rounding() -> None:
     problem, mass = rod_at_wall(10, gap=0.0)
     with pytest.raises(cq.InvalidProblem, match="contact 0 overlaps by 1e-06"):
         cq.impact(problem, mass, np.full(11, -1e-6), np.zeros(11), 1.0, 0.01)
+
+
+@pytest.mark.parametrize("spring", [0.0, 1.0])
+def test_a_late_impact_beside_a_body_that_rests_or_swings_is_minded(spring: float) -> None:
+    """Two masses on a stiff spring fall on the ground: the held one's half period is pi sqrt(m / k)."""
+    K = np.zeros((3, 3))
+    K[0, 0], K[1:, 1:] = spring, [[1e8, -1e8], [-1e8, 1e8]]
+    problem = cq.ContactProblem(K, [-10.0, 0, 0], [[-1.0, 0, 0], [0, -1.0, 0]], [0.0 if not spring else 50.0, 0.1])
+    arguments: Any = (np.ones(3), np.zeros(3), [0, -1.0, -1.0])
+    with pytest.warns(cq.TimeStepWarning, match=r"\(contact 1\): it lasts about 0\.00031"):
+        history = cq.impact(problem, *arguments, 0.2, 0.01)
+    assert len(history.notes) == 1
+    first = cq.impact(problem, *arguments, 0.05, 0.01)
+    assert first.notes == ()
+    with pytest.warns(cq.TimeStepWarning, match=r"closes at time 0\.1"):
+        assert len(first.resume(0.15).notes) == 1
+    assert first.notes == ()

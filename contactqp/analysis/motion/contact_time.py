@@ -12,8 +12,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from contactqp.problem import Vector
+from contactqp.analysis.motion.schemes.scheme import State
+from contactqp.problem import ContactProblem, Vector
 
 # Enough to part the slowest vibration from others where the step is long.
 LANCZOS_STEPS = 24
@@ -56,3 +59,30 @@ def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: f
     shares = np.linalg.eigvalsh((operator + operator.T) / 2)
     slow = shares[(shares > 0) & (shares < 1 - RESOLVED)]
     return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None
+
+
+class ImpactsMinded:
+    """Which contacts have closed by an impact so far: each is looked at when it does so first."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
+        self.unminded = problem.contacts > 0
+
+    def new(self, before: State, now: State) -> NDArray[np.intp]:
+        """Contacts that begin to push in a step, approaching, for the first time."""
+        closing = np.flatnonzero((now.normal_force > 0) & (before.normal_force <= 0) & ~self._met)
+        if len(closing):
+            closing = closing[self._normal[closing] @ before.velocity > 0]
+            self._met[closing] = True
+            self.unminded = not bool(np.all(self._met))
+        return closing
+
+
+def meeting(problem: ContactProblem, mass: Any, contacts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(n,) the unknowns of the bodies that contacts act on; ties make one body of two. Others are bystanders."""
+    from scipy.sparse.csgraph import connected_components
+
+    tied = abs(problem.tie).T @ abs(problem.tie)
+    rows = abs(problem.normal[contacts])
+    label = connected_components(abs(problem.stiffness_rows) + abs(mass) + tied, directed=False)[1]
+    return np.isin(label, label[sp.csr_matrix(rows).indices])

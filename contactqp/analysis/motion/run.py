@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contactqp.analysis.motion.contact_time import slowest_frequency
+from contactqp.analysis.motion.contact_time import ImpactsMinded, meeting, slowest_frequency
 from contactqp.analysis.motion.critical_step import critical_step
 from contactqp.analysis.motion.history import Motion, MotionHistory
 from contactqp.analysis.motion.mass import touched
@@ -56,7 +57,7 @@ class MotionRun:
         self._pending: list[list[tuple[Posed, Answered]]] = [[] for _ in scheme.templates]
         self._notes: list[str] = []
         self._certified = 0  # steps
-        self._impacted = False
+        self._impacts = ImpactsMinded(scheme.body.problem)
         answer = lambda posed, i: self._contacts[i].solve(posed)  # noqa: E731
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work, answer)
 
@@ -79,6 +80,7 @@ class MotionRun:
         """What `MotionHistory.resume` asks for: these states and more, the first history untouched."""
         twin = copy.copy(self)
         twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds))
+        twin._impacts = copy.deepcopy(self._impacts)
         twin._notes, twin._pending = list(self._notes), [[] for _ in self._pending]
         twin._certified = len(states) - 1
         return twin.lasting(duration)
@@ -91,12 +93,11 @@ class MotionRun:
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(first, first + count):
                 next_load = self._load(motion.time(k))
-                state = self._step(state, load, next_load)
+                before, state = state, self._step(state, load, next_load)
                 motion.states.append(state)
                 load = next_load
-                if not self._impacted and np.any(state.normal_force > 0):
-                    self._impacted = True
-                    self._mind_contact_time(state, k)
+                if self._impacts.unminded:
+                    self._mind_contact_time(self._impacts.new(before, state), before, state, k)
                 if k % BLOCK == 0 or k == first + count - 1:
                     motion.seconds[0] = time.perf_counter() - began
                     self._judge(k)
@@ -158,9 +159,10 @@ class MotionRun:
             retained=len(touched(self._scheme.body.problem)),
         )
 
-    def _mind_contact_time(self, state: State, k: int) -> None:
+    def _mind_contact_time(self, closing: NDArray[np.intp], before: State, state: State, k: int) -> None:
+        """Warn, once, where a step is too long for contacts that close."""
         scheme, h = self._scheme, self._scheme.body.step
-        if scheme.inertia is None:
+        if scheme.inertia is None or not len(closing):
             return
         closed = np.flatnonzero(state.normal_force > 0)
         share = scheme.inertia * scheme.body.mass + scheme.body.stiffness
@@ -170,11 +172,12 @@ class MotionRun:
             lambda y: factor * contact.held(y, closed),
             scheme.body.mass,
             scheme.inertia,
-            self._motion.states[k - 1].velocity,
+            np.where(meeting(scheme.body.problem, scheme.body.mass, closing), before.velocity, 0.0),
         )
         if omega is None or np.pi / omega >= RESOLVED * h:
             return
-        names = ", ".join(scheme.body.problem.contact_name(int(i)) for i in closed[:3])
+        self._impacts.unminded = False
+        names = ", ".join(scheme.body.problem.contact_name(int(i)) for i in closing[:3])
         self._warn(
             f"time step {h:.3g} is too long to resolve the contact that closes at time {self._motion.time(k):.6g} "
             f"({names}): it lasts about {np.pi / omega:.2g}, half a period of the slowest vibration that it starts; "
