@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -403,3 +405,20 @@ def test_a_brick_thrown_on_a_plane_comes_to_rest(friction: float, corners: int) 
     assert np.sum(history.normal_forces[-1]) == pytest.approx(10.0)
     assert history[-1].certificate.passed
     assert abs(history.energies[-1].drift) < 1e-12
+
+
+@pytest.mark.parametrize("scheme", ["moreau-jean", "modified-mass-central", "deuflhard-krause-ertel"])
+def test_a_motion_is_pickled_and_copied(scheme: str) -> None:
+    pull = lambda t: np.full(11, -t)  # noqa: E731
+    problem, mass = rod_at_wall(10, gap=0.05)
+    history = cq.impact(problem, mass, np.zeros(11), np.full(11, -SPEED), 0.1, 0.01, scheme, load=pull)
+    twin = pickle.loads(pickle.dumps(history))
+    assert isinstance(twin, cq.MotionHistory)
+    for name in ("displacements", "velocities", "normal_forces", "tie_forces", "times"):
+        np.testing.assert_array_equal(getattr(twin, name), getattr(history, name))
+    assert (twin.energies, twin.events, twin.notes) == (history.energies, history.events, history.notes)
+    assert twin[-1].certificate.passed
+    with pytest.raises(cq.Unsupported, match="pickled cannot be resumed"):
+        twin.resume(0.1)
+    for other in (copy.copy(history), copy.deepcopy(history)):
+        np.testing.assert_array_equal(other.resume(0.1).displacements, history.resume(0.1).displacements)

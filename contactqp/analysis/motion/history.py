@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from contactqp.analysis.motion.balance import energies, events
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate import certify, contact_status
+from contactqp.errors import Unsupported
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.violations import stiffness_sizes
@@ -59,10 +62,26 @@ class MotionHistory(History):
 
         Raises
         ------
+        Unsupported
+            The history was pickled.
         InvalidProblem, NotConverged
             As `impact`.
         """
         return self._resume(self.motion.states, duration)
+
+    def __copy__(self) -> MotionHistory:
+        """The same motion, which shares its states."""
+        return MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MotionHistory:
+        return self.__copy__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: every instant looked at, and the loads at all of them. It cannot go on from there."""
+        motion, times = self.motion, self.times.tolist()
+        known = Known(tuple(times), np.array([motion.load(instant) for instant in times]))
+        kept = replace(motion, load=known, work=partial(copy.copy, motion.work()), answer=_refuse_to_go_on)
+        return super().__getstate__() | dict(motion=kept, _resume=_refuse_to_go_on)
 
     @property
     def displacements(self) -> NDArray[np.float64]:
@@ -92,6 +111,21 @@ class MotionHistory(History):
     def tie_forces(self) -> NDArray[np.float64]:
         """(steps, k) [force]."""
         return np.array([state.tie_force for state in self.motion.states])
+
+
+def _refuse_to_go_on(*_: Any) -> Any:
+    raise Unsupported("a motion that was pickled cannot be resumed: its load and factors are where it was made")
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A load at the instants of a motion."""
+
+    times: tuple[float, ...]
+    loads: NDArray[np.float64]
+
+    def __call__(self, instant: float) -> Vector:
+        return np.asarray(self.loads[self.times.index(instant)])
 
 
 @dataclass(frozen=True, eq=False)

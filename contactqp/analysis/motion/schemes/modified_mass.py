@@ -9,6 +9,9 @@ I are the unknowns with mass, C those that contacts act on (Khenous, Laborde and
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -16,7 +19,7 @@ from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
-from contactqp.factorization import factorise
+from contactqp.factorization import Factorization, factorise
 from contactqp.problem import Vector
 
 
@@ -32,10 +35,17 @@ class ModifiedMassCentral(TwoStep):
         bare = massless(body.mass)
         self._moving, self._bare = np.flatnonzero(~bare), np.flatnonzero(bare)
         self._inertia = body.mass / body.step**2
-        self._mass = factorise(body.mass[self._moving][:, self._moving])
         only = sp.diags(bare.astype(float))
         self.templates = (body.template(self._inertia + only @ body.stiffness @ only),)
         self._coupling = body.stiffness[self._bare][:, self._moving]
+
+    @cached_property
+    def _mass(self) -> Factorization:
+        return factorise(self.body.mass[self._moving][:, self._moving])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Factors are not pickled; they are made again where they are needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_mass"}
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
         """a0 where there is mass."""
