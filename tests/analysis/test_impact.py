@@ -422,3 +422,17 @@ def test_a_motion_is_pickled_and_copied(scheme: str) -> None:
         twin.resume(0.1)
     for other in (copy.copy(history), copy.deepcopy(history)):
         np.testing.assert_array_equal(other.resume(0.1).displacements, history.resume(0.1).displacements)
+
+
+def test_a_mass_let_go_on_a_contact_spring_swings_about_its_weight() -> None:
+    """u = -m g / beta (1 - cos omega t), of second order; central differences keep its energy exactly."""
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        ball = cq.ContactProblem([[0.0]], [-10.0], [[-1.0]], [0.0])
+        history = cq.impact(ball, [1.0], [0.0], [0.0], 1.2, step, "penalty", penalty=25.0)
+        errors.append(np.max(abs(history.displacements[:, 0] + 0.4 * (1 - np.cos(5 * history.times)))))
+        drifts = [energy.drift for energy in history.energies]
+        # 1/2 v'M v+ is that of the start, 0, less m (h g)^2 / 8.
+        np.testing.assert_allclose(drifts[1:], -12.5 * step**2, atol=1e-12)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)

@@ -8,9 +8,12 @@ to h = 2 / omega, omega the highest frequency (with all contact springs, for the
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.analysis.motion.schemes.scheme import Block, Body, State, TwoStep
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
 
@@ -76,6 +79,20 @@ class ExplicitPenalty(_Central):
             ended.before,
         )
 
-    def _springs(self, displacement: Vector) -> Vector:
+    def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
+        """a0 of bodies on contact springs, which hold nothing before they are pressed."""
+        free = replace(self.body, problem=self.body.problem.with_contacts(np.zeros(0, dtype=np.intp)))
+        pushed = load - self.body.problem.normal.T @ self._springs(displacement)
+        return free.starting(displacement, velocity, pushed)[0]
+
+    def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
+        """1/2 v'M v+, v+ with the forces of the springs too."""
+        return super().kinetic(
+            displacements, velocities, loads - self._springs(displacements.T).T @ self.body.problem.normal
+        )
+
+    def _springs(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(m,) forces of one displacement (n,), or (m, steps) of several (n, steps)."""
         problem = self.body.problem
-        return np.asarray(self._penalty * np.maximum(problem.normal @ displacement - problem.gap, 0.0))
+        overlap = (problem.normal @ displacement).T - problem.gap
+        return np.asarray(self._penalty * np.maximum(overlap, 0.0).T)
