@@ -22,6 +22,8 @@ from contactqp.problem import ContactProblem, Vector
 LANCZOS_STEPS = 24
 # Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
 RESOLVED = 1e-9
+# Shares below this are the rounding of motions that contacts hold: a step would last for a million contacts.
+HELD = 1e-13
 # A vector that this part is left of lies in the space that was spanned before.
 SPANNED = 1e-12
 
@@ -57,7 +59,7 @@ def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: f
         return None
     operator = np.array([[a @ (mass @ b) for b in images] for a in basis])
     shares = np.linalg.eigvalsh((operator + operator.T) / 2)
-    slow = shares[(shares > 0) & (shares < 1 - RESOLVED)]
+    slow = shares[(shares > HELD) & (shares < 1 - RESOLVED)]
     return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None
 
 
