@@ -436,3 +436,16 @@ def test_a_mass_let_go_on_a_contact_spring_swings_about_its_weight() -> None:
         np.testing.assert_allclose(drifts[1:], -12.5 * step**2, atol=1e-12)
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    ["moreau-jean", "modified-mass", "paoli-schatzman", "deuflhard-krause-ertel", "newmark", "backward-euler"],
+)
+def test_the_certificate_of_an_instant_is_of_what_the_history_holds(scheme: str) -> None:
+    """A state that is changed after the run fails at that instant: nothing is solved again to be certified."""
+    history = thrown_rod(scheme, 20, duration=0.7)[0]
+    pushing = int(np.flatnonzero(history.normal_forces[:, 0])[2])
+    assert history[pushing - 1].certificate.passed
+    history.motion.states[pushing].normal_force[0] *= 1.001
+    assert not history[pushing].certificate.passed

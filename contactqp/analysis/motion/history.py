@@ -80,7 +80,7 @@ class MotionHistory(History):
         """What is pickled: every instant looked at, and the loads at all of them. It cannot go on from there."""
         motion, times = self.motion, self.times.tolist()
         known = Known(tuple(times), np.array([motion.load(instant) for instant in times]))
-        kept = replace(motion, load=known, work=partial(copy.copy, motion.work()), answer=_refuse_to_go_on)
+        kept = replace(motion, load=known, work=partial(copy.copy, motion.work()))
         return super().__getstate__() | dict(motion=kept, _resume=_refuse_to_go_on)
 
     @property
@@ -139,20 +139,15 @@ class Motion:
     method: str
     seconds: list[float]  # of all steps, one number
     work: Callable[[], Any]  # Work so far
-    answer: Callable[[Posed, int], Answered]  # of problem i of a step, answered once more
 
     def time(self, k: int) -> float:
         return self.start + k * self.scheme.body.step
 
     def posed(self, k: int) -> tuple[Posed, Answered]:
         """What the scheme posed last for step k, the step that ends at state k, and its answer."""
-        state, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
-        answers: tuple[Answered, ...] = ()
-        posed = self.scheme.pose(state, load, next_load, answers)
-        for i in range(len(self.scheme.templates)):
-            posed = self.scheme.pose(state, load, next_load, answers) if i else posed
-            answers = (*answers, self.answer(posed, i))
-        return posed, answers[-1]
+        before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
+        *earlier, found = self.scheme.answered(before, self.states[k])
+        return self.scheme.pose(before, load, next_load, tuple(earlier)), found
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,8 +58,7 @@ class MotionRun:
         self._notes: list[str] = []
         self._certified = 0  # steps
         self._impacts = ImpactsMinded(scheme.body.problem)
-        answer = lambda posed, i: self._contacts[i].solve(posed)  # noqa: E731
-        self._motion = Motion(scheme, [], load, start, method, [0.0], self._work, answer)
+        self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
     def start(self, u: Vector, v: Vector) -> None:
         self._motion.states.append(self._scheme.first(u, v, self._load(self._motion.start)))
@@ -79,7 +78,7 @@ class MotionRun:
     def _resumed(self, states: list[State], duration: float) -> MotionHistory:
         """What `MotionHistory.resume` asks for: these states and more, the first history untouched."""
         twin = copy.copy(self)
-        twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds))
+        twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds), work=twin._work)
         twin._impacts = copy.deepcopy(self._impacts)
         twin._notes, twin._pending = list(self._notes), [[] for _ in self._pending]
         twin._certified = len(states) - 1

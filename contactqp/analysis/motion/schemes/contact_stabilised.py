@@ -9,6 +9,8 @@ The forces of the projection never enter the velocity: what an impact has, is lo
 
 from __future__ import annotations
 
+import numpy as np
+
 from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.problem import Vector
@@ -40,3 +42,10 @@ class ContactStabilised(Scheme):
         predicted, found = answers
         v = state.velocity + 2 / self.body.step * (found.increment - predicted.increment)
         return State(found.unknown, v, found.normal, found.friction, found.tie, state.displacement)
+
+    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+        """The forces of the projection are not kept."""
+        (found,) = super().answered(before, after)
+        way = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
+        normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
+        return Answered(before.displacement + way, normal, friction, tie, way), found

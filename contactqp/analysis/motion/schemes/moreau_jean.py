@@ -77,6 +77,11 @@ class MoreauJean(Scheme):
         forces = found.normal / h, found.friction / h, found.tie / h
         return State(u, found.unknown, *forces, state.displacement)
 
+    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+        del before
+        v, h = after.velocity, self.body.step
+        return (Answered(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
+
     def contact_way(self, displacements: Block, velocities: Block) -> Block:
         """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
         del displacements

@@ -11,6 +11,8 @@ refused, as is such a contact.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from contactqp.analysis.motion.mass import massless
@@ -53,6 +55,9 @@ class Trapezoidal(Scheme):
         if self._any_massless:
             velocity[self._massless] = found.increment[self._massless] / h
         return State(found.unknown, velocity, found.normal, found.friction, self._tie_share * found.tie, u)
+
+    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+        return (replace(super().answered(before, after)[0], tie=after.tie_force / self._tie_share),)
 
     def contact_weight(self) -> Vector:
         """Half of a force works before its instant and half after; all of it where there is no mass."""

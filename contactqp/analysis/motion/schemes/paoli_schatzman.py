@@ -79,6 +79,9 @@ class ExplicitPenalty(_Central):
             ended.before,
         )
 
+    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+        return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)
+
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
         """a0 of bodies on contact springs, which hold nothing before they are pressed."""
         free = replace(self.body, problem=self.body.problem.with_contacts(np.zeros(0, dtype=np.intp)))

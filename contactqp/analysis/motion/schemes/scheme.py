@@ -174,6 +174,11 @@ class Scheme(ABC):
     def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
         """The state at the end of the step."""
 
+    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+        """The answers that led from one state to the next: what `accept` was given, from what it made of it."""
+        u, way = after.displacement, after.displacement - before.displacement
+        return (Answered(u, after.normal_force, after.friction_force, after.tie_force, way),)
+
     def contact_way(self, displacements: Block, velocities: Block) -> Block:
         """(steps, n) from those (steps + 1, n) of all states: the way along which contact forces work in a step."""
         del velocities
