@@ -33,7 +33,7 @@ def against_plane(point: Any, plane: Plane) -> ContactRows:
 def against_surface(point: Any, obstacle: Obstacle) -> ContactRows:
     """The same of any obstacle, in floats, with its normal nearest to the point."""
     at = np.asarray(point, dtype=float)[np.newaxis, :]
-    n = np.asarray(obstacle.normals(at), dtype=float)[0]
+    n = np.array([float(x) for x in obstacle.normals(at)[0]], dtype=object)
     return ContactRows(normal=-n, gap=float(obstacle.distance(at)[0]), tangent=tangents(n))
 
 

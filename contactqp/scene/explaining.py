@@ -57,14 +57,14 @@ def _explained(scene: Scene) -> Explanation:
 
         return explain_bodies(model)
     exact = model.exact
-    names = exact.unknowns
+    names, start = exact.unknowns, ", at the start" if scene.large else ""
     return Explanation(
         title=scene.title,
         units=f"{scene.units.length}, {scene.units.force}",
         unknowns=names.free,
         fixed=tuple(name for name in names.names if name in names.fixed),
         contacts=tuple(
-            f"{contact.name}: {_form(contact.normal)} <= {_written(contact.gap)} {scene.units.length}"
+            f"{contact.name}: {_form(contact.normal)} <= {_written(contact.gap)} {scene.units.length}{start}"
             for contact in exact.contacts
         ),
         ties=tuple(f"{tie.name}: {_form(tie.row)} = {_written(tie.value)}" for tie in exact.ties),

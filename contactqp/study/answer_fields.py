@@ -7,11 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import beam
 from contactqp.pictures.contact_fields import ContactFields, contact_fields
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.problem import Units
 from contactqp.scene.building import exact_problem
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import ROTATION, of_node
 from contactqp.solution import Solution
@@ -92,13 +94,20 @@ def _contacts(scene: Scene, solution: Solution) -> Iterator[FrameContact]:
     place, gaps = _places(scene), solution.gap
     for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
         push = [[-float(form.normal.get(name, 0)) for name in of_node(scene, node)] for node in contact.touched]
+        initial_gap = float(form.gap)
+        if isinstance(solution, LargeSolution) and solution.position is not None:
+            # The plane that touches the obstacle where it is nearest to the node now, seen from where the node was.
+            normal = obstacle(scene, str(contact.obstacle)).normals(solution.position[i : i + 1])[0]
+            push = [[float(x) for x in normal]]
+            moved = solution.position[i] - _point(scene, contact.touched[0])
+            initial_gap = float(gaps[i] - normal @ moved)
         yield FrameContact(
             name=contact.name,
             nodes=tuple(place[name] for name in contact.touched),
             push=np.array(push),
             force=float(solution.normal_force[i]),
             gap=float(gaps[i]),
-            initial_gap=float(form.gap),
+            initial_gap=initial_gap,
             status=str(solution.contact_status[i]),
         )
 

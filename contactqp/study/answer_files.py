@@ -69,7 +69,8 @@ class AnswerFiles:
             if isinstance(fields, ContactFields):
                 draw(fields, written[-1], title=title)
             else:
-                draw_structure(fields, written[-1], title=title)
+                scale = 1.0 if judgement.scene.large else None  # magnified, large displacements would be others
+                draw_structure(fields, written[-1], scale=scale, title=title)
             written += self._write_history(judgement.history, title, names)
         if self.vtu is not None:
             written.append(_named(self.vtu, names))

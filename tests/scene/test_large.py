@@ -18,6 +18,7 @@ from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data
 from contactqp.scene.schema import Scene
+from contactqp.study.answer_fields import fields_of
 from tests.analysis.arches import arch_limit, arch_load
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -207,6 +208,10 @@ def test_the_explanation_says_that_tangents_are_updated():
     assert blocks["Newton loop"].included
     assert "tangents, gaps and normals are updated" in blocks["Newton loop"].reason
     assert "arc-length control" in blocks["load path"].reason
+    assert explain(Scene(**ARCH, **FLOOR, **BY_ARC)).contacts == ("foot: -u(t.z) <= 0.3 m, at the start",)
+    ball = [{"name": "floor", "kind": "circle", "centre": ["0.6 m", "-0.6 m"], "radius": "0.9 m"}]
+    (row,) = explain(Scene(**ARCH, **(FLOOR | dict(obstacles=ball)), **BY_ARC)).contacts
+    assert row == "foot: 0.6 u(t.x) - 0.8 u(t.z) <= 0.1 m, at the start"
     small = {block.name: block for block in explain(Scene(**(ARCH | dict(deformation="small")), **BY_LOAD)).blocks}
     assert not small["Newton loop"].included
 
@@ -236,6 +241,18 @@ def test_a_report_and_pictures_are_made_of_them(tmp_path, capsys):
     table = (tmp_path / "report" / "results.csv").read_text().splitlines()
     assert len(table) == 2
     assert "active-set" in table[1]
+
+
+def test_pictures_show_the_normal_of_now():
+    """On a ball the plane that is drawn touches it where the node is, and lies its gap below the node."""
+    ball = [{"name": "floor", "kind": "circle", "centre": ["0.3 m", "-0.9 m"], "radius": "1 m"}]
+    scene = Scene(**ARCH, **(FLOOR | dict(obstacles=ball)), path={"steps": 3, "corners": [{"down": 10}]})
+    last = cq.run(scene)[-1]
+    (contact,) = fields_of(scene, last).contacts
+    out = (np.array([0.0, 0.2]) + last.displacement - [0.3, -0.9]) / (1 + last.gap[0])
+    np.testing.assert_allclose(contact.push, [out], atol=1e-12)
+    assert contact.initial_gap + out @ last.displacement == pytest.approx(contact.gap, abs=1e-12)
+    assert abs(last.displacement[0]) > 0.01
 
 
 def test_the_cable_converges_in_second_order():
