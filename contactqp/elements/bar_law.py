@@ -90,7 +90,7 @@ class LogarithmicLaw:
     def modulus(self, eps: Any) -> Array:
         """(1 - 2 h) / (1 + 2 eps)^2."""
         square = 1 + 2 * np.asarray(eps)
-        return np.asarray((1 - np.log(square)) / square**2)
+        return np.asarray((1 - np.log(square)) / square / square)  # squared, a great strain would overflow
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,24 @@ A scene with a motion moves in time, under constant loads::
     value = "3 m/s"
     derivation = "nothing touches it yet"
 
+With large displacements bars, obstacles and contacts are where they are, and the path may be controlled::
+
+    deformation = "large"
+    bars = [{ name = "bar", nodes = ["a", "b"], area = "1 cm^2", modulus = "10 MPa", law = "green" }]
+
+    [path]
+    control = "displacement"                # or "load", which is the default, or "arc-length" with its arc_length
+    controlled = "b.z"
+    target = "-18 cm"
+    steps = 20
+
+    [[expect]]
+    quantity = "limit load"
+    at = "b.z"
+    value = "-4.0712153 N"
+    tolerance = 1e-7
+    derivation = "2 sqrt(3) / 9 E A0 h^3 / L0^3"
+
 Unknowns are called ``node.axis``, and ``node.theta`` where a beam ends. The other blocks are ``springs``, ``beams``,
 ``strings`` with ``line_loads``, ``masses`` with ``gravity``, ``matrices``, ``ties``, ``study``, ``published`` and
 ``remarks``.

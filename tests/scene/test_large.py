@@ -165,6 +165,58 @@ def test_friction_on_a_ball_is_along_the_tangents_of_now():
     assert abs(model.along_axes(last.friction_force)[0] - along).max() > 1e-3
 
 
+def test_a_tripod_rubs_over_a_sphere():
+    """In space: balance of the bars, the weight and the push with pressure and friction across it, along the slip."""
+    feet = [[1.0, 0.0], [-0.5, 0.8], [-0.6, -0.7]]
+    nodes = [{"name": f"{i}", "at": [f"{x} m", f"{y} m", "1 m"]} for i, (x, y) in enumerate(feet)]
+    bars = [{"name": f"{i}", "nodes": [f"{i}", "t"], "area": "1 m^2", "modulus": "100 Pa"} for i in range(3)]
+    scene = Scene(
+        title="t",
+        deformation="large",
+        axes=["x", "y", "z"],
+        nodes=[*nodes, {"name": "t", "at": ["0 m", "0 m", "0 m"]}],
+        bars=bars,
+        masses=[{"name": "head", "node": "t", "mass": "2 kg"}],
+        gravity=["0 m/s^2", "0 m/s^2", "-10 m/s^2"],
+        fixed=["0", "1", "2"],
+        obstacles=[{"name": "ball", "kind": "sphere", "centre": ["0.1 m", "0 m", "-1 m"], "radius": "0.98 m"}],
+        contacts=[{"name": "tip", "node": "t", "obstacle": "ball", "friction": 0.25}],
+        loads=[{"name": "push", "unknown": "t.y", "value": "12 N"}],
+        path={"steps": 8, "corners": [{"gravity": 1}, {"gravity": 1, "push": 1}]},
+    )
+    history = cq.run(scene)
+    last, model = history[-1], build(scene)
+    out = (last.displacement - [0.1, 0, -1]) / 0.98
+    assert np.linalg.norm(out) == pytest.approx(1, abs=1e-12)
+    along = friction_along_axes(model, last)[0]
+    assert str(last.contact_status[0]) == "slip"
+    assert np.linalg.norm(along) == pytest.approx(0.25 * last.normal_force[0], rel=1e-9)
+    assert along @ out == pytest.approx(0, abs=1e-9)
+    assert along @ (last.displacement - history[-2].displacement) > 0
+    inner = DeformableModel(model).body.internal_force(last.displacement)
+    np.testing.assert_allclose(inner, [0, 12, -20] + last.normal_force[0] * out - along, atol=1e-9)
+
+
+def test_a_bar_that_tears_ends_with_what_there_is(tmp_path, capsys):
+    """Hencky's law carries E A / e at most: 0.3679 of its modulus times its area, and the load here is 0.4."""
+    file = tmp_path / "wire.toml"
+    file.write_text(
+        'title = "a wire"\ndeformation = "large"\naxes = ["x", "z"]\nfixed = ["a", "b.x"]\n'
+        'nodes = [{ name = "a", at = ["0 m", "1 m"] }, { name = "b", at = ["0 m", "0 m"] }]\n'
+        'bars = [{ name = "w", nodes = ["a", "b"], area = "1 m^2", modulus = "1 Pa", law = "logarithmic" }]\n'
+        'loads = [{ unknown = "b.z", value = "-0.4 N" }]\npath = { steps = 8 }\n'
+    )
+    with pytest.raises(SystemExit) as exit_:
+        main(["run", str(file), "--plot", str(tmp_path / "wire.png")])
+    captured = capsys.readouterr()
+    assert exit_.value.code == 1
+    assert captured.err.count("contactqp:") == 1
+    assert "at load factor 1: Newton's method: the displacements grow without bound" in captured.err
+    assert "8 instants so far, to load factor 0.875" in captured.out
+    assert "Traceback" not in captured.err + captured.out
+    assert (tmp_path / "wire.history.png").exists()
+
+
 def test_supports_of_a_contact_get_what_the_obstacle_gives_them():
     """The node of the arch may not move aside: an inclined floor pushes it against its support."""
     floor = dict(

@@ -26,6 +26,8 @@ WEIGHT = 2.0
 CONTRACTION = 0.5
 # Rounding of an energy, over the sizes that add up to it.
 MERIT_ROUNDING = 1e-13
+# Displacements beyond this, in any unit, are those of a body that nothing holds: of a bar that has torn.
+RUN_AWAY = 1e50
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,8 @@ def find_balance(
         step = newton_step(loaded, now, K, target, settings, step, forces)
         weight = max(weight, _weight(loaded, now, K, target, step))
         fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
+        if np.max(abs(new.displacement), initial=0.0) > RUN_AWAY:
+            raise NotConverged("Newton's method: the displacements grow without bound, nothing balances the load")
         left = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
         iterations.append(NewtonIteration(left.force, left.length, fraction, step.shift, changed))
