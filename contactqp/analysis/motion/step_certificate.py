@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.coulomb_cone import directions, lengths
-from contactqp.problem import ContactProblem
+from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import ROUNDING_OF_LENGTH, bodies, own_compliance, ratio
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
@@ -57,6 +57,7 @@ class StepJudge:
         self._K, self._N, self._A = template.stiffness_rows, template.normal, template.tie
         self._T = template.tangent if template.frictional else None
         self._sizes = tuple(abs(matrix) for matrix in (self._K, self._N, self._A))
+        self._pushing, self._pushing_size = (sp.csr_matrix(rows.T) for rows in (self._N, self._sizes[1]))
         self._unit = np.sqrt(template.diagonal)
         self._rest = {name: _Rest(template, rows) for name, rows in self._rows().items()}
         self._entries = sp.coo_matrix(abs(self._N))
@@ -71,26 +72,38 @@ class StepJudge:
         return self.figures(posed, answered).first_above(tolerance)
 
     def _plainly_right(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> bool:
-        """Whether steps without any contact force or tie leave residuals within tolerance of K_jj |x_j| alone.
+        """Whether steps without friction or ties are right by less than all of what meets.
 
-        Step by step, while a step's vectors are in the cache.
+        Residuals within tolerance of K_jj |x_j| + |E_N|'l_N, gaps within that of |E_N||x| + |g|: the figures are then
+        no larger. Step by step, while a step's vectors are in the cache.
         """
-        if self._problem.ties:
+        if self._problem.ties or self._T is not None:
             return False
         within = tolerance * self._problem.diagonal
         for p, a in zip(posed, answered, strict=True):
-            if a.normal.any():
+            residual, size = p.load - self._K @ a.increment, np.abs(a.unknown)
+            pushes = bool(a.normal.any())
+            if (pushes or p.looked_at is None or p.looked_at.any()) and not self._contacts_hold(p, a, size, tolerance):
                 return False
-            closed = p.gap < self._N @ a.unknown
-            if (closed if p.looked_at is None else closed & p.looked_at).any():
-                return False
-            residual = p.load - self._K @ a.increment
-            np.abs(residual, out=residual)
-            size = np.abs(a.unknown)
             size *= within
+            if pushes:
+                residual -= self._pushing @ a.normal
+                size += self._pushing_size @ (tolerance * a.normal)
+            np.abs(residual, out=residual)
             if not (residual <= size).all():
                 return False
         return True
+
+    def _contacts_hold(self, p: Posed, a: Answered, size: Vector, tolerance: float) -> bool:
+        """Whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
+        room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
+        seen = np.ones(len(room), dtype=bool) if p.looked_at is None else p.looked_at
+        if (a.normal < 0).any() or (pushes & ~seen).any():
+            return False
+        wrong = (seen & (room < 0)) | (pushes & (room > 0))
+        if not wrong.any():
+            return True
+        return not (wrong & (abs(room) > tolerance * (self._sizes[1] @ size + abs(p.gap)))).any()
 
     def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
         """The figures of a block of steps."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
@@ -31,6 +32,10 @@ class Trapezoidal(Scheme):
         self.templates = (body.template(self._inertia + body.stiffness),)
         self._massless = massless(body.mass)
         self._any_massless = bool(np.any(self._massless))
+        # Of 2 K u and f + f+ where there is mass; K u and f+ where there is none.
+        self._load_share = np.where(self._massless, 0.0, 1.0)
+        internal = sp.diags(-1.0 - self._load_share) @ body.stiffness
+        self._from_state = sp.csr_matrix(sp.hstack([internal, body.step * self._inertia]))
         self._bare_contacts = body.on_massless("contact", name)
         self._tie_share = np.where(body.on_massless("tie", name), 1.0, 0.5)
 
@@ -43,10 +48,12 @@ class Trapezoidal(Scheme):
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
         del answers
         body, u = self.body, state.displacement
-        internal = body.stiffness @ u
-        force = load + next_load - 2 * internal - body.pull(state) + self._inertia @ (body.step * state.velocity)
-        if self._any_massless:
-            force[self._massless] = (next_load - internal)[self._massless]
+        force = self._from_state @ np.concatenate([u, state.velocity])
+        force += self._load_share * load + next_load
+        if state.normal_force.any():
+            pull = body.pull(state)
+            pull[self._massless] = 0.0  # there the force of the end balances alone
+            force -= pull
         return Posed(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
     def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
