@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.step_forces import frictional_forces, normal_forces
+from contactqp.analysis.motion.step_forces import normal_forces
+from contactqp.analysis.motion.step_friction import OPEN, correction, frictional_forces, states_of
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import Array, DenseCholesky
@@ -73,6 +74,7 @@ class StepContact:
             )
         self._E, self._A = way.normal, way.tie
         self._pushed = np.zeros(template.contacts, dtype=bool)
+        self._states = np.full(template.contacts, OPEN, dtype=np.int8)
         self._frictional = template.frictional
         rows = self._E
         if template.frictional and way.tangent is not None:
@@ -105,7 +107,8 @@ class StepContact:
         """What a method says of its options at the first contact it says before the motion begins."""
         if self._frictional:
             width = 1 + len(self._T) // self.template.contacts
-            frictional_forces(np.eye(width), -np.eye(width)[0], np.ones(1), self._method, self._options)
+            still, pressed = np.array([OPEN], dtype=np.int8), -np.eye(width)[0]
+            frictional_forces(np.eye(width), pressed, np.ones(1), still, self._method, self._options)
         else:
             normal_forces(np.eye(1), -np.ones(1), np.zeros(1, dtype=bool), self._method, self._options)
 
@@ -222,16 +225,7 @@ class StepContact:
         slips = np.max(abs(left[:, 1:]), axis=1) > SHARP * np.max(lengths.reshape(m, width), axis=1)
         if not np.any(sticks & slips):
             return None
-        active = np.zeros((m, 1 + width), dtype=bool)
-        active[:, 0], active[:, 1:] = normal > 0, sticks[:, None]
-        rows = np.flatnonzero(active)
-        with_slip = np.zeros((m, 1 + width, m, 1 + width))  # forces of corrections: of a sliding contact on its cone
-        with_slip.reshape(m * (1 + width), -1)[rows, rows] = 1.0
-        slides = np.flatnonzero((normal > 0) & ~sticks)
-        with_slip[slides, 1:, slides, 0] = -friction.reshape(m, width)[slides] / normal[slides, None]
-        ways = with_slip.reshape(m * (1 + width), -1)[:, rows]
-        change = ways @ np.linalg.lstsq((self._W @ ways)[rows], -left.ravel()[rows], rcond=None)[0]
-        change = change.reshape(m, 1 + width)
+        change = correction(self._W, np.column_stack([normal, -friction.reshape(m, width)]), sticks, left)
         sharp_normal, sharp_friction = normal + change[:, 0], friction - change[:, 1:].ravel()
         if np.any(sharp_normal < 0):
             return None
@@ -283,8 +277,10 @@ class StepContact:
         offset = np.column_stack([c, slip.reshape(m, width)])[looked].ravel()
         rows = (looked[:, None] * (1 + width) + np.arange(1 + width)).ravel()
         coefficient = self.template.friction[looked]  # type: ignore[index]
-        pressed, rubbed = frictional_forces(
-            self._W[np.ix_(rows, rows)], offset, coefficient, self._method, self._options
-        )
+        W, start = self._W[np.ix_(rows, rows)], self._states[looked]
+        pressed, rubbed = frictional_forces(W, offset, coefficient, start, self._method, self._options)
         normal[looked] = np.maximum(pressed, 0.0)
         friction.reshape(m, width)[looked] = rubbed
+        self._states[:] = OPEN
+        if width == 1:
+            self._states[looked] = states_of(pressed, rubbed, coefficient)

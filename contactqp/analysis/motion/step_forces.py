@@ -1,6 +1,6 @@
-"""The small problem of one time step: contact forces from the Delassus operator of the step.
+"""Contact forces of one time step without friction, from the Delassus operator of the step.
 
-    gap = c + W l >= 0,  l >= 0,  l gap = 0        without friction: min 1/2 l'Wl + c'l over l >= 0
+    gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
 
 c (m,) is the gap without contact forces. The active set of the step before is where the search starts; any other
 method is given the same minimum as a problem of its own, whose multipliers are the gaps.
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.factorization import Array
-from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solving import solve
 
@@ -23,9 +22,6 @@ from contactqp.solving import solve
 MAX_CHANGES = 30
 # Forces and gaps of this part of the largest are rounding.
 ROUNDING = 1e-13
-# A friction force that is this near to the cone slips.
-ON_CONE = 1e-9
-REFINEMENTS = 2
 # Compliance, as part of its own, that is given to contacts whose forces nothing else bounds.
 SQUEEZED = 1e-13
 
@@ -74,49 +70,3 @@ def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | No
             return force
         pushes = (pushes & ~wrong_force) | wrong_gap
     return None
-
-
-def frictional_forces(
-    W: Array, c: Vector, friction: Vector, method: str, options: dict[str, Any]
-) -> tuple[Vector, NDArray[np.float64]]:
-    """l_N (m,) and l_T (m, d-1) [force] of contacts with Coulomb friction.
-
-    W (d m, d m) maps forces on the body, contact by contact in the order (N, T), to gaps and slips; c (d m,) are those
-    without contact forces.
-    """
-    m = len(friction)
-    d = len(c) // m
-    local = LocalProblem(delassus=W, offset=c, friction=friction, dimension=d)
-    force = _refined(W, c, friction, np.array(solve(local, method, **options).force))
-    return force[:, 0], -force[:, 1:]
-
-
-def _refined(W: Array, c: Vector, friction: Vector, force: Array) -> Array:
-    """Forces (m, d) on the body whose closed gaps and sticking slips vanish to rounding of their own terms.
-
-    A step may hardly move what large forces hold: the answer to the contacts, right to a part of the largest force, is
-    then no better than the velocities that are left. Pushing contacts stay closed, sticking ones stuck, and the forces
-    of those that slip keep their directions.
-    """
-    m, d = force.shape
-    pushes = force[:, 0] > 0
-    size = np.linalg.norm(force[:, 1:], axis=1)
-    sticks = pushes & (size < (1 - ON_CONE) * friction * force[:, 0])
-    rows = np.zeros((m, d), dtype=bool)
-    rows[:, 0], rows[:, 1:] = pushes, sticks[:, None]
-    held = np.flatnonzero(rows)
-    if not len(held):
-        return force
-    way = np.eye(m * d)[:, held]
-    for column, i in enumerate(held):
-        if i % d == 0 and not sticks[i // d]:
-            way[i : i + d, column] = force[i // d] / force[i // d, 0]
-    system = W[held] @ way
-    for _ in range(REFINEMENTS):
-        change, *_ = np.linalg.lstsq(system, -(W @ force.ravel() + c)[held], rcond=None)
-        refined = force + (way @ change).reshape(m, d)
-        inside = np.linalg.norm(refined[:, 1:], axis=1) <= friction * refined[:, 0] * (1 + ON_CONE)
-        if not np.all(refined[pushes, 0] > 0) or not np.all(inside | ~pushes):
-            break
-        force = refined
-    return force
