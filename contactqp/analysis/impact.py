@@ -122,6 +122,8 @@ def impact(
     knobs = _knobs(kind, scheme, theta, restitution, penalty)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
+    if time_step**2 < np.finfo(float).tiny:
+        raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
     if (
         isinstance(start_time, bool)
         or not isinstance(start_time, (int, float, np.number))

@@ -38,6 +38,7 @@ BALL: dict[str, Any] = dict(
         (dict(velocity=[np.inf]), "velocity"),
         (dict(duration=0.0), "duration: expected a positive number, got 0.0"),
         (dict(time_step=-1), "time_step: expected a positive number, got -1"),
+        (dict(time_step=1e-200), "time_step: expected a step whose square is a number, got 1e-200"),
         (dict(scheme="magic"), "scheme: expected one of moreau-jean, .*, got 'magic'"),
         (dict(theta=0.3), "theta: expected a number from 0.5 to 1, got 0.3"),
         (dict(restitution=1.2), "restitution: expected a number from 0 to 1, got 1.2"),
