@@ -48,6 +48,7 @@ class MoreauJean(Scheme):
         if len(self._touched) <= FEW:
             self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
         self._normal_size = abs(self._normal)
+        self._touching_gap = TOUCHING * abs(body.problem.gap)
         self._no_rebound = np.zeros(body.problem.contacts)
         self._inertia_of_touched = self.templates[0].diagonal[self._touched]
 
@@ -56,10 +57,10 @@ class MoreauJean(Scheme):
         body, theta, h = self.body, self._theta, self.body.step
         u, v = state.displacement, state.velocity
         force = self._from_state @ np.concatenate([v, u])
-        force += h * (next_load if load is next_load else theta * next_load + (1 - theta) * load)
+        force += h * (load if load is next_load else theta * next_load + (1 - theta) * load)
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
-        near = room <= TOUCHING * (self._normal_size @ abs(ahead) + abs(body.problem.gap))
+        near = room <= self._touching_gap + TOUCHING * (self._normal_size @ abs(ahead))
         return Posed(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
