@@ -58,3 +58,8 @@ def brick(friction: float, corners: int) -> cq.ContactProblem:
     return cq.ContactProblem(
         np.zeros((6, 6)), load, np.array(normal), np.full(corners, 0.05), tangent=np.array(tangent), friction=friction
     )
+
+
+def times_of(history: cq.MotionHistory, kind: str) -> list[float]:
+    """The times of all events of a kind."""
+    return [event.time for event in history.events if event.kind == kind]

@@ -85,6 +85,13 @@ def test_asymmetric_and_incomplete_masses_are_refused() -> None:
             cq.impact(pair, mass, [0, 0], [0, 0], 1.0, 0.1)
 
 
+def test_a_mass_may_be_very_small() -> None:
+    """Its product with another underflows; it is a mass all the same."""
+    specks = cq.ContactProblem(np.zeros((2, 2)), [1e-200, 0], [[1.0, 0]], [1.0])
+    history = cq.impact(specks, np.diag([1e-200, 1e-200]), [0, 0], [0, 0], 1.0, 0.1)
+    assert history.velocities[-1, 0] == pytest.approx(1.0)
+
+
 def test_dependent_ties_are_refused() -> None:
     tied = cq.ContactProblem(np.eye(2), [0, 0], [[1.0, 0]], [1.0], tie=[[0, 1.0], [0, 2.0]])
     with pytest.raises(cq.InvalidProblem, match="tie: expected independent rows"):

@@ -397,3 +397,8 @@ def test_a_slack_chain_takes_its_shape_without_a_snap():
     assert np.max(abs(history.displacements[1])) > 0.05
     assert any(iteration.shift for iteration in history.iterations[1])
     assert (history.notes, history.snaps) == ((), ())
+
+
+def test_a_load_beyond_all_numbers_is_refused_without_a_warning():
+    with pytest.raises(NotConverged, match="no part of the step can be taken: the energy is no number"):
+        cq.large_deformation(arch(), [[0.0, -1e200]], steps=1)

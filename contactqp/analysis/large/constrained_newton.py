@@ -47,6 +47,7 @@ class Balance:
         return any(iteration.shift for iteration in self.iterations)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is no number is stepped back from, or said
 def find_balance(
     loaded: LoadedBody, start: Vector, forces: Forces, target: Target, settings: NewtonSettings
 ) -> Balance:
@@ -182,7 +183,7 @@ def _searched(
                     return fraction, new, reason
             reason = "the energy does not fall"
         fraction /= 2
-    raise NotConverged(f"Newton's method: no part of the step can be taken: {reason}")
+    raise NotConverged(f"Newton's method: no part of the step can be taken: {reason or 'the energy is no number'}")
 
 
 def _stretched(

@@ -42,11 +42,12 @@ def read_mass(mass: Any, n: int) -> Any:
         j = int(np.argmin(diagonal))
         raise InvalidProblem(f"mass: expected no negative diagonal, got {diagonal[j]:g} at unknown {j}")
     entries = M.tocoo()
-    scale = np.sqrt(diagonal[entries.row] * diagonal[entries.col])
+    root = np.sqrt(diagonal)  # apart: a product of two small masses is no number
+    scale = root[entries.row] * root[entries.col]
     if np.any((scale == 0) & (entries.data != 0)):
         raise InvalidProblem("mass: an unknown without mass of its own is coupled to others: not positive semidefinite")
     difference = abs(M - M.T).tocoo()
-    beside = np.sqrt(diagonal[difference.row] * diagonal[difference.col])
+    beside = root[difference.row] * root[difference.col]
     if np.any(difference.data > ASYMMETRY * beside):
         raise InvalidProblem("mass: expected a symmetric matrix")
     M = sp.csr_matrix((M + M.T) / 2)
