@@ -11,9 +11,7 @@ there are several, or if an equilibrium is denied, or missed by enumeration in f
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
-import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -24,6 +22,7 @@ import numpy as np
 import contactqp as cq
 from benchmarks.friction_families import CONTACT_FAMILIES, FAMILIES, Posed, contact_problem, local_problem
 from benchmarks.friction_law import broken, broken_locally, plain_answer, seen
+from benchmarks.processes import reports_of
 
 ALGORITHMS = ("default", "tresca", "aclm", "newton", "nsgs", "admm")
 CLASSICAL = ("lagrange-multiplier", "augmented-lagrangian", "master-slave")
@@ -215,16 +214,7 @@ def _task(task: tuple[str, int]) -> Report:
 def run(problems: int, families: tuple[str, ...] = FAMILIES, jobs: int = 2) -> list[Report]:
     """`problems` problems spread evenly over the families, in a fixed order."""
     tasks = [(family, seed) for seed in range(-(-problems // len(families))) for family in families]
-    if jobs < 2:
-        return [_task(task) for task in tasks]
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the processes that are about to start
-    reports = []
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for report in pool.imap(_task, tasks, chunksize=4):
-            reports.append(report)
-            if len(reports) % 100 == 0:
-                print(f"{len(reports)} of {len(tasks)} problems", file=sys.stderr)
-    return reports
+    return reports_of(_task, tasks, jobs)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +21,7 @@ from pathlib import Path
 from benchmarks.counting import failures, text
 from benchmarks.judging import Report, available, judge
 from benchmarks.problem_families import FAMILIES
+from benchmarks.processes import reports_of
 
 
 def _task(task: tuple[str, int, tuple[str, ...]]) -> Report:
@@ -33,14 +32,7 @@ def run(names: list[str], problems: int, methods: tuple[str, ...], jobs: int) ->
     """`problems` problems spread evenly over the families, in a fixed order."""
     each = -(-problems // len(names))
     tasks = [(name, seed, methods) for seed in range(each) for name in names]
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the processes that are about to start
-    reports = []
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for report in pool.imap(_task, tasks, chunksize=4):
-            reports.append(report)
-            if len(reports) % 100 == 0:
-                print(f"{len(reports)} of {len(tasks)} problems", file=sys.stderr)
-    return reports
+    return reports_of(_task, tasks, jobs)
 
 
 def write(reports: list[Report], path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -94,7 +94,7 @@ def exact_problem(scene: Scene) -> ExactProblem:
     loads = exact_loads(scene)
     return ExactProblem(
         unknowns=of_scene(scene),
-        stiffness=_assemble(scene),
+        stiffness=assembled(_element_matrices(scene)),
         load=sum_of(loads, factors_at(scene, end_time(scene))),
         loads=loads,
         contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
@@ -215,9 +215,10 @@ def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:
     return beam.stiffness(modulus, area, inertia, *ends(scene, item.nodes))
 
 
-def _assemble(scene: Scene) -> Stiffness:
+def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
+    """The sum of element matrices by the names of their unknowns; what is zero is left out."""
     total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
-    for names, matrix in _element_matrices(scene):
+    for names, matrix in matrices:
         for i, row in zip(names, matrix, strict=True):
             for j, entry in zip(names, row, strict=True):
                 if entry:

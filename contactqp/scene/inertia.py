@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from contactqp.elements import point_mass
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.mass import bar_mass, solid_mass
-from contactqp.scene.building import NodeModel
+from contactqp.scene.building import NodeModel, assembled
 from contactqp.scene.exact_numbers import displacements, ends, value
 from contactqp.scene.unknowns import of_node
 
@@ -25,13 +23,7 @@ if TYPE_CHECKING:
 
 def exact_mass(scene: Scene) -> Mapping[tuple[str, str], Number]:
     """M on all unknowns by their names, in the scene's units; what is zero is left out."""
-    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
-    for names, matrix in _element_masses(scene):
-        for i, row in zip(names, matrix, strict=True):
-            for j, entry in zip(names, row, strict=True):
-                if entry:
-                    total[i, j] += entry
-    return dict(total)
+    return assembled(_element_masses(scene))
 
 
 def _element_masses(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]:

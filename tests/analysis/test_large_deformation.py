@@ -402,3 +402,9 @@ def test_a_slack_chain_takes_its_shape_without_a_snap():
 def test_a_load_beyond_all_numbers_is_refused_without_a_warning():
     with pytest.raises(NotConverged, match="no part of the step can be taken: the energy is no number"):
         cq.large_deformation(arch(), [[0.0, -1e200]], steps=1)
+
+
+def test_a_body_that_nothing_holds_is_told_so():
+    loose = cq.NonlinearTruss([[-1, 0], [0, 0.2], [1, 0]], [[0, 1], [1, 2]], modulus=100.0, area=1.0)
+    with pytest.raises(NotConverged, match="its load may drive a motion that nothing holds"):
+        cq.large_deformation(loose, [[0, -1.0, 0, 0, 0, 0]], max_iter=12)

@@ -90,9 +90,12 @@ def find_balance(
                 step = stationary_step(loaded, now, K, target, step.increment, step.forces)
             return Balance(new, step.forces, now, step, tuple(iterations), time.perf_counter() - started)
         now, forces = new, step.forces
+    words = f"; full steps fail: {reason}" if reason else ""
+    if all(iteration.shift for iteration in iterations):
+        words += "; no tangent on the way held the body: its load may drive a motion that nothing holds"
     raise NotConverged(
         f"Newton's method: {settings.max_iter} iterations leave {iterations[-1].force_error:.3g} of the forces and "
-        f"{iterations[-1].length_error:.3g} of the displacement" + (f"; full steps fail: {reason}" if reason else "")
+        f"{iterations[-1].length_error:.3g} of the displacement{words}"
     )
 
 
