@@ -80,7 +80,9 @@ LAYERS = (
     "pictures",
     "scene",
     "exchange",
+    "oracle",
     "study",
+    "testing",
     "cli",
 )
 

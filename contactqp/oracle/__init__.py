@@ -1,0 +1,1 @@
+"""Exact and enclosed answers, other people's answers judged in words, and problems whose answers are known."""
