@@ -37,6 +37,17 @@ if TYPE_CHECKING:
     from contactqp.elements.supported import Supported as Supported
     from contactqp.elements.surface import Surface as Surface
     from contactqp.elements.updated_truss import UpdatedTruss as UpdatedTruss
+    from contactqp.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
+    from contactqp.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
+    from contactqp.energies.limits import AtLeast as AtLeast
+    from contactqp.energies.limits import AtMost as AtMost
+    from contactqp.energies.limits import Equal as Equal
+    from contactqp.energies.limits import Obstacle as Obstacle
+    from contactqp.energies.part import PartState as PartState
+    from contactqp.energies.plastic_hinge import PlasticHinge as PlasticHinge
+    from contactqp.energies.springs import Cable as Cable
+    from contactqp.energies.springs import Spring as Spring
+    from contactqp.energies.springs import Strut as Strut
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -85,15 +96,21 @@ __version__ = "0.1.0"
 
 _HOME = {
     "AssociatedDifference": "relaxation",
+    "AtLeast": "energies.limits",
+    "AtMost": "energies.limits",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
+    "Cable": "energies.springs",
     "Certificate": "certificate",
     "Circle": "elements.round_obstacle",
+    "ConstrainedEnergy": "energies.constrained_energy",
+    "ConstrainedMinimum": "energies.constrained_energy",
     "ContactGroup": "elements.obstacle_contact",
     "ContactProblem": "problem",
     "ContactQPError": "errors",
     "CriticalFriction": "critical_coefficients",
     "Cylinder": "elements.round_obstacle",
+    "Equal": "energies.limits",
     "ExactEquilibrium": "friction.exact_enumeration",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
@@ -101,22 +118,27 @@ _HOME = {
     "LocalCertificate": "local_certificate",
     "LocalProblem": "local_problem",
     "LocalSolution": "local_solution",
+    "MotionHistory": "analysis.motion.history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
     "NonlinearTruss": "elements.green_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
+    "Obstacle": "energies.limits",
     "ObstacleContact": "elements.obstacle_contact",
     "Pairing": "elements.pairing",
     "Paraboloid": "elements.paraboloid",
+    "PartState": "energies.part",
     "Plane": "elements.obstacle",
+    "PlasticHinge": "energies.plastic_hinge",
     "Scene": "scene.schema",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
-    "MotionHistory": "analysis.motion.history",
     "SignedDistance": "elements.signed_distance",
     "Solution": "solution",
     "Sphere": "elements.round_obstacle",
+    "Spring": "energies.springs",
+    "Strut": "energies.springs",
     "Supported": "elements.supported",
     "Surface": "elements.surface",
     "TimeStepWarning": "errors",
@@ -149,8 +171,8 @@ _HOME = {
     "read_fclib_solution": "exchange.fclib",
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos_text",
-    "run": "scene.running",
     "redistributed_mass": "analysis.motion.mass",
+    "run": "scene.running",
     "siconos_global_error": "published_errors",
     "siconos_local_error": "published_errors",
     "solve": "solving",

@@ -75,6 +75,7 @@ LAYERS = (
     "solving",
     "multiplicity",
     "relaxation",
+    "energies",
     "elements",
     "analysis",
     "pictures",

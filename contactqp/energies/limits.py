@@ -1,0 +1,168 @@
+"""Constraints on linear combinations of unknowns, and on many unknowns at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.energies.part import Condition, Contribution, Form, Found, PartState, minus, read_form, read_number
+from contactqp.errors import InvalidProblem
+
+
+@dataclass(frozen=True)
+class AtMost:
+    """form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
+
+    Raises
+    ------
+    InvalidProblem
+        The form or the bound is none.
+    """
+
+    name: str
+    form: Form
+    bound: float
+
+    def __post_init__(self) -> None:
+        _read(self)
+
+    def contribution(self) -> Contribution:
+        return Contribution(unilateral=(Condition(self.name, self.form, self.bound),))
+
+    def state(self, found: Found) -> PartState:
+        return _bounded(found, self.name, self.form)
+
+
+@dataclass(frozen=True)
+class AtLeast:
+    """form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
+
+    Raises
+    ------
+    InvalidProblem
+        The form or the bound is none.
+    """
+
+    name: str
+    form: Form
+    bound: float
+
+    def __post_init__(self) -> None:
+        _read(self)
+
+    def contribution(self) -> Contribution:
+        return Contribution(unilateral=(Condition(self.name, minus(self.form), -self.bound),))
+
+    def state(self, found: Found) -> PartState:
+        return _bounded(found, self.name, self.form)
+
+
+@dataclass(frozen=True)
+class Equal:
+    """form(u) = bound: a support, or a constraint on several unknowns; its force is nu of K u + A'nu = f.
+
+    Raises
+    ------
+    InvalidProblem
+        The form or the bound is none.
+    """
+
+    name: str
+    form: Form
+    bound: float = 0.0
+
+    def __post_init__(self) -> None:
+        _read(self)
+
+    def contribution(self) -> Contribution:
+        return Contribution(ties=(Condition(self.name, self.form, self.bound),))
+
+    def state(self, found: Found) -> PartState:
+        return PartState(found.value(self.form), found.multiplier[self.name], "tied")
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """lower <= u_j <= upper for many unknowns; its force is that of the lower bounds less that of the upper ones.
+
+    Each bound is a constraint of its own: "<name>: <unknown> from below" or "from above" is what
+    `ConstrainedMinimum.multiplier` calls it. `deformation` is the least distance of an unknown from a bound.
+
+    Parameters
+    ----------
+    name : str
+    unknowns : sequence of str
+    lower, upper : float or array, optional
+        At least one; infinite entries bound nothing.
+
+    Raises
+    ------
+    InvalidProblem
+        No bound, NaN, or a lower bound above the upper.
+    """
+
+    name: str
+    unknowns: tuple[str, ...]
+    lower: Any = None
+    upper: Any = None
+    _conditions: tuple[Condition, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unknowns", tuple(self.unknowns))
+        lower, upper = self._side("lower", -np.inf), self._side("upper", np.inf)
+        crossed = np.flatnonzero(lower > upper)
+        if crossed.size:
+            i = int(crossed[0])
+            raise InvalidProblem(
+                f"{self.name}: expected lower <= upper, got {lower[i]:g} and {upper[i]:g} for {self.unknowns[i]}"
+            )
+        below = [
+            Condition(f"{self.name}: {u} from below", {u: -1.0}, -float(b))
+            for u, b in zip(self.unknowns, lower, strict=True)
+            if b > -np.inf
+        ]
+        above = [
+            Condition(f"{self.name}: {u} from above", {u: 1.0}, float(b))
+            for u, b in zip(self.unknowns, upper, strict=True)
+            if b < np.inf
+        ]
+        if not below + above:
+            raise InvalidProblem(f"{self.name}: expected a lower or an upper bound, got neither")
+        object.__setattr__(self, "_conditions", (*below, *above))
+
+    def _side(self, which: str, none: float) -> NDArray[np.float64]:
+        given = getattr(self, which)
+        count = len(self.unknowns)
+        try:
+            bounds = np.asarray(none if given is None else given, dtype=float)
+        except (TypeError, ValueError):
+            raise InvalidProblem(f"{self.name}: {which}: expected numbers, got {given!r}") from None
+        if bounds.shape not in ((), (count,)) or np.any(np.isnan(bounds)) or np.any(bounds == -none):
+            raise InvalidProblem(f"{self.name}: {which}: expected one number or {count}, none of them NaN or {-none}")
+        return np.broadcast_to(bounds, (count,))
+
+    def contribution(self) -> Contribution:
+        return Contribution(unilateral=self._conditions)
+
+    def state(self, found: Found) -> PartState:
+        total = -sum(
+            found.multiplier[condition.name] * factor
+            for condition in self._conditions
+            for factor in condition.form.values()
+        )
+        distance = min(condition.bound - found.value(condition.form) for condition in self._conditions)
+        active = any(found.multiplier[condition.name] > 0 for condition in self._conditions)
+        return PartState(distance, float(total), "active" if active else "inactive")
+
+
+def _read(part: AtMost | AtLeast | Equal) -> None:
+    object.__setattr__(part, "form", read_form(part.name, part.form))
+    object.__setattr__(part, "bound", read_number(f"{part.name}: bound", part.bound))
+
+
+def _bounded(found: Found, name: str, form: Form) -> PartState:
+    force = found.multiplier[name]
+    return PartState(found.value(form), force, "active" if force > 0 else "inactive")
