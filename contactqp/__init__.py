@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from contactqp.analysis.motion.history import MotionHistory as MotionHistory
     from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
     from contactqp.certificate import Certificate as Certificate
-    from contactqp.certificate import certify as certify
     from contactqp.critical_coefficients import CriticalFriction as CriticalFriction
     from contactqp.critical_coefficients import critical_friction as critical_friction
     from contactqp.elements.green_truss import NonlinearTruss as NonlinearTruss
@@ -75,6 +74,9 @@ if TYPE_CHECKING:
     from contactqp.local_solution import LocalSolution as LocalSolution
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
+    from contactqp.oracle.finding import Finding as Finding
+    from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
+    from contactqp.oracle.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
     from contactqp.problem import ContactProblem as ContactProblem
     from contactqp.problem import Units as Units
@@ -112,9 +114,11 @@ _HOME = {
     "Cylinder": "elements.round_obstacle",
     "Equal": "energies.limits",
     "ExactEquilibrium": "friction.exact_enumeration",
+    "Finding": "oracle.finding",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
+    "JudgedAnswer": "oracle.judged_answer",
     "LocalCertificate": "local_certificate",
     "LocalProblem": "local_problem",
     "LocalSolution": "local_solution",
@@ -147,7 +151,7 @@ _HOME = {
     "UpdatedTruss": "elements.updated_truss",
     "acary_bremond_huber_error": "published_errors",
     "associated_difference": "relaxation",
-    "certify": "certificate",
+    "certify": "oracle.judged_answer",
     "certify_local": "local_certificate",
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.certificate import FIGURES
+from contactqp.certificate import FIGURES, certify
 from tests.examples import (
     CANTILEVER_FORCE,
     block_between,
@@ -171,7 +171,14 @@ def test_missing_and_misshapen_forces_are_no_guess() -> None:
         stiffness=np.eye(2), load=[1.0, 0.0], normal=np.zeros((0, 2)), gap=[], tie=[[1.0, -1.0]], tie_value=[0.0]
     )
     with pytest.raises(cq.InvalidProblem, match="tie_force"):
-        cq.certify(tied, [0.5, 0.5], [])
+        cq.certify(tied, [0.5, 0.5], [], tie_force=[0.5, 0.5])
+    with pytest.raises(cq.InvalidProblem, match="tie_force"):
+        certify(tied, [0.5, 0.5], [])
+    recovered = cq.certify(tied, [0.5, 0.5], [])
+    assert recovered.passed
+    assert recovered.recovered == ("tie_force",)
+    assert any("recovered" in note and "tie_force" in note for note in recovered.notes)
+    assert not cq.certify(tied, [0.5, 0.4], []).passed
     with pytest.raises(cq.InvalidProblem, match="displacement"):
         cq.certify(truss(), np.zeros(3), [0.0])
     with pytest.raises(cq.InvalidProblem, match="friction_force"):

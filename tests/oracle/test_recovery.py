@@ -1,0 +1,119 @@
+"""What is not given is recovered from what is; right answers pass that way and wrong ones do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from benchmarks.problem_families import FAMILIES, family
+from tests.examples import CANTILEVER_FORCE, cantilever, truss, two_bars
+from tests.friction.problems import known_answer
+from tests.friction.space import several
+
+WELL_POSED = sorted(name for name, one in FAMILIES.items() if one.well_posed and one.solvable)
+SEEDS = range(4)
+
+
+def _parts(solution: cq.Solution) -> dict[str, np.ndarray]:
+    return {"displacement": solution.displacement, "normal_force": solution.normal_force}
+
+
+@pytest.mark.parametrize("name", WELL_POSED)
+def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str) -> None:
+    for seed in SEEDS:
+        problem = family(name, seed)
+        right = _parts(cq.solve(problem))
+        for part, values in right.items():
+            judged = cq.certify(problem, **{part: values})
+            assert judged.passed, (seed, part, judged.failures)
+            assert part not in judged.recovered
+            assert any("recovered" in note for note in judged.notes)
+
+
+@pytest.mark.parametrize("name", WELL_POSED)
+def test_displacements_alone_or_forces_alone_of_a_wrong_answer_fail(name: str) -> None:
+    rng = np.random.default_rng(5)
+    for seed in SEEDS:
+        problem = family(name, seed)
+        for part, values in _parts(cq.solve(problem)).items():
+            if not np.any(values):
+                continue
+            spoiled = values * (1 + 1e-4 * rng.normal(size=len(values)))
+            assert not cq.certify(problem, **{part: spoiled}).passed, (seed, part)
+
+
+def test_the_force_of_a_stiff_beam_is_recovered_from_its_displacement() -> None:
+    """Equilibrium at the tip alone multiplies the rounding of u by 1e8: the force is off by several per cent."""
+    problem = cantilever()
+    judged = cq.certify(problem, cq.solve(problem).displacement)
+    assert judged.passed
+    assert judged.answer.normal_force[0] == pytest.approx(CANTILEVER_FORCE, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_frictional_answers_from_displacements(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for known in (known_answer(rng, 2), known_answer(rng, 3), several(seed, ties=seed % 2)):
+        problem = known.problem
+        assert cq.certify(problem, **known.answer()).passed
+        alone = cq.certify(problem, known.displacement)
+        assert alone.passed, alone.failures
+        assert alone.answer.friction_force == pytest.approx(known.friction_force, abs=1e-7)
+        if problem.ties:
+            assert cq.certify(problem, known.displacement, known.normal_force, known.friction_force).recovered == (
+                "tie_force",
+            )
+        without = cq.certify(problem, known.displacement, known.normal_force, tie_force=known.tie_force)
+        assert without.passed, without.failures
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_frictional_answers_from_forces(seed: int) -> None:
+    known = several(seed, ties=seed % 2)
+    judged = cq.certify(known.problem, normal_force=known.normal_force, friction_force=known.friction_force)
+    assert judged.passed, judged.failures
+    assert judged.answer.displacement == pytest.approx(known.displacement, abs=1e-9)
+    spoiled = 1.001 * known.normal_force
+    assert not cq.certify(known.problem, normal_force=spoiled, friction_force=known.friction_force).passed
+
+
+def test_friction_is_not_recovered_from_normal_forces() -> None:
+    known = several(0)
+    with pytest.raises(cq.InvalidProblem, match="friction_force: the problem has friction, and without displacement"):
+        cq.certify(known.problem, normal_force=known.normal_force)
+
+
+def test_dependent_contacts_share_their_resultant_without_tension() -> None:
+    problem = truss(normal=[[0.0, -1.0], [0.0, -1.0]], gap=[1e-3, 1e-3], contact_names=None)
+    right = cq.solve(problem)
+    judged = cq.certify(problem, right.displacement)
+    assert judged.passed
+    assert np.all(judged.answer.normal_force >= 0)
+    assert judged.answer.normal_force.sum() == pytest.approx(right.normal_force.sum(), rel=1e-12)
+    assert any("shared without tension" in note for note in judged.notes)
+
+
+def test_what_equilibrium_cannot_explain_is_lack_of_equilibrium() -> None:
+    problem = truss()
+    u = cq.solve(problem).displacement * [1.01, 1.0]
+    judged = cq.certify(problem, u)
+    assert judged.equilibrium > 1e-3
+    assert judged.penetration == 0
+
+
+def test_a_recovered_tension_is_seen() -> None:
+    problem = truss(load=[60.0, 100.0])
+    K = problem.stiffness
+    held = np.array([(60.0 + K[0, 1] * 1e-3) / K[0, 0], -1e-3])
+    judged = cq.certify(problem, held)
+    assert judged.tension > 0.1
+    assert judged.equilibrium < 1e-12
+
+
+def test_values_that_are_not_finite_recover_nothing_and_fail() -> None:
+    judged = cq.certify(two_bars(), [np.nan, 0.0])
+    assert not judged.passed
+    assert judged.recovered == ()
+    assert any("not finite" in note for note in judged.notes)
+    assert judged.failures == ("displacement: nan at unknown 0",)
