@@ -32,6 +32,7 @@ from contactqp.factorization import Array
 from contactqp.iteration import iterated
 from contactqp.oracle.balancing_forces import balancing_forces
 from contactqp.oracle.foreign_answer import GivenAnswer
+from contactqp.oracle.lawful_share import lawful_share
 from contactqp.polishing import answer_on
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
@@ -99,6 +100,10 @@ def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ..
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem))
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(known, found), how
+    if shared and problem.frictional and {"normal_force", "friction_force"} <= set(missing):
+        lawful = lawful_share(problem, known, residual.double(), "tie_force" in missing)
+        if lawful is not None:
+            yield lawful, "by equilibrium, shared within the law among rows that depend on one another"
     if iterated(problem):
         return
     gap = problem.gap - problem.normal @ known.displacement
