@@ -64,7 +64,8 @@ def test_frictional_answers_from_displacements(seed: int) -> None:
         assert cq.certify(problem, **known.answer()).passed
         alone = cq.certify(problem, known.displacement)
         assert alone.passed, alone.failures
-        assert alone.answer.friction_force == pytest.approx(known.friction_force, abs=1e-7)
+        if known.friction_force.size + problem.contacts + problem.ties <= problem.dimension:  # independent rows
+            assert alone.answer.friction_force == pytest.approx(known.friction_force, abs=1e-7)
         if problem.ties:
             assert cq.certify(problem, known.displacement, known.normal_force, known.friction_force).recovered == (
                 "tie_force",
