@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,6 +14,10 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, Unsupported
 
 Path = str | os.PathLike[str]
+
+# Bytes of a file that is read as a whole and becomes objects of many times its size: text in words, JSON.
+LARGEST_WHOLE = 2**27
+LONGEST_SAYING = 200
 
 
 def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
@@ -68,20 +73,76 @@ def naming(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from None
 
 
+def file_size(path: Path, expected: str) -> int:
+    """How many bytes a file has.
+
+    Raises
+    ------
+    InvalidProblem
+        There is none of that name, or it is a folder, a pipe or a device: these have no size to hold a header against.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        raise InvalidProblem(f"{path}: expected {expected}, and there is none of that name") from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, expected, error) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise InvalidProblem(f"{path}: expected {expected}, got a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise InvalidProblem(f"{path}: expected {expected}, got a pipe or a device")
+    return found.st_size
+
+
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
     """The first bytes of a file, or all.
 
     Raises
     ------
     InvalidProblem
-        There is none of that name, or it cannot be read.
+        There is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
     """
+    size = file_size(path, expected)
+    if most < 0 and size > LARGEST_WHOLE:
+        raise wrong(path, "size", f"{expected} of at most {LARGEST_WHOLE >> 20} MiB", f"{size / 2**20:.0f} MiB")
     try:
         with open(path, "rb") as file:
             return file.read(most)
-    except FileNotFoundError:
-        raise InvalidProblem(f"{path}: expected {expected}, and there is none of that name") from None
-    except IsADirectoryError:
-        raise InvalidProblem(f"{path}: expected {expected}, got a folder") from None
     except (OSError, ValueError) as error:
-        raise InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or error})") from None
+        raise _unreadable(path, expected, error) from None
+
+
+def read_text(path: Path, expected: str) -> str:
+    """All of a text file, UTF-8.
+
+    Raises
+    ------
+    InvalidProblem
+        As `read_bytes`, or bytes that are no text.
+    """
+    data = read_bytes(path, expected)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = f"the byte 0x{data[error.start]:02x} at place {error.start}"
+        raise wrong(path, "content", expected, byte) from None
+    if "\0" in text:
+        raise wrong(path, "content", expected, f"the byte 0x00 at place {text.index(chr(0))}")
+    return text
+
+
+def one_line(error: BaseException) -> str:
+    """What somebody else's exception says, without line breaks and not endless."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    return said if len(said) <= LONGEST_SAYING else said[:LONGEST_SAYING] + "..."
+
+
+def check_rows(path: Path, place: str, rows: int) -> None:
+    """Refuse a number of rows that a file of this size cannot fill: one pointer a row would be more than the file."""
+    most = 1000 + 8 * os.path.getsize(path)
+    if rows > most:
+        raise wrong(path, place, f"at most {most} rows in a file of this size", rows)
+
+
+def _unreadable(path: Path, expected: str, error: Exception) -> InvalidProblem:
+    return InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or one_line(error)})")

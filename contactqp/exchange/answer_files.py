@@ -1,0 +1,70 @@
+"""Somebody's answer to a problem from a file, in whichever format: the registry of those who read them.
+
+A format is one module with a `READER`, and its line in `READERS` here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+from contactqp.exchange import answer_arrays, answer_json, answer_tables
+from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
+from contactqp.exchange.refusal import Path, read_bytes
+from contactqp.problem import ContactProblem
+
+READERS: tuple[AnswerReader, ...] = (
+    answer_json.READER,
+    answer_tables.READER,
+    answer_arrays.ARCHIVE,
+    answer_arrays.ARRAY,
+)
+HEAD = 512
+EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)
+# Of a folder with both a problem and its answer.
+ANSWER_FILE = "answer.json"
+
+
+def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """Somebody's answer: its parts, the ledger, and which parts came by name.
+
+    Parameters
+    ----------
+    path : path
+        A file; or a folder of files called displacement, normal_force, ..., or one with an answer.json.
+    problem : ContactProblem
+        Whose names and sizes the file is held against. Lists keep the file's order and length.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no answer in it, names that are not the problem's.
+    BackendMissing
+        The package that reads this format is not installed.
+
+    Examples
+    --------
+    >>> import json, tempfile, pathlib, contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "answer.json")
+    ...     _ = file.write_text(json.dumps({"displacement": [1e-3], "normal_force": {"contact 0": 142.5}}))
+    ...     parts, ledger, named = read_answer(file, wall)
+    >>> parts["normal_force"], sorted(named), ledger.read
+    (array([142.5]), ['normal_force'], ['displacement: 1 values in order', 'normal_force: 1 values by name'])
+    """
+    file = FilePath(path)
+    if file.is_dir():
+        inside = file / ANSWER_FILE
+        return read_answer(inside, problem) if inside.is_file() else answer_arrays.read_folder_answer(path, problem)
+    return reader_of(path).read(path, problem)
+
+
+def reader_of(path: Path) -> AnswerReader:
+    """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain numbers."""
+    head = read_bytes(path, EXPECTED, HEAD)
+    suffix = FilePath(path).suffix.lower()
+    for reader in READERS:
+        if reader.known is not None and reader.known(head):
+            return reader
+    by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not answer_tables.READER)
+    return next(by_suffix, answer_arrays.ARRAY)

@@ -1,0 +1,90 @@
+"""Answers in JSON: an object whose keys are the parts, each a list or an object of values by name.
+
+    {"displacement": {"tip.x": 1e-3}, "normal_force": [142.5], "friction_force": [[0.5, 0.0]], "tie_force": [2.0]}
+
+What `contactqp run CASE --json` prints is one, alone in a list. null is NaN.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from contactqp.errors import InvalidProblem
+from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, part_called, places, real_array, vector
+from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.refusal import Path, one_line, read_text, wrong
+from contactqp.problem import ContactProblem
+
+NAME = "JSON"
+EXPECTED = "a JSON file with displacement and normal_force"
+
+
+def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
+    """The one answer in a JSON file, alone or as the only one in a list.
+
+    Raises
+    ------
+    InvalidProblem
+        No JSON, no part of an answer in it, a key twice, values that are no numbers, names that are not the problem's.
+    """
+    data = load_json(path, EXPECTED)
+    if isinstance(data, list):
+        if len(data) != 1:
+            raise wrong(path, "content", "one answer", f"{len(data)}")
+        data = data[0]
+    if not isinstance(data, dict):
+        raise wrong(path, "content", EXPECTED, type(data).__name__)
+    ledger, parts, named = Ledger(str(path)), {}, set()
+    for key, values in data.items():
+        part = part_called(key)
+        if part is None or values is None:
+            ledger.ignored.append(f"{key:.60}")
+            continue
+        if part in parts:
+            raise wrong(path, key, "every part once", f"{part} twice")
+        if isinstance(values, dict):
+            found = real_array(path, key, list(values.values()))
+            order = places(path, key, list(values), names_of(problem, part), ledger)
+            found = found[order]
+            named.add(part)
+        elif isinstance(values, list):
+            found = real_array(path, key, values)
+        else:
+            raise wrong(path, key, "a list, or values by name", f"{values!r:.40}")
+        parts[part] = vector(path, part, found)
+        ledger.read.append(f"{part}: {len(found)} values {'by name' if part in named else 'in order'}")
+    if not parts:
+        raise wrong(path, "content", EXPECTED, f"the keys {', '.join(data)!s:.100}")
+    return AnswerFile(parts, ledger, frozenset(named))
+
+
+def load_json(path: Path, expected: str) -> Any:
+    """What a JSON file holds.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no JSON, a key twice in one object.
+    """
+    text = read_text(path, expected)
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for k, key in enumerate(keys) if key in keys[:k])
+            raise wrong(path, f"{twice:.60}", "every key once", "it twice")
+        return found
+
+    try:
+        return json.loads(text, object_pairs_hook=once)
+    except InvalidProblem:
+        raise
+    except RecursionError:
+        raise wrong(path, "content", expected, "JSON nested beyond reading") from None
+    except ValueError as error:
+        raise wrong(path, "content", "JSON", one_line(error)) from None
+
+
+READER = AnswerReader(NAME, (".json",), read_json_answer, known=lambda head: head.lstrip()[:1] in (b"{",))

@@ -1,0 +1,57 @@
+"""A matrix or a vector from a file, in whichever format: the registry of those who read them.
+
+A format is one module with a `READER`, and its line in `READERS` here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+from contactqp.exchange import harwell_boeing, matrix_market, numpy_files, text_matrix
+from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.refusal import Path, read_bytes
+
+READERS: tuple[MatrixReader, ...] = (
+    matrix_market.READER,
+    harwell_boeing.READER,
+    numpy_files.READER,
+    text_matrix.READER,
+)
+# First bytes that every format can be told by, where it can be told by its content.
+HEAD = 512
+EXPECTED = "a matrix: " + ", ".join(reader.name for reader in READERS)
+
+
+def read_matrix(path: Path) -> MatrixFile:
+    """A matrix (or a vector), what its unknowns are called, and the ledger of what was read and converted.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no matrix of real numbers, sizes that the file cannot hold.
+    Unsupported
+        Complex numbers, patterns without values, matrices that are not assembled.
+    BackendMissing
+        The package that reads this format is not installed.
+    """
+    return reader_of(path).read(path)
+
+
+def reader_of(path: Path) -> MatrixReader:
+    """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain text."""
+    head = read_bytes(path, EXPECTED, HEAD)
+    suffix = FilePath(path).suffix.lower()
+    for reader in READERS:
+        if reader.known is not None and reader.known(head):
+            return reader
+    return next((reader for reader in READERS if suffix in reader.suffixes), text_matrix.READER)
+
+
+def suffixes() -> frozenset[str]:
+    """All suffixes that some reader calls its own."""
+    return frozenset(suffix for reader in READERS for suffix in reader.suffixes)
+
+
+def stiffness_suffixes() -> frozenset[str]:
+    """Those of files that are a stiffness whatever they are called."""
+    return frozenset(suffix for reader in READERS if reader.stiffness for suffix in reader.suffixes)
