@@ -1,15 +1,9 @@
-"""The exact solution of a frictionless contact problem whose data are the floats as they stand.
+"""The exact solution of a frictionless contact problem whose data are floats as they stand, and errors against it.
 
-Everything is rational (python-flint). With Z a basis of the motions that neither K nor A resists,
-
-    [ K  A'  Z ] [ u0   -R ]   [ f   E' ]
-    [ A  0   0 ] [ .     . ] = [ b   0  ]        u = u0 - R l + Z a,    Z'(f - E'l) = 0,    W = E R,
-    [ Z' 0   0 ] [ .     . ]   [ 0   0  ]        gap = g - E u = q + W l - G a,    q = g - E u0,  G = E Z,
-
-a linear complementarity problem with free variables a. A set of closed contacts that somebody guesses is tried first;
-Lemke's method with lexicographic ratio tests (finite; Cottle, Pang and Stone 1992, section 4.4) decides where no guess
-is right, and proves by its ray that there is no solution. Every answer is checked in rational arithmetic against the
-problem as it was stated: equilibrium, gaps, signs, complementarity, ties. No solver of the package is used here.
+Everything is rational (`contactqp.oracle`). A set of closed contacts that somebody guesses is tried first; Lemke's
+method decides where no guess is right, and proves by its ray that there is no solution. Every answer is checked in
+rational arithmetic against the problem as it was stated: equilibrium, gaps, signs, complementarity, ties. No solver of
+the package is used here.
 """
 
 from __future__ import annotations
@@ -21,22 +15,11 @@ from typing import Any
 
 import flint
 import numpy as np
-from flint import arb_mat, fmpq, fmpq_mat
+from flint import arb_mat, fmpq_mat
 
-from benchmarks.rational import (
-    NoSolution,
-    beside,
-    column,
-    floats,
-    lemke,
-    matrix,
-    null_space,
-    pivot_columns,
-    solve_any,
-    stack,
-    take,
-    zeros,
-)
+from contactqp.oracle.complementarity import Reduced, reduce_problem
+from contactqp.oracle.exact_problem import of_floats
+from contactqp.oracle.rational import column, floats, matrix, solve_any, stack, take
 
 # Bits for norms of rational vectors: their cancellation costs at most twice the digits of the condition number.
 PRECISION = 600
@@ -146,50 +129,6 @@ def _norm(metric: fmpq_mat, vector: fmpq_mat) -> float:
         return float(abs(square).sqrt().mid())
 
 
-@dataclass(frozen=True, eq=False)
-class Reduced:
-    """The problem in its contact forces l and motions a (see the module)."""
-
-    K: fmpq_mat
-    f: fmpq_mat
-    E: fmpq_mat
-    g: fmpq_mat
-    A: fmpq_mat
-    b: fmpq_mat
-    Z: fmpq_mat
-    u0: fmpq_mat
-    R: fmpq_mat
-    W: fmpq_mat
-    q: fmpq_mat
-    G: fmpq_mat
-    drive: fmpq_mat  # Z'f
-
-
-def _reduce(problem: Any) -> Reduced:
-    K, E, f, g = matrix(problem.stiffness), matrix(problem.normal), column(problem.load), column(problem.gap)
-    A, b = _independent_ties(matrix(problem.tie), column(problem.tie_value))
-    n, k = K.nrows(), A.nrows()
-    Z = null_space(stack(K, A))
-    r = Z.ncols()
-    top = beside(K, A.transpose(), Z)
-    system = stack(top, beside(A, zeros(k, k + r)), beside(Z.transpose(), zeros(r, k + r)))
-    right = stack(beside(f, E.transpose()), beside(b, zeros(k, E.nrows())), zeros(r, 1 + E.nrows()))
-    solved = take(system.solve(right), range(n)).transpose()
-    u0, R = take(solved, [0]).transpose(), take(solved, range(1, 1 + E.nrows())).transpose()
-    return Reduced(K, f, E, g, A, b, Z, u0, R, E * R, g - E * u0, E * Z, Z.transpose() * f)
-
-
-def _independent_ties(A: fmpq_mat, b: fmpq_mat) -> tuple[fmpq_mat, fmpq_mat]:
-    if not A.nrows():
-        return A, zeros(0, 1)
-    reduced, _ = beside(A, b).rref()
-    leading = pivot_columns(reduced)
-    if A.ncols() in leading:
-        raise NoSolution("the ties contradict each other")
-    kept = take(reduced, range(len(leading))).transpose()
-    return take(kept, range(A.ncols())).transpose(), take(kept, [A.ncols()]).transpose()
-
-
 def find_truth(problem: Any, guesses: Iterable[np.ndarray] = (), max_pivots: int = 400) -> Truth:
     """The exact solution of a problem.
 
@@ -206,15 +145,15 @@ def find_truth(problem: Any, guesses: Iterable[np.ndarray] = (), max_pivots: int
     Undecided
         `max_pivots` did not suffice.
     """
-    reduced = _reduce(problem)
+    reduced = reduce_problem(of_floats(problem))
     pivots = 0
     for found in _candidates(reduced, guesses):
-        if _holds(reduced, *found):
+        if reduced.holds(*found):
             break
     else:
-        force, motion, pivots = _lemke(reduced, max_pivots)
+        force, motion, pivots = reduced.lemke(max_pivots)
         found = (force, motion)
-        if not _holds(reduced, *found):
+        if not reduced.holds(*found):
             raise ArithmeticError("the complementary solution fails the exact check")
     return _truth(problem, reduced, *found, pivots)
 
@@ -228,7 +167,7 @@ def _candidates(reduced: Reduced, guesses: Iterable[np.ndarray]) -> Iterator[tup
             if closed in tried:
                 break
             tried.add(closed)
-            found = on_set(reduced, closed)
+            found = reduced.on_set(closed)
             if found is None:
                 break
             yield found
@@ -237,93 +176,39 @@ def _candidates(reduced: Reduced, guesses: Iterable[np.ndarray]) -> Iterator[tup
             closed = tuple(i for i, (lam, w) in enumerate(pairs) if lam > 0 or w < 0)
 
 
-def on_set(reduced: Reduced, closed: Iterable[int], softness: Iterable[fmpq] = ()) -> tuple[fmpq_mat, fmpq_mat] | None:
-    """Forces and motions with the contacts of the set closed and the others without force.
-
-    With a softness (length / force) for each contact of the set they are springs instead: the penalty answer.
-    """
-    closed = tuple(closed)
-    count, r = len(closed), reduced.G.ncols()
-    rows = take(reduced.W, closed)
-    W = take(rows.transpose(), closed).transpose()
-    for i, soft in enumerate(softness):
-        W[i, i] += soft
-    G, q = take(reduced.G, closed), take(reduced.q, closed)
-    system = stack(beside(W, -1 * G), beside(G.transpose(), zeros(r, r)))
-    solved = solve_any(system, stack(-1 * q, reduced.drive))
-    if solved is None:
-        return None
-    values = solved[0].entries()
-    force = zeros(reduced.W.nrows(), 1)
-    for i, value in zip(closed, values[:count], strict=True):
-        force[i, 0] = value
-    return force, fmpq_mat(r, 1, values[count:])
-
-
-def _holds(reduced: Reduced, force: fmpq_mat, motion: fmpq_mat) -> bool:
-    """The proof: the problem as it was stated, in rational arithmetic."""
-    u = displaced(reduced, force, motion)
-    gap = (reduced.g - reduced.E * u).entries()
-    pushes = force.entries()
-    if any(lam < 0 for lam in pushes) or any(w < 0 for w in gap):
-        return False
-    if any(lam != 0 and w != 0 for lam, w in zip(pushes, gap, strict=True)):
-        return False
-    if reduced.A * u != reduced.b:
-        return False
-    missing = reduced.f - reduced.K * u - reduced.E.transpose() * force
-    if not reduced.A.nrows():
-        return all(x == 0 for x in missing.entries())
-    return solve_any(reduced.A.transpose(), missing) is not None
-
-
-def displaced(reduced: Reduced, force: fmpq_mat, motion: fmpq_mat) -> fmpq_mat:
-    """u = u0 - R l + Z a."""
-    return reduced.u0 - reduced.R * force + reduced.Z * motion
-
-
 def _tie_force(problem: Any, reduced: Reduced, u: fmpq_mat, force: fmpq_mat) -> np.ndarray:
-    missing = reduced.f - reduced.K * u - reduced.E.transpose() * force
+    data = reduced.data
+    missing = data.f - data.K * u - data.E.transpose() * force
     solved = solve_any(matrix(problem.tie).transpose(), missing) if problem.ties else None
     return floats(solved[0]) if solved else np.zeros(problem.ties)
 
 
 def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pivots: int) -> Truth:
-    u = displaced(reduced, force, motion)
-    gap = (reduced.g - reduced.E * u).entries()
+    data, u = reduced.data, reduced.displaced(force, motion)
+    gap = data.gap(u).entries()
     closed = [i for i, w in enumerate(gap) if w == 0]
-    rows = stack(take(reduced.E, closed), reduced.A)
-    held = stack(reduced.K, reduced.A, take(reduced.E, [i for i in closed if force[i, 0] > 0]))
+    rows = stack(take(data.E, closed), data.A)
+    held = stack(data.K, data.A, take(data.E, [i for i in closed if force[i, 0] > 0]))
     return Truth(
         displacement=u,
         force=force,
         unique_forces=rows.nrows() == 0 or rows.rank() == rows.nrows(),
         tie_force=_tie_force(problem, reduced, u, force),
-        stiffness=reduced.K,
+        stiffness=data.K,
         compliance=reduced.W,
         untied=_untied_compliance(reduced),
-        nullity=reduced.K.nrows() - reduced.K.rank(),
-        free=reduced.K.nrows() - held.rank(),
+        nullity=data.K.nrows() - data.K.rank(),
+        free=data.K.nrows() - held.rank(),
         pivots=pivots,
         reduced=reduced,
     )
 
 
 def _untied_compliance(reduced: Reduced) -> fmpq_mat | None:
-    if not reduced.A.nrows() or reduced.K.rank() < reduced.K.nrows():
+    data = reduced.data
+    if not data.ties or data.K.rank() < data.unknowns:
         return None
-    return reduced.E * reduced.K.solve(reduced.E.transpose())
-
-
-def _lemke(reduced: Reduced, max_pivots: int) -> tuple[fmpq_mat, fmpq_mat, int]:
-    """w = p + M z >= 0, z >= 0, w'z = 0 with a = a+ - a-; M is positive semidefinite, so a ray proves infeasibility."""
-    m, r = reduced.W.nrows(), reduced.G.ncols()
-    G, GT, none = reduced.G, reduced.G.transpose(), zeros(r, 2 * r)
-    M = stack(beside(reduced.W, -1 * G, G), beside(GT, none), beside(-1 * GT, none))
-    p = stack(reduced.q, -1 * reduced.drive, reduced.drive)
-    z, pivots = lemke(M, p, max_pivots)
-    motion = [z[m + i] - z[m + r + i] for i in range(r)]
-    return fmpq_mat(m, 1, z[:m]), fmpq_mat(r, 1, motion), pivots
+    return data.E * data.K.solve(data.E.transpose())
 
 
 def condition(problem: Any, nullity: int) -> float:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 import contactqp as cq
-from benchmarks.exact_truth import Truth, condition, displaced, find_truth, on_set
+from benchmarks.exact_truth import Truth, condition, find_truth
 from benchmarks.problem_families import FAMILIES, family
-from benchmarks.rational import NoSolution, Undecided, floats, rational
 from contactqp.methods import Settings, find
+from contactqp.oracle.rational import NoSolution, Undecided, floats, rational
 from contactqp.scaling import nondimensional
 
 EPS = float(np.finfo(float).eps)
@@ -279,6 +279,6 @@ def _other_sets(truth: Truth, rng: np.random.Generator) -> Iterator[tuple[str, n
     if opened:
         sets.append(("one too many", [*closed, int(rng.choice(opened))], []))
     for name, members, softness in sets:
-        found = on_set(truth.reduced, members, softness)
+        found = truth.reduced.on_set(members, softness)
         if found is not None:
-            yield name, floats(displaced(truth.reduced, *found)), floats(found[0])
+            yield name, floats(truth.reduced.displaced(*found)), floats(found[0])
