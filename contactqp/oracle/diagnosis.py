@@ -1,34 +1,81 @@
-"""What went wrong with an answer, in words: hypotheses that explain all of it, else what it violates."""
+"""What went wrong with an answer, in words: hypotheses that explain all of it, else what it violates.
+
+A hypothesis is tested against the problem and the right answer: undone, the answer must be right, or nearer to right by
+two digits; or it must be the right answer to the other question that is named. The families are asked in turn, those
+that take no solution first, and the first that explains the answer is believed: within it the best explanation, and
+any other that is as good.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from contactqp.certificate import Certificate
+from contactqp.oracle.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.foreign_answer import GivenAnswer
+from contactqp.oracle.laws import laws
+from contactqp.oracle.orders import orders
+from contactqp.oracle.other_questions import other_questions, too_large
+from contactqp.oracle.precision import inexact, printed
+from contactqp.oracle.scales import scales
+from contactqp.oracle.shares import shares
 from contactqp.oracle.symptoms import symptoms
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.violations import Answer
+
+Family = Callable[[Evidence], Iterator[Explanation]]
+# Families that are weighed against each other, group after group.
+GROUPS: tuple[tuple[Family, ...], ...] = (
+    (printed,),
+    (scales, orders),
+    (laws, other_questions),
+    (shares,),
+    (inexact,),
+)
+# Explanations that leave this many times what the best one leaves are as good.
+AS_GOOD, NOTHING_LEFT = 10.0, 1e-6
 
 
 def diagnose(
     problem: ContactProblem, given: GivenAnswer, answer: Answer, certificate: Certificate, right: Solution | None
 ) -> tuple[Finding, ...]:
     """Causes that explain the answer, then what it violates."""
-    del given, right
-    return tuple(symptoms(problem, answer, certificate))
+    violated = tuple(symptoms(problem, answer, certificate))
+    if certificate.violations is None:
+        return violated
+    evidence = Evidence(problem, given, answer, certificate, right)
+    for group in GROUPS:
+        found = [one for family in group for one in family(evidence) if one.left <= LEFT]
+        if found:
+            return (*_best(found), *violated)
+    return (*violated, *_not_examined(problem))
+
+
+def _best(found: list[Explanation]) -> list[Finding]:
+    least = min(one.left for one in found)
+    kept = [one for one in found if one.left <= max(AS_GOOD * least, NOTHING_LEFT)]
+    return [one.finding for one in kept]
+
+
+def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
+    if too_large(problem):
+        text = (
+            f"not examined, the problem being large ({problem.dimension} unknowns, {problem.contacts} contacts): "
+            "whether it is the right answer to another question, such as without gaps, ties, friction or some contacts"
+        )
+        yield Finding("not-examined", text)
 
 
 def paragraph(certificate: Certificate, findings: tuple[Finding, ...], why_not: str | None) -> str:
     """The findings as one paragraph."""
     if certificate.passed:
         return "nothing is wrong with this answer"
-    told = [one for one in findings if one.cause] or list(findings)
-    said = [_sentence(one.text) for one in told]
+    causes = [one.text for one in findings if one.cause]
+    said = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
+    if not causes:
+        said = [one.text for one in findings] or list(certificate.failures)
     if why_not is not None:
-        said.append(_sentence(f"no right answer can be set beside it ({why_not})"))
-    return " ".join(said) or _sentence("; ".join(certificate.failures))
-
-
-def _sentence(text: str) -> str:
-    return text if text.endswith((".", "?")) else f"{text}."
+        said.append(f"no right answer can be set beside it ({why_not})")
+    return "; ".join(said)

@@ -13,14 +13,13 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import Certificate
-from contactqp.certificate import certify as certify_complete
 from contactqp.condensation import Condensation
 from contactqp.errors import ContactQPError, refuse_other
 from contactqp.oracle.diagnosis import diagnose, paragraph
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.judged_contacts import JudgedContact, contacts_table, judged_contacts
-from contactqp.oracle.recovery import recoveries
+from contactqp.oracle.judging import judge
 from contactqp.oracle.right_answer import right_answer
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
@@ -150,16 +149,7 @@ def certify(
     refuse_other("certify", problem, ContactProblem)
     parts = (displacement, normal_force, friction_force, tie_force)
     given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)
-    first: JudgedAnswer | None = None
-    for tried in recoveries(problem, given):
-        answer = tried.answer
-        forces = (answer.normal_force, answer.friction_force, answer.tie_force)
-        found = certify_complete(problem, answer.displacement, *forces, tolerance, error_tolerance, factorization)
-        known = {one.name: getattr(found, one.name) for one in fields(found)}
-        known["notes"] = (*found.notes, *given.notes, *tried.notes)
-        judged = JudgedAnswer(**known, problem=problem, given=given, answer=answer, recovered=tried.recovered)
-        first = judged if first is None else first
-        if judged.passed:
-            return judged
-    assert first is not None
-    return first
+    found, completed = judge(problem, given, tolerance, error_tolerance, factorization)
+    known = {one.name: getattr(found, one.name) for one in fields(found)}
+    known["notes"] = (*found.notes, *given.notes, *completed.notes)
+    return JudgedAnswer(**known, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)
