@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 
 from contactqp.exchange import answer_arrays, answer_json, answer_tables
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
+from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
 from contactqp.problem import ContactProblem
 
@@ -20,8 +21,6 @@ READERS: tuple[AnswerReader, ...] = (
 )
 HEAD = 512
 EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)
-# Of a folder with both a problem and its answer.
-ANSWER_FILE = "answer.json"
 
 
 def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:

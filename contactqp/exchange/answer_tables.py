@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, part_called, places
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, wrong
-from contactqp.exchange.tables import Table, read_tables
+from contactqp.exchange.tables import Table, begins_with, read_tables
 from contactqp.problem import ContactProblem
 
 NAME = "CSV with named columns"
@@ -92,12 +92,4 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
     return held
 
 
-def _known(head: bytes) -> bool:
-    """Whether the first line that says anything begins with a key."""
-    for line in head.decode("utf-8-sig", errors="replace").splitlines():
-        if line.strip() and not line.lstrip().startswith("#"):
-            return re.split(r"[,;\t]", line)[0].strip().strip('"').lower() in KEYS
-    return False
-
-
-READER = AnswerReader(NAME, (".csv",), read_table_answer, known=_known)
+READER = AnswerReader(NAME, (".csv",), read_table_answer, known=lambda head: begins_with(head, KEYS))

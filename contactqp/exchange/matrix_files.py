@@ -47,9 +47,9 @@ def reader_of(path: Path) -> MatrixReader:
     return next((reader for reader in READERS if suffix in reader.suffixes), text_matrix.READER)
 
 
-def suffixes() -> frozenset[str]:
-    """All suffixes that some reader calls its own."""
-    return frozenset(suffix for reader in READERS for suffix in reader.suffixes)
+def companions() -> frozenset[str]:
+    """Suffixes of files that are read along with others and are no matrices."""
+    return frozenset(suffix for reader in READERS for suffix in reader.beside)
 
 
 def stiffness_suffixes() -> frozenset[str]:

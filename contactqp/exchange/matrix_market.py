@@ -1,89 +1,153 @@
-"""Matrix Market text, by SciPy; the sizes it states are held against the size of the file before anything is made."""
+"""Matrix Market text (Boisvert, Pozo, Remington 1996): coordinates and arrays of real numbers.
+
+    %%MatrixMarket matrix coordinate|array real|integer general|symmetric|skew-symmetric
+    % comments
+    rows columns [entries]
+    row column value     or     value, column by column
+
+What the file states of its size is held against its bytes before anything is made. SciPy's reader, written in C++,
+ends the interpreter on some damaged files, and so is not asked.
+"""
 
 from __future__ import annotations
 
-import warnings
+from array import array
+from dataclasses import dataclass
+from typing import BinaryIO
 
-import scipy.io
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, check_rows, file_size, one_line, wrong
+from contactqp.exchange.refusal import Path, check_rows, file_size, is_number, wrong
 
 BANNER = b"%%MatrixMarket"
 NAME = "Matrix Market"
 # The fewest bytes of a value and its line break, and of an entry "1 1 1".
 VALUE, ENTRY = 2, 6
-LONGEST_LINE = 2**16
+LONGEST_LINE, BLOCK = 2**16, 2**20
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the first lines say."""
+
+    form: str
+    symmetry: str
+    rows: int
+    columns: int
+    entries: int  # that follow
 
 
 def read_matrix_market(path: Path) -> MatrixFile:
-    """A matrix in coordinate or array form; of a symmetric one both halves.
+    """A matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored twice add up.
 
     Raises
     ------
     InvalidProblem
-        No Matrix Market, sizes that the file cannot hold, too few or too many entries.
+        No Matrix Market, sizes that the file cannot hold, too few or too many numbers, an index outside.
     Unsupported
         Complex numbers, a pattern without values.
     """
     size = file_size(path, NAME)
-    form, symmetry, numbers = _head(path, size)
-    try:
-        with open(path, "rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            matrix = scipy.io.mmread(file)
-    except (ValueError, TypeError, IndexError, OverflowError, EOFError, OSError, MemoryError) as error:
-        raise wrong(path, "entries", f"{numbers} of {NAME}", one_line(error)) from None
+    with open(path, "rb") as file:
+        head = _head(path, size, file)
+        words = head.entries * (3 if head.form == "coordinate" else 1)
+        values = _numbers(path, file, words)
+    matrix = _coordinates(path, head, values) if head.form == "coordinate" else _array(head, values)
     ledger = Ledger(str(path))
-    ledger.read.append(f"{NAME}, {form}: {matrix.shape[0]} by {matrix.shape[1]}")
-    if symmetry != "general":
-        ledger.converted.append(f"{symmetry}: the other half of the matrix was filled in")
+    ledger.read.append(f"{NAME}, {head.form}: {head.rows} by {head.columns}")
+    if head.symmetry != "general":
+        ledger.converted.append(f"{head.symmetry}: the other half of the matrix was filled in")
     return MatrixFile(matrix, None, ledger)
 
 
-def _head(path: Path, size: int) -> tuple[str, str, int]:
-    """Form, symmetry and the number of entries that follow, checked."""
-    with open(path, "rb") as file:
-        words = file.readline(LONGEST_LINE).decode("latin-1").split()
+def _head(path: Path, size: int, file: BinaryIO) -> Head:
+    words = file.readline(LONGEST_LINE).decode("latin-1").split()
+    line = file.readline(LONGEST_LINE)
+    while line and (line.startswith(b"%") or not line.strip()):
         line = file.readline(LONGEST_LINE)
-        while line and (line.startswith(b"%") or not line.strip()):
-            line = file.readline(LONGEST_LINE)
-    if len(words) != 5 or words[0].encode() != BANNER or words[1].lower() != "matrix":
+    if len(words) != 5 or words[0].encode("latin-1") != BANNER or words[1].lower() != "matrix":
         raise wrong(path, "first line", f"{BANNER.decode()} matrix ...", repr(" ".join(words)[:60]))
     form, field, symmetry = (word.lower() for word in words[2:])
     if form not in ("coordinate", "array"):
         raise wrong(path, "first line", "coordinate or array", repr(form[:20]))
     if field in ("complex", "pattern") or symmetry == "hermitian":
-        raise Unsupported(f"{path}: first line: expected real numbers, got {field} {symmetry}")
+        raise Unsupported(f"{path}: first line: expected real numbers, got {field} {symmetry:.20}")
     if field not in ("real", "integer", "double", "unsigned-integer"):
         raise wrong(path, "first line", "real or integer", repr(field[:20]))
     if symmetry not in ("general", "symmetric", "skew-symmetric"):
         raise wrong(path, "first line", "general, symmetric or skew-symmetric", repr(symmetry[:20]))
-    count = _entries(path, form, symmetry, line)
-    if count * (VALUE if form == "array" else ENTRY) > size:
-        raise wrong(path, "sizes", f"what a file of {size} bytes can hold", f"{count} entries")
-    return form, symmetry, count
+    return _sizes(path, size, form, symmetry, line)
 
 
-def _entries(path: Path, form: str, symmetry: str, line: bytes) -> int:
-    expected = "rows and columns" if form == "array" else "rows, columns and entries"
+def _sizes(path: Path, size: int, form: str, symmetry: str, line: bytes) -> Head:
     try:
         sizes = [int(word) for word in line.split()]
     except ValueError:
         sizes = []
-    if len(sizes) != (2 if form == "array" else 3) or min(sizes) < 0:
+    if len(sizes) != (2 if form == "array" else 3) or min(sizes) < 0 or max(sizes) >= 2**62:
+        expected = "rows and columns" if form == "array" else "rows, columns and entries"
         raise wrong(path, "sizes", expected, repr(line[:60].decode("latin-1").strip()))
     rows, columns = sizes[:2]
     if symmetry != "general" and rows != columns:
         raise wrong(path, "sizes", f"a square matrix, as it is {symmetry}", f"{rows} by {columns}")
     check_rows(path, "sizes", rows)
-    if max(sizes) >= 2**62:
-        raise wrong(path, "sizes", expected, max(sizes))
-    if form == "coordinate":
-        return sizes[2]
-    return rows * columns if symmetry == "general" else rows * (rows + (1 if symmetry == "symmetric" else -1)) // 2
+    on_diagonal = {"general": 0, "symmetric": 1, "skew-symmetric": -1}[symmetry]
+    whole = rows * columns if not on_diagonal else rows * (rows + on_diagonal) // 2
+    entries = sizes[2] if form == "coordinate" else whole
+    if entries * (VALUE if form == "array" else ENTRY) > size + VALUE:
+        raise wrong(path, "sizes", f"what a file of {size} bytes can hold", f"{entries} entries")
+    return Head(form, symmetry, rows, columns, entries)
+
+
+def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
+    """The numbers that follow, which must be this many."""
+    found = array("d")
+    while block := file.read(BLOCK):
+        block += file.readline(LONGEST_LINE)
+        words = block.split()
+        try:
+            if b"_" in block:  # Python reads 1_000
+                raise ValueError
+            found.extend(map(float, words))
+        except ValueError:
+            bad = next(w for w in words if b"_" in w or not is_number(w.decode("latin-1")))
+            raise wrong(path, "entries", "a number", repr(bad[:40].decode("latin-1"))) from None
+        if len(found) > count:
+            break
+    if len(found) != count:
+        raise wrong(path, "entries", f"{count} numbers", "more" if len(found) > count else len(found))
+    return np.array(found)
+
+
+def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_array:
+    row, column, x = values.reshape(-1, 3).T
+    for what, index, most in (("row", row, head.rows), ("column", column, head.columns)):
+        bad = np.flatnonzero(~((index >= 1) & (index <= most) & (index == np.floor(index))))
+        if bad.size:
+            raise wrong(path, f"entry {bad[0] + 1}, {what}", f"a number from 1 to {most}", f"{index[bad[0]]:.17g}")
+    i, j = row.astype(np.int64) - 1, column.astype(np.int64) - 1
+    if head.symmetry != "general":
+        other = i != j
+        if np.any(i < j) and np.any(i > j):
+            raise wrong(path, "entries", f"one half of a {head.symmetry} matrix", "both sides of the diagonal")
+        sign = 1.0 if head.symmetry == "symmetric" else -1.0
+        i, j, x = np.r_[i, j[other]], np.r_[j, i[other]], np.r_[x, sign * x[other]]
+    return sp.csr_array(sp.coo_array((x, (i, j)), shape=(head.rows, head.columns)))
+
+
+def _array(head: Head, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    if head.symmetry == "general":
+        return values.reshape((head.rows, head.columns), order="F")
+    dense = np.zeros((head.rows, head.columns))
+    upper = np.triu_indices(head.rows, 0 if head.symmetry == "symmetric" else 1)  # a lower half column by column
+    dense.T[upper] = values
+    dense[upper] = values if head.symmetry == "symmetric" else -values
+    return dense
 
 
 READER = MatrixReader(NAME, (".mtx", ".mm"), read_matrix_market, known=lambda head: head.startswith(BANNER))

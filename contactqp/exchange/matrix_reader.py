@@ -29,3 +29,4 @@ class MatrixReader:
     known: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
     stiffness: bool = False  # files of this suffix hold a stiffness, whatever they are called
     load: Callable[[Path], tuple[Vector, Ledger] | None] | None = None  # the load stored with the stiffness, if any
+    beside: tuple[str, ...] = ()  # suffixes of files that it reads along with its own, such as those of names

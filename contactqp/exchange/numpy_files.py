@@ -69,7 +69,9 @@ def real(path: Path, place: str, values: NDArray[Any]) -> NDArray[Any]:
     """Numbers, or a refusal."""
     if values.dtype.kind not in "fiu":
         raise wrong(path, place, "real numbers", f"{values.dtype} of shape {values.shape}")
-    return values
+    if values.ndim > 2:
+        raise wrong(path, place, "a matrix or a vector", f"shape {values.shape}")
+    return np.atleast_1d(values)
 
 
 def starts_with(path: Path, mark: bytes) -> bool:

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from contactqp.exchange.refusal import Path, is_number, read_text, wrong
+from contactqp.exchange.refusal import Path, is_number, read_bytes, read_text, wrong
 
 EXPECTED = "a table with named columns"
+HEAD = 512
 SEPARATORS = (";", "\t", ",")
 
 
@@ -43,6 +45,19 @@ def cell_number(path: Path, line: int, cell: str) -> float:
     if is_number(cell) and "_" not in cell:  # Python reads 1_000
         return float(cell)
     raise wrong(path, f"line {line}", "a number", repr(cell[:40]))
+
+
+def is_table(path: Path, key: str) -> bool:
+    """Whether the first line that says anything begins with a key."""
+    return begins_with(read_bytes(path, EXPECTED, HEAD), (key,))
+
+
+def begins_with(head: bytes, keys: Collection[str]) -> bool:
+    """Whether the first cell of what the first bytes of a file say is one of the keys."""
+    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+        if line.strip() and not line.lstrip().startswith("#"):
+            return re.split(r"[,;\t]", line)[0].strip().strip('"').lower() in keys
+    return False
 
 
 def read_tables(path: Path, keys: Collection[str]) -> list[Table]:

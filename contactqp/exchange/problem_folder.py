@@ -1,0 +1,204 @@
+"""A problem as a folder of matrices: with a problem.json that says what is what, or by the names of its files alone.
+
+    problem.json   format, version, name, description, unknowns, contacts, ties, units, dof_names, contact_names, files
+    stiffness.mtx  normal.mtx  tangent.mtx  tie.mtx                           coordinates
+    load.mtx  gap.mtx  friction.mtx  slip_origin.mtx  tie_value.mtx           arrays n x 1
+    answer.json    displacement, normal_force, ..., and exact: the same as fractions
+
+Without problem.json files are told by their names (stiffness or K, load or f, normal or E_N, ...) in any format that
+`matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`row_tables`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+from contactqp.errors import InvalidProblem
+from contactqp.exchange.answer_json import load_json
+from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.matrix_files import companions, read_matrix, reader_of, stiffness_suffixes
+from contactqp.exchange.problem_parts import part_called, problem_of
+from contactqp.exchange.problem_writing import ANSWER_FILE, FORMAT, PROBLEM_FILE, VERSION
+from contactqp.exchange.problem_writing import write_problem as write_problem
+from contactqp.exchange.refusal import Path, read_text, wrong
+from contactqp.exchange.row_tables import Unknowns, read_contact_rows, read_load_rows, read_tie_rows
+from contactqp.exchange.tables import is_table
+from contactqp.problem import ContactProblem
+
+NAME_FILES = ("dof_names", "contact_names")
+TABLES = ("contacts", "ties")
+
+
+@dataclass
+class Found:
+    """Which file of a folder is what."""
+
+    files: dict[str, FilePath] = field(default_factory=dict)
+    ignored: list[str] = field(default_factory=list)
+
+    def put(self, folder: Path, part: str, file: FilePath) -> None:
+        if part in self.files:
+            raise wrong(folder, part, "one file of it", f"{self.files[part].name} and {file.name}")
+        self.files[part] = file
+
+
+def is_problem_folder(path: Path) -> bool:
+    """Whether a folder holds a problem: a problem.json, or a stiffness by its name or its suffix."""
+    folder = FilePath(path)
+    if not folder.is_dir():
+        return False
+    names = [file for file in folder.iterdir() if file.suffix.lower() != ".toml"]
+    return any(
+        file.name == PROBLEM_FILE
+        or part_called(file.stem) == "stiffness"
+        or file.suffix.lower() in stiffness_suffixes()
+        for file in names
+    )
+
+
+def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
+    """The problem in a folder, and the ledger of its files.
+
+    Raises
+    ------
+    InvalidProblem
+        No such folder, a part that is missing or there twice, files that are none of what they should be.
+    Unsupported, BackendMissing
+        Of one of the files.
+    """
+    root = FilePath(folder)
+    if not root.is_dir():
+        raise InvalidProblem(f"{folder}: expected a folder with a problem, and there is none of that name")
+    ledger = Ledger(str(folder))
+    stated = _stated(root / PROBLEM_FILE) if (root / PROBLEM_FILE).exists() else {}
+    found = _listed(root, stated["files"]) if "files" in stated else _by_names(root)
+    ledger.ignored.extend(found.ignored)
+    if "stiffness" not in found.files:
+        raise wrong(folder, "stiffness", "a file called stiffness or K", "none")
+    parts, labels = _read_parts(root, found, stated.get("dof_names"), ledger)
+    contact_names = stated.get("contact_names") or parts.pop("contact_names", None)
+    units = stated.get("units")
+    problem = problem_of(folder, parts, ledger, dof_names=labels, contact_names=contact_names, units=units)
+    for key, size in (("unknowns", problem.dimension), ("contacts", problem.contacts), ("ties", problem.ties)):
+        if stated.get(key, size) != size:
+            raise wrong(root / PROBLEM_FILE, key, f"{size}, as in the matrices", stated[key])
+    return problem, ledger
+
+
+def _stated(path: FilePath) -> dict[str, Any]:
+    """problem.json, checked."""
+    data = load_json(path, "a problem in JSON")
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise wrong(path, "format", repr(FORMAT), repr(data.get("format") if isinstance(data, dict) else data)[:60])
+    if data.get("version") != VERSION:
+        raise wrong(path, "version", f"{VERSION}", repr(data.get("version"))[:60])
+    stated = {key: value for key, value in data.items() if value is not None}
+    for key in ("dof_names", "contact_names"):
+        names = stated.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise wrong(path, key, "a list of names", repr(names)[:60])
+    for key in ("files", "units"):
+        pairs = stated.get(key, {})
+        if not isinstance(pairs, dict) or not all(isinstance(value, str) for value in pairs.values()):
+            raise wrong(path, key, "names by name", repr(pairs)[:60])
+    return stated
+
+
+def _listed(root: FilePath, files: dict[str, str]) -> Found:
+    """The files that problem.json lists; nothing outside its folder."""
+    found = Found()
+    for part, name in files.items():
+        if part_called(part) != part or FilePath(name).name != name:
+            raise wrong(
+                root / PROBLEM_FILE,
+                "files",
+                "a part of a problem and a file beside this one",
+                f"{part!r}: {name!r}"[:100],
+            )
+        found.put(root, part, root / name)
+    return found
+
+
+def _by_names(root: FilePath) -> Found:
+    found = Found()
+    for file in sorted(root.iterdir()):
+        part = part_called(file.stem)
+        if file.suffix.lower() in stiffness_suffixes():
+            part = "stiffness"
+        elif file.stem in NAME_FILES or (file.stem in TABLES and file.suffix.lower() == ".csv"):
+            part = file.stem
+        if part is None or file.is_dir() or file.suffix.lower() in (".json", *companions()):
+            if file.name not in (PROBLEM_FILE, ANSWER_FILE) and file.suffix.lower() not in companions():
+                found.ignored.append(file.name)
+            continue
+        found.put(root, part, file)
+    return found
+
+
+def _read_parts(
+    root: FilePath, found: Found, dof_names: list[str] | None, ledger: Ledger
+) -> tuple[dict[str, Any], tuple[str, ...] | list[str] | None]:
+    """The parts, and what the unknowns are called."""
+    files = dict(found.files)
+    stiffness = files.pop("stiffness")
+    K, labels, of_stiffness = read_matrix(stiffness)
+    _add(ledger, stiffness, of_stiffness, "stiffness")
+    names = dof_names or (_names(files.pop("dof_names")) if "dof_names" in files else labels)
+    parts: dict[str, Any] = {"stiffness": K}
+    unknowns = None
+    for part, file in files.items():
+        if part == "contact_names":
+            parts[part] = _names(file)
+            continue
+        if part in TABLES or (part == "load" and is_table(file, "dof")):
+            unknowns = unknowns or Unknowns(names, K.shape[0])
+            own = Ledger(str(file))
+            new = _tabled(part, file, unknowns, own, parts)
+            _add(ledger, file, own, part)
+        else:
+            new = {part: _matrix(file, part, ledger)}
+        twice = next((name for name in new if name in parts), None)
+        if twice is not None:
+            raise wrong(root, twice, "one file of it", f"a second one, {file.name}")
+        parts |= new
+    if "load" not in parts:
+        _load_of(stiffness, parts, ledger)
+    return parts, names
+
+
+def _tabled(part: str, file: FilePath, unknowns: Unknowns, ledger: Ledger, parts: dict[str, Any]) -> dict[str, Any]:
+    if part == "ties":
+        return read_tie_rows(file, unknowns, ledger)
+    if part == "load":
+        return {"load": read_load_rows(file, unknowns, ledger)}
+    new, contact_names = read_contact_rows(file, unknowns, ledger)
+    parts.setdefault("contact_names", contact_names)
+    return new
+
+
+def _matrix(file: FilePath, part: str, ledger: Ledger) -> Any:
+    matrix, _, own = read_matrix(file)
+    _add(ledger, file, own, part)
+    return matrix
+
+
+def _load_of(stiffness: FilePath, parts: dict[str, Any], ledger: Ledger) -> None:
+    """The load stored with the stiffness, if its format has one and it is there."""
+    reader = reader_of(stiffness)
+    stored = reader.load(stiffness) if reader.load is not None else None
+    if stored is not None:
+        parts["load"] = stored[0]
+        _add(ledger, stiffness, stored[1], "load")
+
+
+def _names(file: FilePath) -> list[str]:
+    """One name a line."""
+    return [line.strip() for line in read_text(file, "names, one a line").splitlines() if line.strip()]
+
+
+def _add(ledger: Ledger, file: FilePath, own: Ledger, part: str) -> None:
+    """Take over what a file's own ledger says."""
+    for kind, line in own:
+        getattr(ledger, kind).append(f"{part}: {file.name}: {line}" if part != "load" else f"{file.name}: {line}")

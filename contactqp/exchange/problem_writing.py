@@ -1,0 +1,133 @@
+"""A problem, and its answer, written as a folder that any code with a Matrix Market reader can take up."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import scipy.io
+import scipy.sparse as sp
+
+from contactqp.errors import InvalidProblem
+from contactqp.exchange.problem_parts import MATRICES, SYMBOLS
+from contactqp.exchange.refusal import Path
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+
+PROBLEM_FILE, ANSWER_FILE = "problem.json", "answer.json"
+FORMAT, VERSION = "contactqp problem", 1
+SIGNS = (
+    "minimise 1/2 u'K u - f'u subject to E_N u <= g, A u = b; K u + E_N' l_N + E_T' l_T + A' nu = f; the gap g - E_N u "
+    "is positive when open; l_N is a force, positive in compression; |l_T| <= mu l_N; where E_T u - slip_origin is not "
+    "zero l_T points along it"
+)
+ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status")
+
+
+def write_problem(
+    folder: Path,
+    problem: ContactProblem,
+    answer: Solution | Mapping[str, Any] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> FilePath:
+    """Write a problem as problem.json and Matrix Market files, every number with all its digits.
+
+    Parameters
+    ----------
+    folder : path
+        Made where it is not there; files of these names in it are replaced.
+    answer : Solution or mapping, optional
+        For answer.json: displacement, normal_force, friction_force, tie_force, gap, contact_status as far as they are
+        known. Fractions are written as numbers, and as "3/7" under "exact".
+    about : mapping, optional
+        name and description, and whatever else may stand in problem.json.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InvalidProblem
+        An answer with another key, or something in `about` that is said by the problem itself.
+    """
+    root, m = FilePath(folder), problem.contacts
+    root.mkdir(parents=True, exist_ok=True)
+    values = {part: getattr(problem, part) for part in SYMBOLS}
+    if not problem.ties:
+        values |= {"tie": None, "tie_value": None}
+    files = {part: f"{part}.mtx" for part, value in values.items() if value is not None}
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": root.name,
+        "description": "",
+        "unknowns": problem.dimension,
+        "contacts": m,
+        "ties": problem.ties,
+        "units": {"length": problem.units.length, "force": problem.units.force},
+        "dof_names": problem.dof_names,
+        "contact_names": problem.contact_names,
+        "signs": SIGNS,
+        "files": files,
+    }
+    said = dict(about or {})
+    clash = sorted(set(said) & set(data) - {"name", "description"})
+    if clash:
+        raise InvalidProblem(f"about: expected what the problem does not say itself, got {', '.join(clash)}")
+    _write_json(root / PROBLEM_FILE, data | said)
+    for part in files:
+        _write_matrix(root / f"{part}.mtx", part, values[part])
+    if answer is not None:
+        _write_json(root / ANSWER_FILE, _answer_data(answer))
+    return root
+
+
+def _write_matrix(path: FilePath, part: str, value: Any) -> None:
+    symmetry = "symmetric" if part == "stiffness" else "general"
+    with open(path, "wb") as file:
+        if part in MATRICES:
+            scipy.io.mmwrite(file, sp.coo_matrix(value), symmetry=symmetry, precision=17)
+        else:
+            scipy.io.mmwrite(file, np.asarray(value, dtype=float).reshape(-1, 1), symmetry=symmetry, precision=17)
+
+
+def _write_json(path: FilePath, data: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _answer_data(answer: Solution | Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers as numbers and, where they are known as fractions, as fractions too."""
+    whole = isinstance(answer, Solution)
+    given = {part: getattr(answer, part) for part in ANSWER_PARTS} if whole else dict(answer)  # type: ignore[arg-type]
+    exact = {key: _listed(values, _text) for key, values in dict(given.pop("exact", None) or {}).items()}
+    odd = sorted((set(given) | set(exact)) - set(ANSWER_PARTS))
+    if odd:
+        raise InvalidProblem(f"answer: expected {', '.join(ANSWER_PARTS)}, got {', '.join(odd)}")
+    data: dict[str, Any] = {}
+    for key, values in given.items():
+        if values is not None:
+            data[key] = _listed(values, str if key == "contact_status" else float)
+            if key not in exact and _fractions(values):
+                exact[key] = _listed(values, _text)
+    return data | ({"exact": exact} if exact else {})
+
+
+def _fractions(values: Any) -> bool:
+    entries = np.asarray(values, dtype=object).ravel()
+    return bool(entries.size) and all(isinstance(value, Fraction | int) for value in entries)
+
+
+def _text(value: Any) -> str:
+    return str(Fraction(value))
+
+
+def _listed(values: Any, convert: Any) -> Any:
+    if np.ndim(values):
+        return [_listed(one, convert) for one in values]
+    return convert(values)
