@@ -1,35 +1,98 @@
-"""A problem of frictional contact from a file, whatever its format: by what is in it, not by its name."""
+"""A problem from a file or a folder, whatever its format: by what is in it, not by its name."""
 
 from __future__ import annotations
 
 from pathlib import Path as FilePath
 
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.fclib import read_fclib
 from contactqp.exchange.global_problem import GlobalProblem
 from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
-from contactqp.exchange.refusal import Path, read_bytes
+from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.matrix_files import stiffness_suffixes
+from contactqp.exchange.numpy_files import ZIP
+from contactqp.exchange.problem_archive import read_problem_archive
+from contactqp.exchange.problem_folder import is_problem_folder, read_problem_folder
+from contactqp.exchange.problem_writing import PROBLEM_FILE
+from contactqp.exchange.refusal import Path, read_bytes, wrong
 from contactqp.exchange.siconos_text import read_siconos
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
 
-EXPECTED = "a file of FCLIB (HDF5) or Siconos (text)"
+EXPECTED = "a folder or .npz of matrices, or a file of FCLIB (HDF5) or Siconos (text)"
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
-SUFFIXES = (".hdf5", ".h5", ".dat")
+HDF5, TEXT, ARCHIVE = (".hdf5", ".h5"), (".dat",), (".npz",)
 
 
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """The problem in a file of FCLIB or Siconos; parameters and what is returned and raised as `read_fclib`."""
-    hdf5 = is_hdf5(read_bytes(path, EXPECTED, HEAD)) or FilePath(path).suffix.lower() in (".hdf5", ".h5")
-    return read_fclib(path, as_stored=as_stored) if hdf5 else read_siconos(path, as_stored=as_stored)
+    """The problem in a folder or .npz of matrices, or in a file of FCLIB or Siconos.
+
+    Parameters, and what is returned and raised, as `read_fclib`; matrices make a ContactProblem.
+    """
+    return read_problem_with_ledger(path, as_stored=as_stored)[0]
+
+
+def read_problem_with_ledger(
+    path: Path, *, as_stored: bool = False
+) -> tuple[ContactProblem | LocalProblem | GlobalProblem, Ledger]:
+    """The same, with the ledger of what was read, converted, assumed and ignored."""
+    if is_of_matrices(path):
+        folder = _folder(path)
+        if folder.is_dir() and not is_problem_folder(folder):
+            raise InvalidProblem(f"{path}: expected {EXPECTED}, got a folder without problem.json or stiffness")
+        return read_problem_folder(folder) if folder.is_dir() else read_problem_archive(path)
+    if FilePath(path).suffix.lower() in stiffness_suffixes():
+        raise wrong(path, "content", "a folder of this stiffness, a load, and contacts", "the stiffness alone")
+    hdf5 = is_hdf5(read_bytes(path, EXPECTED, HEAD)) or FilePath(path).suffix.lower() in HDF5
+    problem = read_fclib(path, as_stored=as_stored) if hdf5 else read_siconos(path, as_stored=as_stored)
+    return problem, _ledger(path, problem, "FCLIB" if hdf5 else "Siconos")
+
+
+def is_of_matrices(path: Path) -> bool:
+    """Whether this is a folder (or the problem.json in it) or an archive of matrices."""
+    file = FilePath(path)
+    if file.is_dir():
+        return True
+    if file.name == PROBLEM_FILE or file.suffix.lower() in ARCHIVE:
+        return True
+    return file.is_file() and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
 
 
 def is_problem_file(path: Path) -> bool:
-    """Whether `read_problem` is the one to ask: HDF5, text that begins with a number, or a suffix that says so."""
+    """Whether `read_problem` is the one to ask, by content or by a suffix that says so; otherwise it is a case file.
+
+    A folder is one if it holds a problem.json or a stiffness.
+    """
     file = FilePath(path)
-    if file.suffix.lower() == ".toml" or file.is_dir():
+    suffix = file.suffix.lower()
+    if file.is_dir():
+        return is_problem_folder(file)
+    if suffix == ".toml":
         return False
-    if file.suffix.lower() in SUFFIXES or not file.is_file():
-        return file.suffix.lower() in SUFFIXES
+    if suffix in (*HDF5, *TEXT) or file.name == PROBLEM_FILE or suffix in (*ARCHIVE, *stiffness_suffixes()):
+        return True
+    if not file.is_file():
+        return False
     head = read_bytes(path, EXPECTED, HEAD)
     first = head.split(maxsplit=1)[:1]
-    return is_hdf5(head) or bool(first and first[0].isdigit())
+    return is_hdf5(head) or head.startswith(ZIP) or bool(first and first[0].isdigit())
+
+
+def _folder(path: Path) -> FilePath:
+    file = FilePath(path)
+    return file.parent if file.name == PROBLEM_FILE else file
+
+
+def _ledger(path: Path, problem: ContactProblem | LocalProblem | GlobalProblem, code: str) -> Ledger:
+    ledger = Ledger(str(path))
+    if isinstance(problem, LocalProblem):
+        ledger.read.append(f"{code}, local form: {problem.contacts} contacts in {problem.dimension}D")
+    elif isinstance(problem, GlobalProblem):
+        ledger.read.append(f"{code}, global form: {len(problem.load)} unknowns, {len(problem.friction)} contacts")
+    else:
+        ledger.read.append(f"{code}, global form: {problem.dimension} unknowns, {problem.contacts} contacts")
+        ledger.converted.append("E_N = -H_N', g = w_N, E_T = H_T', slip_origin = -w_T, ties G' u = -b")
+    if problem.asymmetry > 0:
+        became = "symmetrised" if isinstance(problem, ContactProblem) else "it stays as it is"
+        ledger.converted.append(f"asymmetric by {problem.asymmetry:.1g}: {became}")
+    return ledger

@@ -11,6 +11,9 @@ from typing import Any
 from contactqp.errors import SceneError
 from contactqp.scene.schema import Scene
 
+# Bytes; the parser takes about a second for each of a million.
+LARGEST = 2**25
+
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Read and check a case file.
@@ -33,7 +36,14 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 def _text(file: Path) -> str:
     try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise SceneError("expected a case file, got a pipe or a device")
+        if file.is_file() and file.stat().st_size > LARGEST:
+            size = file.stat().st_size >> 20
+            raise SceneError(f"expected a case file of at most {LARGEST >> 20} MiB, got {size} MiB")
         data = file.read_bytes()
+    except SceneError:
+        raise
     except FileNotFoundError:
         raise SceneError("expected a case file, and there is none of that name") from None
     except IsADirectoryError:

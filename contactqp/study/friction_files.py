@@ -12,7 +12,7 @@ from typing import Any
 from contactqp.certificate import Certificate
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
-from contactqp.exchange.problem_files import is_problem_file, read_problem
+from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.exchange.refusal import naming
 from contactqp.local_certificate import LocalCertificate
 from contactqp.local_problem import LocalProblem
@@ -65,8 +65,13 @@ def split_files(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
-    """A file's problem in local form; with its bodies where nothing but contact holds them, so that M is singular."""
+    """A file's problem in local form; with its bodies where nothing but contact holds them, so that M is singular.
+
+    A problem of matrices stays as it is.
+    """
     problem = read_problem(file)
+    if isinstance(problem, ContactProblem) and is_of_matrices(file):
+        return problem
     try:
         with naming(file):
             return local_form_of(problem)
