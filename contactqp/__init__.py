@@ -74,6 +74,8 @@ if TYPE_CHECKING:
     from contactqp.local_solution import LocalSolution as LocalSolution
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
+    from contactqp.oracle.exact import exact as exact
+    from contactqp.oracle.exact_solution import ExactSolution as ExactSolution
     from contactqp.oracle.finding import Finding as Finding
     from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
     from contactqp.oracle.judged_answer import certify as certify
@@ -114,6 +116,7 @@ _HOME = {
     "Cylinder": "elements.round_obstacle",
     "Equal": "energies.limits",
     "ExactEquilibrium": "friction.exact_enumeration",
+    "ExactSolution": "oracle.exact_solution",
     "Finding": "oracle.finding",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
@@ -157,6 +160,7 @@ _HOME = {
     "critical_friction": "critical_coefficients",
     "draw_history": "pictures.history_drawing",
     "equilibria": "multiplicity",
+    "exact": "oracle.exact",
     "exact_equilibria": "friction.exact_enumeration",
     "existence_margin": "solvability",
     "fclib_merit_1": "published_errors",

@@ -1,0 +1,116 @@
+"""exact(): the equilibrium in rational numbers, or enclosed, proven."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.local_problem import LocalProblem
+from contactqp.oracle.exact_solution import ExactSolution
+from contactqp.problem import ContactProblem
+
+if TYPE_CHECKING:
+    from contactqp.oracle.rational_answer import Asked
+    from contactqp.scene.schema import Scene
+
+FLOATS = "the problem's floats as they stand"
+CASE = "the case's own numbers"
+BODY = "the floats of the assembled bodies as they stand"
+
+
+def exact(problem: Any, method: str = "active-set", **options: Any) -> ExactSolution:
+    """The exact answer to a contact problem.
+
+    A floating-point method proposes which contacts are closed (and which of them stick and slip); the linear system of
+    that proposal is solved in rational numbers, and every statement of the problem is checked in them, with no
+    tolerance. What does not hold corrects the proposal; at last Lemke's method in rational numbers finds the answer or
+    proves that there is none.
+
+    Parameters
+    ----------
+    problem : ContactProblem or Scene
+        A problem's floats are taken as they stand, the stiffness as it was symmetrised. The numbers of a scene of nodes
+        are read exactly: 1 mm is 1/1000 m, and 0.1 is 1/10. A scene's answer is the one under its full load; with
+        friction and a load path, the one at the end of the path. Of a scene with elastic bodies the floats of the
+        assembled problem are taken as they stand.
+    method : str
+        A name of `contactqp.methods()`: what proposes.
+    **options
+        Of `contactqp.solve`.
+
+    Raises
+    ------
+    NoEquilibrium
+        Proven: the constraints conflict, or the load drives a motion that nothing holds.
+    NotCertified, NotConverged
+        Nothing could be proven.
+    Unsupported
+        Motions and large deformations, friction on paths of bodies or with irrational numbers, irrational slip
+        directions; a stiffness that rounding has made indefinite.
+    BackendMissing
+        python-flint is not installed.
+
+    Examples
+    --------
+    A bar of 157500 kN/m, pulled with 300 kN against a wall 1/8 m away.
+
+    >>> import contactqp as cq
+    >>> bar = cq.ContactProblem(stiffness=[[1575.0]], load=[300.0], normal=[[1.0]], gap=[0.125])
+    >>> answer = cq.exact(bar)
+    >>> answer.normal_force[0], answer.doubles.normal_force[0].item(), answer.unique_forces
+    (Fraction(825, 8), 103.125, True)
+
+    Two stops at one place: the least of the forces that hold, and how far each can range.
+
+    >>> stops = cq.ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0], [1.0]], gap=[0.5, 0.5])
+    >>> answer = cq.exact(stops)
+    >>> [str(force) for force in answer.normal_force], [str(end) for end in answer.force_range[0]]
+    (['1', '1'], ['0', '2'])
+    """
+    started = time.perf_counter()
+    if isinstance(problem, ContactProblem):
+        return _of_floats(_asked(problem, FLOATS, method, options, started))
+    if isinstance(problem, LocalProblem):
+        raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")
+    from contactqp.scene.schema import Scene
+
+    if not isinstance(problem, Scene):
+        raise InvalidProblem(f"exact: expected a ContactProblem or a Scene, got {type(problem).__name__}")
+    return _of_scene(problem, method, options, started)
+
+
+def _asked(problem: ContactProblem, source: str, method: str, options: dict[str, Any], started: float) -> Asked:
+    from contactqp.oracle.rational_answer import Asked
+
+    return Asked(problem, source, method, options, started)
+
+
+def _of_floats(asked: Asked) -> ExactSolution:
+    from contactqp.oracle.exact_problem import of_floats
+    from contactqp.oracle.rational_answer import prove
+
+    return prove(of_floats(asked.problem), asked)
+
+
+def _of_scene(scene: Scene, method: str, options: dict[str, Any], started: float) -> ExactSolution:
+    for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
+        if there:
+            raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
+    from contactqp.scene.models import build
+
+    model = build(scene)
+    walked = scene.path is not None and model.problem.frictional
+    if scene.meshed:
+        if walked:
+            raise Unsupported("exact: friction on a load path of bodies, whose answer depends on the way")
+        return _of_floats(_asked(model.problem, BODY, method, options, started))
+    from contactqp.oracle.exact_problem import of_scene
+    from contactqp.oracle.rational_answer import prove
+    from contactqp.scene.building import NodeModel
+
+    assert isinstance(model, NodeModel)  # a scene without meshes is one of nodes
+    asked = _asked(model.problem, CASE, method, options, started)
+    if not model.exact.rational:
+        raise Unsupported("exact: irrational numbers")
+    return prove(of_scene(model.exact), asked)
