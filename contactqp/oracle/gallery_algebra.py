@@ -1,0 +1,115 @@
+"""Sparse rows of rational numbers: products, ranks and small systems, with nothing but the standard library."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+Row = Mapping[int, Fraction]
+Rows = tuple[Row, ...]
+Numbers = tuple[Fraction, ...]
+Given = int | str | Fraction
+
+ZERO = Fraction(0)
+# Rows that are independent modulo a prime are independent; 2^61 - 1 is one.
+PRIME = 2**61 - 1
+
+
+def numbers(values: Iterable[Given]) -> Numbers:
+    """Fractions of integers, fractions and strings such as "3/7" and "6883.1"."""
+    return tuple(Fraction(value) for value in values)
+
+
+def rows_of(values: Iterable[Sequence[Given]]) -> Rows:
+    """Sparse rows of dense ones."""
+    return tuple({j: Fraction(x) for j, x in enumerate(row) if Fraction(x)} for row in values)
+
+
+def clean(rows: Iterable[Mapping[int, Given]]) -> Rows:
+    """Rows without their zeros, columns in order."""
+    return tuple({j: Fraction(row[j]) for j in sorted(row) if row[j]} for row in rows)
+
+
+def times(rows: Rows, vector: Sequence[Fraction]) -> Numbers:
+    """rows @ vector."""
+    return tuple(sum((x * vector[j] for j, x in row.items()), ZERO) for row in rows)
+
+
+def transposed_times(rows: Rows, vector: Sequence[Fraction], size: int) -> Numbers:
+    """rows' @ vector, (size,)."""
+    total = [ZERO] * size
+    for row, value in zip(rows, vector, strict=True):
+        if value:
+            for j, x in row.items():
+                total[j] += x * value
+    return tuple(total)
+
+
+def plus(*vectors: Sequence[Fraction]) -> Numbers:
+    """The sum of vectors of one length."""
+    return tuple(sum(parts, ZERO) for parts in zip(*vectors, strict=True))
+
+
+def rank(rows: Rows) -> int:
+    """The number of independent rows: counted modulo a prime, and in rational numbers where that finds fewer than all.
+
+    A rank modulo a prime never exceeds the true one.
+    """
+    found = _rank([{j: _residue(x) for j, x in row.items()} for row in rows], modular=True)
+    return found if found == len(rows) else _rank([dict(row) for row in rows], modular=False)
+
+
+def columns_are_independent(rows: Rows, size: int) -> bool:
+    """Whether rows x = 0 has no solution (size,) but zero."""
+    return rank(transposed(rows, size)) == size
+
+
+def transposed(rows: Rows, size: int) -> Rows:
+    """The columns (size) as rows."""
+    columns: list[dict[int, Fraction]] = [{} for _ in range(size)]
+    for i, row in enumerate(rows):
+        for j, x in row.items():
+            columns[j][i] = x
+    return tuple(columns)
+
+
+def _residue(x: Fraction) -> int:
+    return x.numerator * pow(x.denominator, -1, PRIME) % PRIME
+
+
+def _rank(rows: list[dict[int, Any]], modular: bool) -> int:
+    """Gauss's elimination, row by row: what a row has left above the earlier pivots is a new pivot."""
+    pivots: dict[int, dict[int, Any]] = {}
+    for row in sorted(rows, key=len):
+        rest = {j: x for j, x in row.items() if x}
+        while rest:
+            lead = min(rest)
+            if lead not in pivots:
+                scale = pow(rest[lead], -1, PRIME) if modular else 1 / rest[lead]
+                pivots[lead] = {j: x * scale % PRIME if modular else x * scale for j, x in rest.items()}
+                break
+            factor = rest[lead]
+            for j, x in pivots[lead].items():
+                value = rest.get(j, 0) - factor * x
+                value = value % PRIME if modular else value
+                if value:
+                    rest[j] = value
+                else:
+                    rest.pop(j, None)
+    return len(pivots)
+
+
+def dominance(stiffness: Rows) -> Fraction:
+    """min_i (K_ii - sum |K_ij|) of a symmetric K: where positive, no eigenvalue is smaller (Gershgorin 1931)."""
+    return min(
+        2 * row.get(i, ZERO) - sum((abs(x) for x in row.values()), ZERO)
+        if row.get(i, ZERO) > 0
+        else -sum((abs(x) for x in row.values()), ZERO)
+        for i, row in enumerate(stiffness)
+    )
+
+
+def largest_row_sum(stiffness: Rows) -> Fraction:
+    """max_i sum |K_ij|: no eigenvalue of a symmetric K is larger."""
+    return max(sum((abs(x) for x in row.values()), ZERO) for row in stiffness)
