@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from contactqp.exchange import answer_arrays, answer_json, answer_tables
+from contactqp.exchange import answer_arrays, answer_json, answer_tables, calculix_results
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
@@ -18,6 +18,8 @@ READERS: tuple[AnswerReader, ...] = (
     answer_tables.READER,
     answer_arrays.ARCHIVE,
     answer_arrays.ARRAY,
+    calculix_results.FRD,
+    calculix_results.DAT,
 )
 HEAD = 512
 EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)

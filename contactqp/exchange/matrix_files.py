@@ -7,14 +7,24 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from contactqp.exchange import harwell_boeing, matrix_market, numpy_files, text_matrix
+from contactqp.exchange import (
+    abaqus_matrix,
+    calculix_matrices,
+    harwell_boeing,
+    matrix_market,
+    numpy_files,
+    text_matrix,
+)
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.refusal import Path, read_bytes
 
 READERS: tuple[MatrixReader, ...] = (
+    abaqus_matrix.READER,  # .mtx without Matrix Market's banner
     matrix_market.READER,
     harwell_boeing.READER,
     numpy_files.READER,
+    calculix_matrices.READER,
+    calculix_matrices.MASS,
     text_matrix.READER,
 )
 # First bytes that every format can be told by, where it can be told by its content.
