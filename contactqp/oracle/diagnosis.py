@@ -18,6 +18,7 @@ from contactqp.oracle.laws import laws
 from contactqp.oracle.orders import orders
 from contactqp.oracle.other_questions import other_questions, too_large
 from contactqp.oracle.precision import inexact, printed
+from contactqp.oracle.recovery import missing_parts
 from contactqp.oracle.scales import scales
 from contactqp.oracle.shares import shares
 from contactqp.oracle.symptoms import symptoms
@@ -45,7 +46,8 @@ def diagnose(
     violated = tuple(symptoms(problem, answer, certificate))
     if certificate.violations is None:
         return violated
-    evidence = Evidence(problem, given, answer, certificate, right)
+    recovered = bool(missing_parts(problem, given))
+    evidence = Evidence(problem, given, answer, certificate, right, recovered)
     for group in GROUPS:
         found = [one for family in group for one in family(evidence) if one.left <= LEFT]
         if found:

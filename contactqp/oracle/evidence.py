@@ -48,6 +48,7 @@ class Evidence:
     answer: Answer  # complete
     certificate: Certificate
     right: Solution | None
+    recovered: bool = False  # whether a part of the answer was made from the others
 
     @cached_property
     def before(self) -> float:

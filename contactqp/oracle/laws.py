@@ -72,10 +72,11 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     also = ", of springs that also pull" if np.any(pulls) else ""
     where = "everywhere" if np.sum(sprung) > 1 else f"at {problem.contact_name(int(np.flatnonzero(sprung)[0]))}"
     text = f"{what} {where} {size}{unit_of(length)}, {rule}: looks like a penalty of {beta}{also}"
-    few = int(np.sum(sprung)) == 1 and far > 0.1 * float(
-        np.max(abs(problem.normal) @ abs(evidence.answer.displacement))
-    )
-    yield Explanation(Finding(kind, text, True), MET if spread <= ONE_VALUE and not few else LATER)
+    one_stiffness = spread <= ONE_VALUE and np.sum(sprung) > 1
+    # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
+    strict = evidence.certificate.equilibrium <= limit and not evidence.recovered
+    if one_stiffness or strict:
+        yield Explanation(Finding(kind, text, True), MET if one_stiffness else LATER)
 
 
 # How far from right an explanation is said to leave an answer that others may explain better.
@@ -106,7 +107,7 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     if part is not None and evidence.passes(evidence.given, problem.replace(load=(1 - part) * problem.load)):
         factor = 1 - part
         said = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
-        text = f"the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
+        text = f"it is the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
         yield Explanation(Finding("load", text, True), 0.0)
         return
     missing = abs(r - problem.load) <= OBEYS * abs(problem.load)
@@ -115,7 +116,7 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         without = np.where(missing, 0.0, problem.load)
         if evidence.passes(evidence.given, problem.replace(load=without)):
             names = ", ".join(problem.dof_name(int(j)) for j in np.flatnonzero(missing)[:5])
-            text = f"the right answer without the load of {names}"
+            text = f"it is the right answer without the load of {names}"
             yield Explanation(Finding("load-missing", text, True), 0.0)
             return
     part = _multiple(r, inner)
@@ -181,7 +182,8 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 def _other_cone(evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bound: Vector) -> Iterator[Explanation]:
     problem, force = evidence.problem, evidence.answer.friction_force
-    assert problem.friction is not None and force is not None
+    assert problem.friction is not None
+    assert force is not None
     ratio = size[sliding] / np.maximum(bound[sliding], np.finfo(float).tiny)
     factor = float(np.median(ratio))
     if abs(factor - 1) > OBEYS and np.max(abs(ratio - factor)) <= OBEYS * factor:
@@ -190,7 +192,7 @@ def _other_cone(evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bo
             values = np.unique(np.round(other[other > 0], 9))
             said = f"mu = {values[0]:.4g}" if len(values) == 1 else f"{factor:.4g} times mu"
             mine = f"{problem.friction[sliding][0]:.4g}"
-            text = f"the right answer with {said}, where the problem has mu = {mine}"
+            text = f"it is the right answer with {said}, where the problem has mu = {mine}"
             yield Explanation(Finding("friction-coefficient", text, True), 0.0)
             return
     if force.shape[1] > 1:

@@ -87,27 +87,27 @@ def _ties(problem: ContactProblem, found: Solution, skipped: int) -> NDArray[np.
 def _questions(evidence: Evidence) -> Iterator[Question]:
     problem, gap = evidence.problem, evidence.problem.gap
     if np.any(gap != 0):
-        yield Question("gap-ignored", "the right answer without the initial gaps", problem.replace(gap=0 * gap))
-        text = "the right answer with the initial gaps of the opposite sign"
+        yield Question("gap-ignored", "it is the right answer without the initial gaps", problem.replace(gap=0 * gap))
+        text = "it is the right answer with the initial gaps of the opposite sign"
         yield Question("gap-sign", text, problem.replace(gap=-gap))
     if np.any(gap < 0) and np.any(gap > 0):
-        text = "the right answer without the initial overlaps: where bodies overlap the gap was taken as zero"
+        text = "it is the right answer without the initial overlaps: where bodies overlap the gap was taken as zero"
         yield Question("overlap-ignored", text, problem.replace(gap=np.maximum(gap, 0.0)))
     if np.any(problem.load):
         for factor, said in ((-1.0, "the load with the opposite sign"), (0.0, "no load"), (2.0, "twice the load")):
-            yield Question("load", f"the right answer to {said}", problem.replace(load=factor * problem.load))
-        yield Question("load", "the right answer to half the load", problem.replace(load=0.5 * problem.load))
+            yield Question("load", f"it is the right answer to {said}", problem.replace(load=factor * problem.load))
+        yield Question("load", "it is the right answer to half the load", problem.replace(load=0.5 * problem.load))
     if problem.ties:
-        text = "the right answer without the ties"
+        text = "it is the right answer without the ties"
         yield Question("ties-ignored", text, problem.replace(tie=None, tie_value=None))
         if np.any(problem.tie_value):
-            text = "the right answer with all tie values zero"
+            text = "it is the right answer with all tie values zero"
             yield Question("tie-value-ignored", text, problem.replace(tie_value=0 * problem.tie_value))
     if problem.frictional:
         frictionless = problem.replace(friction=np.zeros(problem.contacts))
-        yield Question("friction-ignored", "the right answer without friction", frictionless)
+        yield Question("friction-ignored", "it is the right answer without friction", frictionless)
         if problem.slip_origin is not None and np.any(problem.slip_origin):
-            text = "the right answer with slip counted from zero: slip_origin was left out"
+            text = "it is the right answer with slip counted from zero: slip_origin was left out"
             yield Question("slip-origin", text, problem.replace(slip_origin=0 * problem.slip_origin))
     yield from _without_contacts(evidence)
     yield from _held(evidence)
@@ -115,25 +115,23 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
 
 def _without_contacts(evidence: Evidence) -> Iterator[Question]:
     """No contact at all; all but those that are penetrated and do not push."""
-    problem, answer = evidence.problem, evidence.answer
+    problem, found = evidence.problem, evidence.certificate.violations
     none = np.zeros(0, dtype=np.intp)
-    if problem.contacts:
-        yield Question("free", "the right answer without any contact", problem.with_contacts(none), none)
-    found = evidence.certificate.violations
-    if found is None:
+    if found is None or not problem.contacts:
         return
     limit = evidence.certificate.tolerance
     largest = float(np.max(found.force_measure, initial=0.0))
+    if largest <= limit:
+        yield Question("free", "it is the right answer without any contact", problem.with_contacts(none), none)
     missed = np.flatnonzero((found.penetration > limit) & (found.force_measure <= max(limit, 1e-6 * largest)))
     if evidence.given.displacement is None:
         missed = _unpressed(evidence)
-    if missed.size and len(missed) < problem.contacts:
+    if largest > limit and missed.size and len(missed) < problem.contacts:
         kept = np.setdiff1d(np.arange(problem.contacts), missed)
         names = [problem.contact_name(int(i)) for i in missed[:NAMED]]
         more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
-        text = f"the right answer without {', '.join(names)}{more}: contact was missed there"
+        text = f"it is the right answer without {', '.join(names)}{more}: contact was missed there"
         yield Question("contact-missed", text, problem.with_contacts(kept), kept)
-    del answer
 
 
 def _unpressed(evidence: Evidence) -> NDArray[np.intp]:

@@ -1,0 +1,480 @@
+"""A corpus of wrong answers: kinds of mistakes, each made on ten generated problems whose right answer is known.
+
+`corpus(kind)` gives ten (problem, given) pairs; a kind that does not change an answer beyond rounding skips to the next
+problem. `named` is the finding that names the cause, None where a mistake leaves no trace that a diagnosis may name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from itertools import islice
+
+import numpy as np
+import scipy.sparse as sp
+
+import contactqp as cq
+from benchmarks.problem_families import family
+from contactqp.problem import ContactProblem
+from tests.examples import block_between, cantilever, seeded_problem
+from tests.friction.problems import known_answer
+from tests.friction.space import several
+
+Given = dict[str, np.ndarray]
+PROBLEMS = 10
+# A mistake that changes every value by less than this part of the largest is none.
+CHANGES = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A problem and its right answer."""
+
+    name: str
+    problem: ContactProblem
+    right: Given
+
+    def __getitem__(self, part: str) -> np.ndarray:
+        return self.right[part]
+
+
+def _solved(name: str, problem: ContactProblem) -> Base | None:
+    with suppress(cq.ContactQPError):
+        found = cq.solve(problem)
+        if not any("redundant" in reason for reason in found.certificate.reasons):
+            right = {"displacement": found.displacement, "normal_force": found.normal_force}
+            if problem.ties:
+                right["tie_force"] = found.tie_force
+            return Base(name, problem, right)
+    return None
+
+
+FAMILIES = (
+    "lattice_on_floor",  # an elastic body
+    "tied_chains",
+    "chain_walls",
+    "beam_stops",  # stiff: condition to 1e10
+    "lattice_in_corner",  # floats
+    "held_by_ties",
+    "nearly_grazing",
+    "overlap",
+    "soft_support",
+    "random_truss",
+    "exactly_grazing",
+    "beam_supports_as_rows",
+    "badly_scaled",
+)
+
+
+@cache
+def frictionless() -> tuple[Base, ...]:
+    """Problems without friction, of all families in turn: elastic, tied, stiff, floating, grazing."""
+    found = []
+    for seed in range(6):
+        made = [(f"seeded {seed}", seeded_problem(seed, 12, 8)), (f"block {seed}", block_between(6, 3, 10.0, seed))]
+        made += [(f"{name} {seed}", family(name, seed)) for name in FAMILIES]
+        if seed == 0:
+            made.append(("cantilever", cantilever(100)))
+        found += [one for one in (_solved(*pair) for pair in made) if one is not None]
+    return tuple(found)
+
+
+@cache
+def frictional() -> tuple[Base, ...]:
+    """Problems with friction, in the plane and in space, some tied, made around their answers."""
+    found = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        for name, known in (
+            (f"space {seed}", several(seed, ties=seed % 2)),
+            (f"plane {seed}", known_answer(rng, 2, m=3)),
+        ):
+            problem, right = known.problem, known.answer()
+            if problem.contacts * (1 + known.friction_force.shape[1]) + problem.ties > problem.dimension:
+                continue
+            with suppress(cq.ContactQPError):
+                solution = cq.solve(problem)
+                same = np.max(abs(solution.displacement - known.displacement)) < 1e-6
+                if same and not solution.certificate.uniqueness:
+                    right = right if problem.ties else {part: right[part] for part in list(right)[:3]}
+                    found.append(Base(name, problem, right))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of mistake."""
+
+    name: str
+    make: Callable[[Base, np.random.Generator], Given | None]
+    named: str | None
+    rough: bool = False  # made on problems with friction
+
+
+KINDS: dict[str, Kind] = {}
+
+
+def mistake(named: str | None, rough: bool = False) -> Callable[[Callable], Callable]:
+    def register(make: Callable[[Base, np.random.Generator], Given | None]) -> Callable:
+        name = make.__name__
+        KINDS[name] = Kind(name, make, named, rough)
+        return make
+
+    return register
+
+
+def corpus(kind: Kind, count: int = PROBLEMS) -> Iterator[tuple[Base, Given]]:
+    """The first `count` problems whose answer the mistake changes, with the changed answers."""
+    return islice(_changed(kind), count)
+
+
+def _changed(kind: Kind) -> Iterator[tuple[Base, Given]]:
+    for i, base in enumerate(frictional() if kind.rough else frictionless()):
+        with suppress(cq.NoEquilibrium, cq.NotConverged, cq.NotCertified, cq.InvalidProblem):
+            given = kind.make(base, np.random.default_rng([i, len(kind.name)]))
+            if given is not None and _differs(base, given):
+                yield base, given
+
+
+def _differs(base: Base, given: Given) -> bool:
+    for part, mine in given.items():
+        right = base.right[part]
+        size = np.max(abs(right), initial=0.0)
+        if not np.max(abs(mine - right), initial=0.0) <= CHANGES * size:
+            return True
+    return False
+
+
+def _pushing(base: Base) -> np.ndarray:
+    force = base["normal_force"]
+    return np.flatnonzero(force > 1e-3 * np.max(force, initial=0.0))
+
+
+def _other(problem: ContactProblem, base: Base) -> Given:
+    """The answer to another problem with as many contacts and ties."""
+    found = cq.solve(problem)
+    return {part: getattr(found, part) for part in base.right}
+
+
+# ------------------------------------------------------------------------------ signs, units, factors, digits
+
+
+@mistake("sign")
+def forces_of_the_other_sign(base, _rng):
+    return base.right | {"normal_force": -base["normal_force"]}
+
+
+@mistake("unit")
+def displacements_in_millimetres(base, _rng):
+    return base.right | {"displacement": 1e3 * base["displacement"]}
+
+
+@mistake("unit")
+def displacements_alone_in_inches(base, _rng):
+    return {"displacement": base["displacement"] / 0.0254}
+
+
+@mistake("unit")
+def forces_in_kilonewtons(base, _rng):
+    return {part: 1e-3 * values if "force" in part else values for part, values in base.right.items()}
+
+
+@mistake("unit")
+def forces_in_kilogram_force(base, _rng):
+    return base.right | {"normal_force": base["normal_force"] / 9.80665}
+
+
+@mistake("half")
+def forces_of_a_half_model(base, _rng):
+    return base.right | {"normal_force": 0.5 * base["normal_force"]}
+
+
+@mistake("zero")
+def forces_left_at_zero(base, _rng):
+    return base.right | {"normal_force": 0.0 * base["normal_force"]}
+
+
+@mistake("single-precision")
+def rounded_to_single_precision(base, _rng):
+    return {part: values.astype(np.float32).astype(float) for part, values in base.right.items()}
+
+
+@mistake("printed-digits")
+def printed_with_six_digits(base, _rng):
+    return {part: np.array([float(f"{x:.5e}") for x in values]) for part, values in base.right.items()}
+
+
+@mistake("inexact")
+def stopped_early(base, rng):
+    return {part: values * (1 + 1e-5 * rng.normal(size=values.shape)) for part, values in base.right.items()}
+
+
+@mistake("not-finite")
+def not_a_number(base, _rng):
+    spoiled = base["displacement"].copy()
+    spoiled[len(spoiled) // 2] = np.nan
+    return base.right | {"displacement": spoiled}
+
+
+@mistake("one-value")
+def one_force_mistyped(base, _rng):
+    pushing = _pushing(base)
+    if len(base["displacement"]) + len(base["normal_force"]) < 6 or not pushing.size:
+        return None
+    force = base["normal_force"].copy()
+    force[pushing[0]] *= 1.37
+    return base.right | {"normal_force": force}
+
+
+# ------------------------------------------------------------------------------ orders
+
+
+@mistake("permuted")
+def contacts_in_reverse_order(base, _rng):
+    pushing = base["normal_force"][_pushing(base)]
+    if len(np.unique(np.round(pushing, 9))) < 2:
+        return None
+    return base.right | {"normal_force": base["normal_force"][::-1].copy()}
+
+
+@mistake("permuted-unknowns")
+def unknowns_direction_by_direction(base, _rng):
+    u = base["displacement"]
+    return base.right | {"displacement": u.reshape(-1, 2).T.ravel()} if len(u) % 2 == 0 and len(u) > 2 else None
+
+
+@mistake("permuted-unknowns")
+def components_swapped(base, _rng):
+    u = base["displacement"]
+    return base.right | {"displacement": u.reshape(-1, 2)[:, ::-1].ravel()} if len(u) % 2 == 0 else None
+
+
+@mistake("tangent-order", rough=True)
+def tangents_swapped(base, _rng):
+    friction = base["friction_force"]
+    return base.right | {"friction_force": friction[:, ::-1].copy()} if friction.shape[1] == 2 else None
+
+
+# ------------------------------------------------------------------------------ other data
+
+
+@mistake("gap-ignored")
+def gaps_ignored(base, _rng):
+    return _other(base.problem.replace(gap=0 * base.problem.gap), base) if np.any(base.problem.gap) else None
+
+
+@mistake("gap-sign")
+def gaps_of_the_other_sign(base, _rng):
+    return _other(base.problem.replace(gap=-base.problem.gap), base) if np.any(base.problem.gap) else None
+
+
+@mistake("load")
+def load_of_the_other_sign(base, _rng):
+    return _other(base.problem.replace(load=-base.problem.load), base)
+
+
+@mistake("load")
+def load_counted_twice(base, _rng):
+    return _other(base.problem.replace(load=2 * base.problem.load), base)
+
+
+@mistake("load-missing")
+def load_of_one_unknown_missing(base, _rng):
+    load = base.problem.load.copy()
+    if np.count_nonzero(load) < 2:
+        return None
+    load[np.argmax(abs(load))] = 0.0
+    return _other(base.problem.replace(load=load), base)
+
+
+@mistake("stiffness")
+def another_modulus(base, _rng):
+    return _other(base.problem.replace(stiffness=base.problem.stiffness * 1.21), base)
+
+
+@mistake("regularised")
+def stiffness_regularised(base, _rng):
+    K = sp.csr_matrix(base.problem.stiffness)
+    return _other(base.problem.replace(stiffness=K + 1e-4 * np.max(K.diagonal()) * sp.identity(K.shape[0])), base)
+
+
+@mistake("ties-ignored")
+def ties_ignored(base, _rng):
+    problem = base.problem
+    if not problem.ties:
+        return None
+    found = cq.solve(problem.replace(tie=None, tie_value=None))
+    return {
+        "displacement": found.displacement,
+        "normal_force": found.normal_force,
+        "tie_force": np.zeros(problem.ties),
+    }
+
+
+@mistake("tie-sign")
+def tie_forces_of_the_other_sign(base, _rng):
+    return base.right | {"tie_force": -base["tie_force"]} if base.problem.ties else None
+
+
+# ------------------------------------------------------------------------------ other contact
+
+
+@mistake("free")
+def no_contact_at_all(base, _rng):
+    problem = base.problem
+    found = cq.solve(problem.with_contacts(np.zeros(0, dtype=int)))
+    parts = {"displacement": found.displacement, "normal_force": np.zeros(problem.contacts)}
+    return parts | ({"tie_force": found.tie_force} if problem.ties else {})
+
+
+@mistake("contact-missed")
+def one_contact_missed(base, _rng):
+    pushing = _pushing(base)
+    if len(pushing) < 2:
+        return None
+    kept = np.setdiff1d(np.arange(base.problem.contacts), pushing[-1:])
+    found = cq.solve(base.problem.with_contacts(kept))
+    if not np.any(found.normal_force) or (base.problem.gap - base.problem.normal @ found.displacement)[pushing[-1]] >= 0:
+        return None
+    force = np.zeros(base.problem.contacts)
+    force[kept] = found.normal_force
+    return base.right | {part: getattr(found, part) for part in base.right} | {"normal_force": force}
+
+
+@mistake("bilateral")
+def contacts_glued(base, _rng):
+    problem = base.problem
+    rows = sp.vstack([sp.csr_matrix(problem.normal), sp.csr_matrix(problem.tie)])
+    values = np.concatenate([problem.gap, problem.tie_value])
+    glued = problem.with_contacts(np.zeros(0, dtype=int)).replace(tie=rows, tie_value=values)
+    found = cq.solve(glued)
+    if np.linalg.matrix_rank(rows.toarray()) < rows.shape[0]:
+        return None
+    m = problem.contacts
+    parts = {"displacement": found.displacement, "normal_force": found.tie_force[:m], "tie_force": found.tie_force[m:]}
+    return {part: parts[part] for part in base.right}
+
+
+def _stiff(base: Base) -> float:
+    return 1e3 * float(np.max(abs(base.problem.stiffness.diagonal())))
+
+
+@mistake("penalty")
+def penalty_springs(base, _rng):
+    found = cq.solve(base.problem, "penalty", penalty=_stiff(base))
+    pushing = np.sum(found.normal_force > 0)
+    return {part: getattr(found, part) for part in base.right} if pushing else None
+
+
+@mistake("penalty")
+def penalty_displacements_alone(base, _rng):
+    found = cq.solve(base.problem, "penalty", penalty=_stiff(base))
+    if np.sum(found.normal_force > 0) < 2:
+        return None
+    return {"displacement": found.displacement}
+
+
+@mistake("pressure")
+def pressures_for_forces(base, _rng):
+    pushing = _pushing(base)
+    if len(pushing) < 4:
+        return None
+    area = np.full(base.problem.contacts, 0.05)
+    area[[pushing[0], pushing[-1]]] = 0.025
+    return base.right | {"normal_force": base["normal_force"] / area}
+
+
+@mistake("distribution")
+def forces_lumped_at_a_neighbour(base, _rng):
+    pushing = _pushing(base)
+    if len(pushing) < 2:
+        return None
+    force = base["normal_force"].copy()
+    force[pushing[0]] += 0.3 * force[pushing[1]]
+    force[pushing[1]] *= 0.7
+    return base.right | {"normal_force": force}
+
+
+@mistake("duplicate-row")
+def one_row_twice(base, _rng):
+    pushing = _pushing(base)
+    if len(pushing) < 3:
+        return None
+    force = base["normal_force"].copy()
+    force[pushing[1]] *= 0.5
+    return base.right | {"normal_force": force}
+
+
+@mistake(None)
+def one_contact_opened_that_pushes(base, _rng):
+    """Its force is set to zero, all else kept."""
+    pushing = _pushing(base)
+    if not pushing.size:
+        return None
+    force = base["normal_force"].copy()
+    force[pushing[-1]] = 0.0
+    return base.right | {"normal_force": force}
+
+
+@mistake(None)
+def random_noise(base, rng):
+    return {part: values * (1 + 0.1 * rng.normal(size=values.shape)) for part, values in base.right.items()}
+
+
+# ------------------------------------------------------------------------------ other friction
+
+
+@mistake("friction-sign", rough=True)
+def friction_of_the_other_sign(base, _rng):
+    return base.right | {"friction_force": -base["friction_force"]}
+
+
+@mistake("friction-ignored", rough=True)
+def friction_ignored(base, _rng):
+    return _other(base.problem.replace(friction=0 * base.problem.friction), base)
+
+
+def _slides(problem: ContactProblem, given: Given) -> bool:
+    slip = (problem.tangent @ given["displacement"]).reshape(problem.slip_origin.shape) - problem.slip_origin
+    return bool(np.any((np.linalg.norm(slip, axis=1) > 1e-6) & (given["normal_force"] > 1e-6) & (problem.friction > 0)))
+
+
+@mistake("friction-coefficient", rough=True)
+def another_coefficient(base, _rng):
+    found = _other(base.problem.replace(friction=0.8 * base.problem.friction), base)
+    return found if _slides(base.problem, found) else None
+
+
+@mistake("associated", rough=True)
+def associated_cone(base, _rng):
+    found = cq.solve(base.problem, algorithm="associated")
+    given = {part: getattr(found, part) for part in base.right}
+    return given if _slides(base.problem, given) else None
+
+
+@mistake("stuck", rough=True)
+def nothing_slips(base, _rng):
+    found = _other(base.problem.replace(friction=np.where(base.problem.friction > 0, 50.0, 0.0)), base)
+    if _slides(base.problem, found):
+        return None
+    size = np.linalg.norm(found["friction_force"], axis=1)
+    return found if np.any(size > 1.001 * base.problem.friction * found["normal_force"]) else None
+
+
+@mistake("slip-origin", rough=True)
+def slip_origin_ignored(base, _rng):
+    return _other(base.problem.replace(slip_origin=0 * base.problem.slip_origin), base)
+
+
+@mistake("sign", rough=True)
+def normal_forces_of_the_other_sign_with_friction(base, _rng):
+    return base.right | {"normal_force": -base["normal_force"]}
+
+
+@mistake("one-value", rough=True)
+def one_friction_force_mistyped(base, _rng):
+    friction = base["friction_force"].copy()
+    friction[np.unravel_index(np.argmax(abs(friction)), friction.shape)] *= 1.5
+    return base.right | {"friction_force": friction}
