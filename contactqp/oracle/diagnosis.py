@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from contactqp.certificate import Certificate
+from contactqp.oracle.duplicates import duplicates
 from contactqp.oracle.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.foreign_answer import GivenAnswer
 from contactqp.oracle.laws import laws
+from contactqp.oracle.one_value import one_value
 from contactqp.oracle.orders import orders
 from contactqp.oracle.other_questions import other_questions, too_large
 from contactqp.oracle.precision import inexact, printed
@@ -24,6 +26,7 @@ from contactqp.oracle.shares import shares
 from contactqp.oracle.symptoms import symptoms
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
+from contactqp.uniqueness import POSSIBLE, SEVERAL
 from contactqp.violations import Answer
 
 Family = Callable[[Evidence], Iterator[Explanation]]
@@ -31,7 +34,7 @@ Family = Callable[[Evidence], Iterator[Explanation]]
 GROUPS: tuple[tuple[Family, ...], ...] = (
     (printed,),
     (scales, orders),
-    (laws, other_questions),
+    (laws, other_questions, duplicates, one_value),
     (shares,),
     (inexact,),
 )
@@ -51,8 +54,18 @@ def diagnose(
     for group in GROUPS:
         found = [one for family in group for one in family(evidence) if one.left <= LEFT]
         if found:
-            return (*_best(found), *violated)
-    return (*violated, *_not_examined(problem))
+            return (*_best(found), *violated, *_others(right))
+    return (*violated, *_not_examined(problem), *_others(right))
+
+
+def _others(right: Solution | None) -> Iterator[Finding]:
+    """That other answers may be as right as the one that was found."""
+    if right is None:
+        return
+    if SEVERAL in right.certificate.uniqueness:
+        yield Finding("several", "other answers exist at this load; the nearest that was found is set beside this one")
+    elif POSSIBLE in right.certificate.uniqueness:
+        yield Finding("several", "other answers are not excluded; one that was found is set beside this one")
 
 
 def _best(found: list[Explanation]) -> list[Finding]:
@@ -77,7 +90,8 @@ def paragraph(certificate: Certificate, findings: tuple[Finding, ...], why_not: 
     causes = [one.text for one in findings if one.cause]
     said = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
     if not causes:
-        said = [one.text for one in findings] or list(certificate.failures)
+        said = [one.text for one in findings if one.kind != "several"] or list(certificate.failures)
+    said += [one.text for one in findings if one.kind == "several"]
     if why_not is not None:
         said.append(f"no right answer can be set beside it ({why_not})")
     return "; ".join(said)

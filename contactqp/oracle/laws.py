@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import directions, lengths
+from contactqp.extended import extend, extended_rows
 from contactqp.oracle.evidence import Evidence, Explanation
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.judged_contacts import slips
@@ -38,7 +39,8 @@ def laws(evidence: Evidence) -> Iterator[Explanation]:
         yield from _springs(evidence, found)
         yield from _barrier(evidence, found)
         yield from _rough(evidence, found)
-    elif max(certificate.penetration, certificate.tension, certificate.complementarity, certificate.tie) <= MET:
+    touching = max(certificate.penetration, certificate.tension, certificate.complementarity, certificate.tie) <= MET
+    if touching and certificate.equilibrium > certificate.tolerance:
         yield from _residual(evidence, found)
 
 
@@ -74,7 +76,8 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     text = f"{what} {where} {size}{unit_of(length)}, {rule}: looks like a penalty of {beta}{also}"
     one_stiffness = spread <= ONE_VALUE and np.sum(sprung) > 1
     # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
-    strict = evidence.certificate.equilibrium <= limit and not evidence.recovered
+    noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))
+    strict = evidence.certificate.equilibrium <= noise and not evidence.recovered
     if one_stiffness or strict:
         yield Explanation(Finding(kind, text, True), MET if one_stiffness else LATER)
 
@@ -102,14 +105,13 @@ def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     """What is out of balance is a multiple of the load, of K u, of u, or the load of some unknowns."""
     problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
-    inner = np.asarray(problem.stiffness @ u)
+    inner = (extended_rows(problem).stiffness @ extend(u)).double()
     part = _multiple(r, problem.load)
     if part is not None and evidence.passes(evidence.given, problem.replace(load=(1 - part) * problem.load)):
         factor = 1 - part
         said = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
         text = f"it is the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
         yield Explanation(Finding("load", text, True), 0.0)
-        return
     missing = abs(r - problem.load) <= OBEYS * abs(problem.load)
     missing &= problem.load != 0
     if np.any(missing) and np.all(abs(r[~missing]) <= MET * found.meeting[~missing]):
@@ -156,7 +158,7 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     slides, push = found.slip_measure > max(limit, MET), answer.normal_force
     bound = mu * np.maximum(push, 0.0)
     acting = found.force_measure > limit
-    sliding = slides & acting
+    sliding = slides & acting & (mu > 0)
     size, way = lengths(force), directions(slip)
     if normal_law and np.any(sliding) and np.any(found.gap_measure[sliding] > MET):
         dilated = mu * lengths(slip)
@@ -171,7 +173,7 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         text = "friction pushes along where it should hold back: its sign is reversed wherever something slides"
         yield Explanation(Finding("friction-reversed", text, True), MET)
         return
-    if np.any(beyond) and not np.any(slides & acting):
+    if np.any(beyond) and not np.any(sliding):
         names = ", ".join(problem.contact_name(int(i)) for i in np.flatnonzero(beyond)[:3])
         text = f"everything sticks, also {names}, where mu l_N cannot hold it: no slip was allowed"
         yield Explanation(Finding("stuck", text, True), MET)

@@ -17,6 +17,8 @@ CALLED = {
 }
 # A factor this close to a known one is meant to be it.
 CLOSE = 1e-4
+# Beside parts that are zero the rest is right to this part.
+REST = 1e-6
 KNOWN_LENGTHS = {25.4: "inches", 2.54: "inches", 0.0254: "inches", 0.3048: "feet", 12.0: "feet and inches"}
 KNOWN_FORCES = {9.80665: "kilogram-force", 4.4482216153: "pound-force", 4448.2216153: "kilopound-force"}
 LARGEST_POWER = 12
@@ -65,6 +67,7 @@ def scales(evidence: Evidence) -> Iterator[Explanation]:
     left = evidence.apart(undone, evidence.right)
     if not evidence.explains(left):
         return
+    yield from _of_load(evidence, meant)
     then = evidence.then(undone, left)
     for exact in sorted({one for one in meant.values() if one != 1}, key=abs):
         parts = [name for name, one in meant.items() if one == exact]
@@ -72,6 +75,16 @@ def scales(evidence: Evidence) -> Iterator[Explanation]:
         kind = f"{parts[0].split('_')[0]}-{kind}" if kind == "sign" and "normal_force" not in parts else kind
         text = _text(evidence, parts, exact, said, then)
         yield Explanation(Finding(kind, text, True), left)
+
+
+def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
+    """Where one factor belongs to everything, and gaps do not tell, the load may have had it."""
+    problem, factor = evidence.problem, next(iter(meant.values()))
+    if len(set(meant.values())) > 1 or not np.any(problem.load):
+        return
+    if evidence.passes(evidence.given, problem.replace(load=factor * problem.load)):
+        text = f"it is the right answer to {factor:.6g} times the load"
+        yield Explanation(Finding("load", text, True), 0.0)
 
 
 def _named(name: str, factor: float) -> tuple[str, float, str] | None:
@@ -138,6 +151,9 @@ def _zero(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
         return
     what = "everything" if len(parts) == len(evidence.given_parts) else f"all {_joined(parts)}"
     verb = "is" if what == "everything" else "are"
+    undone = evidence.with_parts(**{name: getattr(evidence.right, name) for name in parts})
+    if evidence.right is None or evidence.apart(undone, evidence.right) > REST:
+        return
     rest = "" if what == "everything" else "; the rest is right"
     yield Explanation(Finding("zero", f"{what} {verb} zero{rest}", True), 0.0)
 

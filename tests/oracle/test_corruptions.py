@@ -1,0 +1,53 @@
+"""Wrong answers are refused every time, and the diagnosis names what went wrong; right ones pass."""
+
+from __future__ import annotations
+
+import pytest
+
+import contactqp as cq
+from tests.oracle.corruptions import KINDS, PROBLEMS, Base, corpus, frictional, frictionless
+
+NAMED = [kind for kind in KINDS.values() if kind.named is not None]
+
+
+def test_the_corpus_is_large_and_mixed() -> None:
+    assert len(KINDS) >= 40
+    assert len({kind.named for kind in NAMED}) >= 25
+    bases = frictionless() + frictional()
+    assert any(base.problem.ties for base in bases)
+    assert any(base.name.startswith("lattice_in_corner") for base in bases), "bodies that float"
+    assert any(base.name == "cantilever" for base in bases), "stiff data"
+    assert any(base.name.startswith("exactly_grazing") for base in bases)
+    assert sum("space" in base.name for base in bases) >= 10
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> None:
+    kind = KINDS[name]
+    count = 0
+    for base, given in corpus(kind):
+        judged = cq.certify(base.problem, **given)
+        assert not judged.passed, base.name
+        assert judged.failures, base.name
+        if kind.named is not None:
+            assert kind.named in [finding.kind for finding in judged.findings], (base.name, judged.diagnosis)
+        assert judged.diagnosis, base.name
+        count += 1
+    assert count == PROBLEMS
+
+
+@pytest.mark.parametrize("base", frictionless() + frictional(), ids=lambda base: base.name)
+def test_uncorrupted_answers_are_accepted(base: Base) -> None:
+    judged = cq.certify(base.problem, **base.right)
+    assert judged.passed, judged.failures
+    assert judged.findings == ()
+    assert judged.contacts == ()
+    assert judged.diagnosis == "nothing is wrong with this answer"
+
+
+@pytest.mark.parametrize("name", ["one_contact_opened_that_pushes", "random_noise"])
+def test_no_cause_is_guessed_where_none_explains_the_answer(name: str) -> None:
+    """Some of these answers are right but for one value; of noise nothing is to be said but what it violates."""
+    for base, given in corpus(KINDS[name]):
+        causes = {finding.kind for finding in cq.certify(base.problem, **given).findings if finding.cause}
+        assert causes <= {"one-value", "zero"}, (base.name, causes)

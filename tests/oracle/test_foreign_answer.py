@@ -1,0 +1,213 @@
+"""Signs, areas and orders are arguments and never guessed; what is wrong is said contact by contact and in words."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from tests.examples import block_between, seeded_problem, truss, two_bars
+from tests.friction.space import several
+
+
+@pytest.fixture
+def block() -> tuple[cq.ContactProblem, cq.Solution]:
+    problem = block_between(5, 3)
+    names = [f"node {j // 2}.{'xy'[j % 2]}" for j in range(problem.dimension)]
+    problem = problem.replace(dof_names=names, contact_names=list("abcde"), units={"length": "m", "force": "kN"})
+    return problem, cq.solve(problem)
+
+
+def test_the_sign_of_compression_is_an_argument(block: tuple[cq.ContactProblem, cq.Solution]) -> None:
+    problem, right = block
+    tensile = -right.normal_force
+    assert cq.certify(problem, right.displacement, tensile, compression="negative").passed
+    refused = cq.certify(problem, right.displacement, tensile)
+    assert not refused.passed
+    assert [finding.kind for finding in refused.findings if finding.cause] == ["sign"]
+    said = "all contact forces have the opposite sign: with compression='negative' this answer is right"
+    assert refused.diagnosis == said
+    wrongly_told = cq.certify(problem, right.displacement, right.normal_force, compression="negative")
+    assert "with compression='positive' this answer is right" in wrongly_told.diagnosis
+    with pytest.raises(cq.InvalidProblem, match="compression: expected 'positive' or 'negative', got 'tension'"):
+        cq.certify(problem, right.displacement, tensile, compression="tension")
+
+
+def test_pressures_take_areas(block: tuple[cq.ContactProblem, cq.Solution]) -> None:
+    problem, right = block
+    area = np.array([0.1, 0.2, 0.2, 0.2, 0.1])
+    pressure = right.normal_force / area
+    judged = cq.certify(problem, right.displacement, -pressure, compression="negative", pressure_area=area)
+    assert judged.passed
+    assert judged.answer.normal_force == pytest.approx(right.normal_force, rel=1e-15)
+    assert "pressure" in [finding.kind for finding in cq.certify(problem, right.displacement, pressure).findings]
+    forces = cq.certify(problem, right.displacement, right.normal_force, pressure_area=area)
+    assert "without pressure_area this answer is right" in forces.diagnosis
+    with pytest.raises(cq.InvalidProblem, match=r"pressure_area: expected positive finite areas, got 0 at \[1\]"):
+        cq.certify(problem, right.displacement, pressure, pressure_area=[1.0, 0.0, 1.0, 1.0, 1.0])
+    with pytest.raises(cq.InvalidProblem, match="pressure_area: expected one area a contact"):
+        cq.certify(problem, right.displacement, pressure, pressure_area=0.2)
+    with pytest.raises(cq.InvalidProblem, match="pressure_area was given, but neither"):
+        cq.certify(problem, right.displacement, pressure_area=area)
+
+
+def test_tractions_take_areas_too() -> None:
+    known = several(1)
+    problem = known.problem
+    area = np.linspace(0.5, 1.0, problem.contacts)
+    answer = known.answer()
+    answer["normal_force"] = known.normal_force / area
+    answer["friction_force"] = known.friction_force / area[:, None]
+    assert cq.certify(problem, **answer, pressure_area=area).passed
+
+
+def test_maps_by_place_and_by_name(block: tuple[cq.ContactProblem, cq.Solution]) -> None:
+    problem, right = block
+    rng = np.random.default_rng(1)
+    dofs, contacts = rng.permutation(problem.dimension), rng.permutation(problem.contacts)
+    u, force = right.displacement[dofs], right.normal_force[contacts]
+    places = {"dof_map": np.argsort(dofs), "contact_map": np.argsort(contacts)}
+    names = {
+        "dof_map": [problem.dof_names[j] for j in dofs],
+        "contact_map": [problem.contact_names[i] for i in contacts],
+    }
+    for maps in (places, names):
+        judged = cq.certify(problem, u, force, **maps)
+        assert judged.passed
+        assert np.array_equal(judged.answer.displacement, right.displacement)
+    assert not cq.certify(problem, u, force).passed
+    longer = cq.certify(problem, np.append(u, 7.0), force, **places)
+    assert longer.passed
+    assert any("1 of the 31 given values" in note for note in longer.notes)
+
+
+def test_maps_of_frictional_contacts() -> None:
+    known = several(2)
+    order = np.random.default_rng(3).permutation(known.problem.contacts)
+    answer = known.answer() | {
+        "normal_force": known.normal_force[order],
+        "friction_force": known.friction_force[order].ravel(),
+    }
+    assert cq.certify(known.problem, **answer, contact_map=np.argsort(order)).passed
+    assert not cq.certify(known.problem, **answer).passed
+
+
+REFUSED = {
+    "twice": ({"dof_map": [0, 0]}, "dof_map: place 0 is given to unknown 0 and unknown 1"),
+    "negative": ({"dof_map": [0, -1]}, "dof_map: expected places from 0 on, got -1 for unknown 1"),
+    "short": ({"dof_map": [0]}, "dof_map: expected 2 integers"),
+    "floats": ({"dof_map": [0.0, 1.0]}, "dof_map: expected 2 integers"),
+    "beyond": ({"dof_map": [0, 2]}, "displacement: expected at least 3 values"),
+    "no names": ({"dof_map": ["a", "b"]}, "dof_map: names were given, but the problem's unknowns have none"),
+    "mixed": ({"dof_map": ["a", 1]}, "dof_map: expected 2 integers"),
+    "contact names": ({"contact_map": ["a"]}, "contact_map: names were given, but the problem's contacts have none"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_wrong_maps_are_refused_in_one_line(what: str) -> None:
+    maps, message = REFUSED[what]
+    with pytest.raises(cq.InvalidProblem, match=message) as refusal:
+        cq.certify(two_bars(), [1e-3, 0.0], [95.0], **maps)
+    assert "\n" not in str(refusal.value)
+
+
+def test_wrong_names_are_refused() -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"dof_map: expected every unknown of the problem, '1\.z' missing"):
+        cq.certify(truss(), [1e-3, 0.0], [95.0], dof_map=["1.x", "1.y"])
+    with pytest.raises(cq.InvalidProblem, match=r"dof_map: '1\.x' stands there twice"):
+        cq.certify(truss(), [1e-3, 0.0], [95.0], dof_map=["1.x", "1.x"])
+    with pytest.raises(cq.InvalidProblem, match="displacement: expected 2 values, one for each name"):
+        cq.certify(truss(), [1e-3, 0.0, 0.0], [95.0], dof_map=["1.z", "1.x"])
+
+
+def test_nothing_given_is_refused() -> None:
+    with pytest.raises(cq.InvalidProblem, match="expected displacement, normal_force or both, got neither"):
+        cq.certify(truss())
+    with pytest.raises(cq.InvalidProblem, match="dof_map was given, but no displacement"):
+        cq.certify(truss(), normal_force=[1.0], dof_map=[0, 1])
+    with pytest.raises(cq.InvalidProblem, match="certify: expected a ContactProblem, got dict"):
+        cq.certify({}, [0.0])
+
+
+# --- contact by contact -----------------------------------------------------------------------------------------------
+
+
+def test_wrong_contacts_come_worst_first_with_the_right_values(block: tuple[cq.ContactProblem, cq.Solution]) -> None:
+    problem, right = block
+    force = right.normal_force.copy()
+    pushing = np.flatnonzero(force > 0)
+    force[pushing[0]] *= 1.01
+    force[pushing[1]] *= -1
+    judged = cq.certify(problem, right.displacement, force)
+    assert [one.index for one in judged.contacts] == [pushing[1], pushing[0]]
+    worst = judged.contacts[0]
+    assert worst.name == problem.contact_names[pushing[1]]
+    assert worst.right_normal_force == right.normal_force[pushing[1]]
+    assert worst.right_gap == pytest.approx(0.0, abs=1e-12)
+    assert worst.size >= judged.contacts[1].size
+    assert "kN" in judged.table()
+    assert len(judged.table().splitlines()) == 3
+    assert json.loads(json.dumps(worst.data()))["right_normal_force"] == right.normal_force[pushing[1]]
+    assert f"{worst.name} ({force[pushing[1]]:.4g} kN) is held in tension" in judged.diagnosis
+
+
+def test_a_long_table_is_cut() -> None:
+    problem = seeded_problem(0, 30, 25)
+    judged = cq.certify(problem, np.zeros(30), np.ones(25))
+    assert len(judged.table(limit=4).splitlines()) == 6
+    assert judged.table(limit=4).splitlines()[-1].startswith("and ")
+
+
+def test_an_answer_to_a_problem_without_one_has_no_right_values() -> None:
+    driven = cq.ContactProblem(stiffness=[[0.0]], load=[-1.0], normal=[[1.0]], gap=[1.0])
+    judged = cq.certify(driven, [0.0], [0.0])
+    assert judged.right is None
+    assert judged.why_not is not None
+    assert judged.why_not.startswith("NoEquilibrium")
+    assert "no right answer can be set beside it" in judged.diagnosis
+    assert judged.contacts == () or judged.contacts[0].right_normal_force is None
+
+
+def test_of_several_equilibria_the_nearest_is_set_beside() -> None:
+    """Klarbring's (1990) contact, mu above the critical: open, stick and slip are all right."""
+    data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    problem = cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8)
+    for one in cq.equilibria(problem):
+        near = np.add(one.displacement, [0.0, 1e-4])
+        judged = cq.certify(problem, near, one.normal_force, one.friction_force)
+        assert not judged.passed
+        assert judged.right is not None
+        assert judged.right.displacement == pytest.approx(one.displacement, abs=1e-12)
+        assert "other answers exist" in judged.diagnosis
+
+
+def test_nothing_is_solved_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    import contactqp.oracle.judged_answer as module
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("solved")
+
+    problem = truss()
+    right = cq.solve(problem)
+    monkeypatch.setattr(module, "right_answer", refuse)
+    judged = cq.certify(problem, right.displacement, -right.normal_force)
+    assert "REFUSED" in str(judged)
+    assert cq.certify(problem, right.displacement, right.normal_force).diagnosis == "nothing is wrong with this answer"
+    with pytest.raises(AssertionError, match="solved"):
+        _ = judged.contacts
+
+
+def test_the_tolerance_that_would_pass_is_named_and_does() -> None:
+    problem = seeded_problem(1, 12, 6)
+    right = cq.solve(problem)
+    rounded = {
+        "displacement": right.displacement.astype(np.float32),
+        "normal_force": right.normal_force.astype(np.float32),
+    }
+    judged = cq.certify(problem, **rounded)
+    assert "every number is one of single precision; tolerance=1e-07 passes it" in judged.diagnosis
+    assert cq.certify(problem, **rounded, tolerance=1e-7).passed
+    assert not cq.certify(problem, **rounded, tolerance=1e-8).passed
