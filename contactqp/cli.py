@@ -46,8 +46,8 @@ def run_command(
 ) -> None:
     """Solve each CASE (a file, or a folder of them) and compare with what it expects.
 
-    A CASE may also be a problem of frictional contact in a file of FCLIB (HDF5) or Siconos (text): it is solved, and
-    what is said of it is its certificate.
+    A CASE may also be a folder or .npz of matrices, or a problem of frictional contact in a file of FCLIB (HDF5) or
+    Siconos (text): it is solved, and what is said of it is its certificate.
 
     Without --method: by active-set, and by every method that the case itself says something about.
 
@@ -97,20 +97,47 @@ def run_command(
 @command.command("check")
 @click.argument("problem")
 @click.argument("candidate")
+@click.option(
+    "--compression",
+    type=click.Choice(["positive", "negative"]),
+    default="positive",
+    show_default=True,
+    help="Which sign of CANDIDATE's normal forces means compression.",
+)
+@click.option("--pressure-areas", metavar="FILE", help="Areas of the contacts: CANDIDATE holds pressures.")
+@click.option("--dof-map", metavar="FILE", help="Where each unknown of PROBLEM stands in CANDIDATE, or its name there.")
+@click.option("--contact-map", metavar="FILE", help="The same for contacts.")
 @click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
-def check_command(problem: str, candidate: str, tolerance: float, as_json: bool) -> None:
+def check_command(
+    problem: str,
+    candidate: str,
+    compression: str,
+    pressure_areas: str | None,
+    dof_map: str | None,
+    contact_map: str | None,
+    tolerance: float,
+    as_json: bool,
+) -> None:
     """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
 
-    PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
+    PROBLEM is a case file; or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
+    normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's .full, ...), or contacts.csv. CANDIDATE
+    then holds displacement, normal_force or both, and friction_force and tie_force, by name or in order: JSON (what
+    `contactqp run CASE --json` prints is one), CSV (columns dof,displacement and contact,normal_force), .npz, one array
+    or a folder of them, or a result file of a code that is known.
+
+    Or PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
     contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.
 
-    Or PROBLEM is a case file, and CANDIDATE a JSON file with displacement, normal_force, and friction_force and
-    tie_force where the case has them, by name or as lists: what `contactqp run CASE --json` prints is one.
+    A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
+    problem,candidate.
     """
+    from contactqp.study.check_options import CheckOptions
     from contactqp.study.checking import check_answer, print_check
 
-    verdict = check_answer(problem, candidate, tolerance)
+    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map)
+    verdict = check_answer(problem, candidate, options)
     if as_json:
         _print_json(verdict.data())
     else:

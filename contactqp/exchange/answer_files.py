@@ -5,10 +5,11 @@ A format is one module with a `READER`, and its line in `READERS` here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 
 from contactqp.exchange import answer_arrays, answer_json, answer_tables, calculix_results
-from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
+from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
 from contactqp.problem import ContactProblem
@@ -25,8 +26,8 @@ HEAD = 512
 EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)
 
 
-def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """Somebody's answer: its parts, the ledger, and which parts came by name.
+def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | None = None) -> AnswerFile:
+    """Somebody's answer: its parts, the ledger, which parts came by name.
 
     Parameters
     ----------
@@ -34,6 +35,8 @@ def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         A file; or a folder of files called displacement, normal_force, ..., or one with an answer.json.
     problem : ContactProblem
         Whose names and sizes the file is held against. Lists keep the file's order and length.
+    tie_names : sequence of str, optional
+        "tie 0", "tie 1", ... by default.
 
     Raises
     ------
@@ -49,15 +52,20 @@ def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder, "answer.json")
     ...     _ = file.write_text(json.dumps({"displacement": [1e-3], "normal_force": {"contact 0": 142.5}}))
-    ...     parts, ledger, named = read_answer(file, wall)
-    >>> parts["normal_force"], sorted(named), ledger.read
+    ...     found = read_answer(file, wall)
+    >>> found.parts["normal_force"], sorted(found.named), found.ledger.read
     (array([142.5]), ['normal_force'], ['displacement: 1 values in order', 'normal_force: 1 values by name'])
     """
     file = FilePath(path)
-    if file.is_dir():
-        inside = file / ANSWER_FILE
-        return read_answer(inside, problem) if inside.is_file() else answer_arrays.read_folder_answer(path, problem)
-    return reader_of(path).read(path, problem)
+    if file.is_dir() and (file / ANSWER_FILE).is_file():
+        return read_answer(file / ANSWER_FILE, problem, tie_names)
+    read = answer_arrays.read_folder_answer if file.is_dir() else reader_of(path).read
+    found = read(path, problem)
+    if found.tie_names is None:
+        return found
+    names = tie_names or [f"tie {k}" for k in range(problem.ties)]
+    order = places(path, "tie_force", found.tie_names, names, found.ledger)
+    return found._replace(parts={**found.parts, "tie_force": found.parts["tie_force"][order]})
 
 
 def reader_of(path: Path) -> AnswerReader:

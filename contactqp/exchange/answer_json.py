@@ -35,7 +35,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         data = data[0]
     if not isinstance(data, dict):
         raise wrong(path, "content", EXPECTED, type(data).__name__)
-    ledger, parts, named = Ledger(str(path)), {}, set()
+    ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
     for key, values in data.items():
         part = part_called(key)
         if part is None or values is None:
@@ -45,8 +45,10 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
             raise wrong(path, key, "every part once", f"{part} twice")
         if isinstance(values, dict):
             found = real_array(path, key, list(values.values()))
-            order = places(path, key, list(values), names_of(problem, part), ledger)
-            found = found[order]
+            if part == "tie_force":
+                tie_names = tuple(values)
+            else:
+                found = found[places(path, key, list(values), names_of(problem, part), ledger)]
             named.add(part)
         elif isinstance(values, list):
             found = real_array(path, key, values)
@@ -56,7 +58,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         ledger.read.append(f"{part}: {len(found)} values {'by name' if part in named else 'in order'}")
     if not parts:
         raise wrong(path, "content", EXPECTED, f"the keys {', '.join(data)!s:.100}")
-    return AnswerFile(parts, ledger, frozenset(named))
+    return AnswerFile(parts, ledger, frozenset(named), tie_names)
 
 
 def load_json(path: Path, expected: str) -> Any:

@@ -32,6 +32,7 @@ class AnswerFile(NamedTuple):
     parts: Parts  # of `PARTS`, those that the file holds
     ledger: Ledger
     named: frozenset[str] = frozenset()  # the parts that came by name: they are in the problem's order already
+    tie_names: tuple[str, ...] | None = None  # of tie_force: a problem has no names for its ties, those who read may
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,9 @@ def part_called(name: str) -> str | None:
 
 
 def names_of(problem: ContactProblem, part: str) -> list[str]:
-    """What the entries of a part are called in the problem."""
+    """What the entries of a part other than tie_force are called in the problem."""
     if part == "displacement":
         return [problem.dof_name(j) for j in range(problem.dimension)]
-    if part == "tie_force":
-        return [f"tie {k}" for k in range(problem.ties)]
     return [problem.contact_name(i) for i in range(problem.contacts)]
 
 
@@ -81,7 +80,7 @@ def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], le
     missing = [name for name in names if name not in place]
     extra = [name for name in place if name not in set(names)] if len(place) > len(names) or missing else []
     if missing or (extra and part != "displacement"):
-        odd = ", ".join([*missing, *extra][:5])
+        odd = ", ".join(sorted([*missing[:5], *extra[:5]]))
         raise wrong(path, part, f"{len(names)} values by name", f"a difference in {odd:.200}")
     if extra:
         ledger.ignored.append(f"{part}: {len(extra)} names that the problem does not have, such as {extra[0]!r:.60}")

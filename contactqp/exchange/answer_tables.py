@@ -35,16 +35,18 @@ def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """
     ledger = Ledger(str(path))
     found: Held = {}
+    tie_names: tuple[str, ...] | None = None
     for table in read_tables(path, KEYS):
         held = _by_node(table, problem, ledger) if table.columns[0] == "node" else _by_name(table, problem, ledger)
         twice = next((part for part in held if part in found), None)
         if twice is not None:
             raise wrong(path, twice, "every part once", "a second table of it")
         found |= held
+        tie_names = tuple(table.column("tie")) if "tie_force" in held else tie_names
     if not found:
         raise wrong(path, "content", "a table of displacement or normal_force", "none")
     ledger.read.extend(f"{part}: {len(values)} values by name" for part, values in found.items())
-    return AnswerFile(found, ledger, frozenset(found))
+    return AnswerFile(found, ledger, frozenset(found), tie_names)
 
 
 def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
@@ -87,8 +89,9 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
         if part != "friction_force" and len(names) > 1:
             raise wrong(table.path, part, "one column", ", ".join(names)[:100])
         values = np.array([table.numbers(name) for name in names]).T.reshape(len(given), len(names))
-        order = places(table.path, part, given, names_of(problem, part), ledger)
-        held[part] = values[order] if part == "friction_force" else values[order, 0]
+        if part != "tie_force":
+            values = values[places(table.path, part, given, names_of(problem, part), ledger)]
+        held[part] = values if part == "friction_force" else values[:, 0]
     return held
 
 

@@ -13,24 +13,26 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.exchange.answer_json import load_json
 from contactqp.exchange.fclib import StoredAnswer, read_solution_for
-from contactqp.exchange.hdf5_file import is_hdf5
-from contactqp.exchange.refusal import Path, is_number, read_bytes, wrong
+from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
+from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.numpy_files import NUMPY, read_npy
+from contactqp.exchange.refusal import Path, is_number, one_line, read_bytes, read_text, wrong
 from contactqp.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"
-NUMPY = b"\x93NUMPY"
+HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
 KEYS = ("force", "joint_force", "velocity", "motion")
 
 
-def read_candidate_forces(path: Path, problem: LocalProblem) -> StoredAnswer:
-    """Forces (m, d) for a problem, and what else the file holds; nothing of it is believed.
+def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, Ledger]:
+    """Forces (m, d) for a problem, what else the file holds, and the ledger; nothing of it is believed.
 
     Raises
     ------
@@ -39,20 +41,29 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> StoredAnswer:
     BackendMissing
         An HDF5 file, and h5py is not installed.
     """
-    data = read_bytes(path, EXPECTED)
-    if is_hdf5(data):
-        return read_solution_for(path, problem.contacts, problem.dimension)
-    if data.startswith(NUMPY):
-        return StoredAnswer(_forces(path, _array(path, data), problem))
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise wrong(path, "content", EXPECTED, f"the byte 0x{data[error.start]:02x}") from None
+    found, form = _read(path, problem)
+    ledger = Ledger(str(path))
+    ledger.read.append(f"{form}: the forces of {problem.contacts} contacts, in the order (N, T1, T2)")
+    others = {"joint_force": found.joint_force, "velocity": found.velocity, "motion": found.motion}
+    held = [name for name, value in others.items() if value is not None]
+    if held:
+        ledger.read.append(", ".join(held))
+    return found, ledger
+
+
+def _read(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, str]:
+    """The answer, and what its format is called."""
+    head = read_bytes(path, EXPECTED, HEAD)
+    if is_hdf5(head):
+        return read_solution_for(path, problem.contacts, problem.dimension), "FCLIB"
+    if head.startswith(NUMPY):
+        return StoredAnswer(_forces(path, read_npy(path), problem)), ".npy"
+    text = read_text(path, EXPECTED)
     if text.lstrip()[:1] in ("[", "{"):
-        return _from_json(path, text, problem)
+        return _from_json(path, problem), "JSON"
     separator = next((mark for mark in (";", ",") if mark in text), None)
     values = _plain(path, text) if separator is None else _table(path, text, separator, problem)
-    return StoredAnswer(_forces(path, values, problem))
+    return StoredAnswer(_forces(path, values, problem)), "text" if separator is None else "CSV"
 
 
 def _forces(path: Path, values: Any, problem: LocalProblem, place: str = "force") -> NDArray[np.float64]:
@@ -69,22 +80,12 @@ def _numbers(path: Path, values: Any, place: str) -> NDArray[np.float64]:
         if raw.dtype.kind not in "fiu":
             raise TypeError(f"{raw.dtype}")
         return raw.astype(float)
-    except (TypeError, ValueError) as error:
-        raise wrong(path, place, "real numbers", " ".join(str(error).split())) from None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise wrong(path, place, "real numbers", one_line(error)) from None
 
 
-def _array(path: Path, data: bytes) -> Any:
-    try:
-        return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise wrong(path, "content", "an array of numbers", " ".join(str(error).split())) from None
-
-
-def _from_json(path: Path, text: str, problem: LocalProblem) -> StoredAnswer:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise wrong(path, "content", "JSON", " ".join(str(error).split())) from None
+def _from_json(path: Path, problem: LocalProblem) -> StoredAnswer:
+    data = load_json(path, EXPECTED)
     if not isinstance(data, dict):
         return StoredAnswer(_forces(path, data, problem))
     unknown = sorted(set(data) - set(KEYS))
@@ -112,7 +113,10 @@ def _number(path: Path, word: str, place: str) -> float:
 
 
 def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDArray[np.float64]:
-    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
+    try:
+        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
+    except csv.Error as error:
+        raise wrong(path, "content", EXPECTED, str(error)) from None
     rows = [row for row in rows if any(row)]
     header = rows.pop(0) if rows and not is_number(rows[0][-1]) else []
     named = bool(header) and header[0].lower() == "contact"

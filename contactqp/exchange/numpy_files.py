@@ -119,7 +119,9 @@ def _array(path: Path, place: str, file: BinaryIO, size: int) -> NDArray[Any]:
     """One array; `size` is that of the file or the member of an archive that it fills."""
     head = file.read(len(NUMPY) + 2)
     if not head.startswith(NUMPY) or len(head) < len(NUMPY) + 2 or head[6] not in (1, 2, 3):
-        raise wrong(path, place, "an array as NumPy writes it", "an empty file" if not head else repr(head[:8]))
+        raise wrong(
+            path, place, "an array of numbers, as NumPy writes it", "an empty file" if not head else repr(head[:8])
+        )
     width = 2 if head[6] == 1 else 4
     length = int.from_bytes(file.read(width), "little")
     if length > LONGEST_HEADER:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
+from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
-from contactqp.exchange.problem_files import read_problem
-from contactqp.exchange.refusal import naming
+from contactqp.exchange.problem_files import read_problem_with_ledger
+from contactqp.exchange.refusal import naming, wrong
 from contactqp.local_certificate import LocalCertificate, certify_local, contact_figures
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
 from contactqp.solving import solve
+from contactqp.study.check_options import CheckOptions, read_areas
 from contactqp.study.friction_files import finite
 from contactqp.study.verdict import Verdict, finite_list
 
@@ -54,26 +56,45 @@ class WorstContact:
 class ForcesVerdict(Verdict):
     """What is said of forces for a file."""
 
+    problem: LocalProblem
+    certificate: LocalCertificate
     worst: tuple[WorstContact, ...]  # worst first; all that are beyond the tolerance
 
 
-def check_forces(problem_file: str, candidate_file: str, tolerance: float = 1e-9) -> ForcesVerdict:
+def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) -> ForcesVerdict:
     """Judge a file of forces against a file's problem, by the law and W as given and nothing else.
 
     Raises
     ------
     InvalidProblem, Unsupported, BackendMissing
-        Of either file; M is singular, so that forces alone do not say how the bodies move.
+        Of either file; M is singular, so that forces alone do not say how the bodies move; a map, which forces contact
+        by contact have no use for.
     """
+    for name, file in (("--dof-map", options.dof_map), ("--contact-map", options.contact_map)):
+        if file is not None:
+            raise InvalidProblem(
+                f"{problem_file}: {name}: expected a problem with displacements; forces for this one come in the order "
+                "of its contacts, or as CSV whose first column names them"
+            )
     with naming(problem_file):
         try:
-            problem = local_form_of(read_problem(problem_file))
+            stored, ledger = read_problem_with_ledger(problem_file)
+            problem = local_form_of(stored)
         except SingularMatrix as error:
             raise InvalidProblem(f"{error}, and forces alone cannot be judged") from None
-    given = read_candidate_forces(candidate_file, problem)
+    given, candidate = read_candidate_forces(candidate_file, problem)
+    force = given.force.copy()
+    if options.compression == "negative":
+        force[:, 0] *= -1
+        candidate.converted.append("normal forces: turned round, compression is negative in the file")
+    if options.pressure_areas is not None:
+        names = [problem.contact_name(i) for i in range(problem.contacts)]
+        force *= _areas(options.pressure_areas, names, candidate)[:, None]
+        candidate.converted.append("pressures: multiplied by the areas of the contacts")
+    given = replace(given, force=force)
     with naming(candidate_file):
-        certificate = certify_local(problem, given.force, given.joint_force, tolerance=tolerance)
-    right, why_not = (None, None) if certificate.passed else _right(problem, tolerance)
+        certificate = certify_local(problem, given.force, given.joint_force, tolerance=options.tolerance)
+    right, why_not = (None, None) if certificate.passed else _right(problem, options.tolerance)
     return ForcesVerdict(
         problem_file=problem_file,
         candidate_file=candidate_file,
@@ -82,8 +103,16 @@ def check_forces(problem_file: str, candidate_file: str, tolerance: float = 1e-9
         worst=_worst(problem, given, certificate, right),
         right=right,
         why_not=why_not,
+        ledgers=(ledger, candidate),
         notes=_notes(problem, given),
     )
+
+
+def _areas(file: str, names: list[str], ledger: Ledger) -> NDArray[np.float64]:
+    areas = read_areas(file, names, ledger)
+    if areas.shape != (len(names),) or not np.all((areas > 0) & np.isfinite(areas)):
+        raise wrong(file, "content", f"{len(names)} positive areas", f"{areas.size} numbers")
+    return areas
 
 
 def _right(problem: LocalProblem, tolerance: float) -> tuple[LocalSolution | None, str | None]:

@@ -9,10 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
+from contactqp.exchange.ledger import Ledger
 from contactqp.local_certificate import LocalCertificate
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
+from contactqp.oracle.judged_answer import JudgedAnswer
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.study.friction_files import figures, finite
@@ -32,10 +33,11 @@ class Verdict:
     problem_file: str
     candidate_file: str
     problem: ContactProblem | LocalProblem
-    certificate: Certificate | LocalCertificate
+    certificate: JudgedAnswer | LocalCertificate
     worst: Sequence[JudgedContact]
     right: Solution | LocalSolution | None  # looked for where the candidate is wrong
     why_not: str | None  # why there is no solution to set beside it
+    ledgers: tuple[Ledger, ...]  # of the problem and of the candidate
     notes: tuple[str, ...] = ()  # beside those of the certificate
 
     @property
@@ -50,7 +52,7 @@ class Verdict:
             "candidate": self.candidate_file,
             "contacts": self.problem.contacts,
             "right": self.passed,
-            **({"proven": certificate.proven} if isinstance(certificate, Certificate) else {}),
+            **(_judged_data(certificate) if isinstance(certificate, JudgedAnswer) else {}),
             "tolerance": certificate.tolerance,
             "certificate": {name: finite(value) for name, value in figures(certificate).items()},
             "failures": list(certificate.failures),
@@ -58,7 +60,17 @@ class Verdict:
             "worst": [one.data() for one in self.worst],
             "right_values": None if self.right is None else {"method": self.right.method},
             "no_right_values": self.why_not,
+            "ledgers": [ledger.data() for ledger in self.ledgers],
         }
+
+
+def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
+    return {
+        "proven": certificate.proven,
+        "diagnosis": certificate.diagnosis,
+        "findings": [{"kind": one.kind, "text": one.text, "cause": one.cause} for one in certificate.findings],
+        "recovered": list(certificate.recovered),
+    }
 
 
 def finite_list(values: NDArray[np.float64] | None) -> list[float | None] | None:

@@ -64,9 +64,9 @@ def test_exact_answers_are_written_as_fractions_and_numbers(tmp_path):
     assert data["exact"] == {"displacement": ["1/3", "1/3", "0"], "normal_force": ["1/3", "2/3"]}
     write_problem(tmp_path, problem, cq.solve(problem))
     assert json.loads((tmp_path / "answer.json").read_text())["contact_status"] == ["open", "closed"]
-    with pytest.raises(cq.InvalidProblem, match="answer: expected displacement, .*got forces"):
+    with pytest.raises(cq.InvalidProblem, match=r"answer: expected displacement, .*got forces"):
         write_problem(tmp_path, problem, {"forces": [1.0]})
-    with pytest.raises(cq.InvalidProblem, match="about: .*got units"):
+    with pytest.raises(cq.InvalidProblem, match=r"about: .*got units"):
         write_problem(tmp_path, problem, about={"units": "kN"})
 
 
