@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
-from contactqp.exchange import answer_arrays, answer_json, answer_tables, calculix_results
+from contactqp.exchange import answer_arrays, answer_json, answer_tables, ansys, calculix_results
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
@@ -21,6 +21,7 @@ READERS: tuple[AnswerReader, ...] = (
     answer_arrays.ARRAY,
     calculix_results.FRD,
     calculix_results.DAT,
+    ansys.RESULT_READER,
 )
 HEAD = 512
 EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)

@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 
 from contactqp.exchange import (
     abaqus_matrix,
+    ansys,
     calculix_matrices,
     harwell_boeing,
     matrix_market,
@@ -25,6 +26,7 @@ READERS: tuple[MatrixReader, ...] = (
     numpy_files.READER,
     calculix_matrices.READER,
     calculix_matrices.MASS,
+    ansys.READER,
     text_matrix.READER,
 )
 # First bytes that every format can be told by, where it can be told by its content.
