@@ -164,6 +164,29 @@ def explain_command(case: str, as_json: bool) -> None:
         print_explanation(_console(), explanation)
 
 
+@command.command("oracle")
+@click.argument("case")
+@click.option("--method", metavar="M", default="active-set", show_default=True, help="What proposes the contact set.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def oracle_command(case: str, method: str, as_json: bool) -> None:
+    """Print the exact answer of CASE, in rational numbers or enclosed: multipliers for tests in any language.
+
+    CASE is a case file, whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file of another code,
+    whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
+    """
+    from contactqp.oracle.exact import exact
+    from contactqp.oracle.printing import answer_data, print_answer
+    from contactqp.oracle.reading import read_case, tie_names
+
+    asked = read_case(case)
+    answer = exact(asked, method)
+    ties, title = tie_names(asked, answer.problem.ties), str(getattr(asked, "title", case))
+    if as_json:
+        _print_json(answer_data(answer, ties, title))
+    else:
+        print_answer(_console(), answer, ties, title)
+
+
 @command.command("methods")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def methods_command(as_json: bool) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from fractions import Fraction
 from numbers import Rational
 from typing import Any
@@ -17,6 +20,22 @@ Number = Fraction | float
 Numbers = NDArray[Any]
 
 
+_IRRATIONAL: ContextVar[Callable[[Any], Any]] = ContextVar("_IRRATIONAL", default=math.sqrt)
+
+
+@contextmanager
+def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
+    """Within it, roots that are irrational are numbers of another kind than floats, as `root` makes them.
+
+    The kind must compute with Fractions; formulas of elements then carry it along.
+    """
+    token = _IRRATIONAL.set(root)
+    try:
+        yield
+    finally:
+        _IRRATIONAL.reset(token)
+
+
 def square_root(square: Number) -> Number:
     """The root of a number that is not negative: a Fraction where the number is the square of one, a float otherwise.
 
@@ -27,13 +46,16 @@ def square_root(square: Number) -> Number:
         numerator, denominator = math.isqrt(square.numerator), math.isqrt(square.denominator)
         if (numerator**2, denominator**2) == (square.numerator, square.denominator):
             return Fraction(numerator, denominator)
-    return math.sqrt(square)
+    root: Number = _IRRATIONAL.get()(square)
+    return root
 
 
 def squared_length(vector: Numbers) -> Number:
     """The square of a vector's Euclidean length, in the numbers of the vector."""
     total: Number = np.dot(vector, vector)
-    return Fraction(total) if isinstance(total, Rational) else float(total)
+    if isinstance(total, Rational):
+        return Fraction(total)
+    return float(total) if isinstance(total, float) else total
 
 
 def unit_vector(vector: Any, what: str) -> Numbers:

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import time
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import InvalidProblem, NotCertified, Unsupported
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.exact_solution import ExactSolution
 from contactqp.problem import ContactProblem
 
 if TYPE_CHECKING:
     from contactqp.oracle.rational_answer import Asked
+    from contactqp.scene.building import NodeModel
     from contactqp.scene.schema import Scene
 
 FLOATS = "the problem's floats as they stand"
 CASE = "the case's own numbers"
 BODY = "the floats of the assembled bodies as they stand"
+# Unknowns, contacts and ties whose rational numbers take a second, and some ten seconds.
+RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
 
 
-def exact(problem: Any, method: str = "active-set", **options: Any) -> ExactSolution:
+def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
     """The exact answer to a contact problem.
 
     A floating-point method proposes which contacts are closed (and which of them stick and slip); the linear system of
     that proposal is solved in rational numbers, and every statement of the problem is checked in them, with no
     tolerance. What does not hold corrects the proposal; at last Lemke's method in rational numbers finds the answer or
     proves that there is none.
+
+    Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
+    that is proven to hold the exact one (`contactqp.oracle.enclosure`, `contactqp.oracle.enclosed_scene`).
 
     Parameters
     ----------
@@ -36,6 +43,9 @@ def exact(problem: Any, method: str = "active-set", **options: Any) -> ExactSolu
         assembled problem are taken as they stand.
     method : str
         A name of `contactqp.methods()`: what proposes.
+    enclose : bool, optional
+        Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
+        300 unknowns and contacts, and up to 700 where an enclosure cannot decide what just touches.
     **options
         Of `contactqp.solve`.
 
@@ -70,14 +80,14 @@ def exact(problem: Any, method: str = "active-set", **options: Any) -> ExactSolu
     """
     started = time.perf_counter()
     if isinstance(problem, ContactProblem):
-        return _of_floats(_asked(problem, FLOATS, method, options, started))
+        return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
     if isinstance(problem, LocalProblem):
         raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")
     from contactqp.scene.schema import Scene
 
     if not isinstance(problem, Scene):
         raise InvalidProblem(f"exact: expected a ContactProblem or a Scene, got {type(problem).__name__}")
-    return _of_scene(problem, method, options, started)
+    return _of_scene(problem, method, enclose, options, started)
 
 
 def _asked(problem: ContactProblem, source: str, method: str, options: dict[str, Any], started: float) -> Asked:
@@ -86,14 +96,25 @@ def _asked(problem: ContactProblem, source: str, method: str, options: dict[str,
     return Asked(problem, source, method, options, started)
 
 
-def _of_floats(asked: Asked) -> ExactSolution:
+def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
+    from contactqp.oracle.enclosed_answer import prove_by_enclosure
     from contactqp.oracle.exact_problem import of_floats
     from contactqp.oracle.rational_answer import prove
 
+    size = asked.problem.dimension + asked.problem.contacts + asked.problem.ties
+    small = size <= (RATIONAL_WITH_FRICTION if asked.problem.frictional else RATIONAL)
+    if enclose or (enclose is None and not small):
+        try:
+            return prove_by_enclosure(asked)
+        except NotCertified:
+            if enclose or size > RATIONAL_AT_LAST:
+                raise
     return prove(of_floats(asked.problem), asked)
 
 
-def _of_scene(scene: Scene, method: str, options: dict[str, Any], started: float) -> ExactSolution:
+def _of_scene(
+    scene: Scene, method: str, enclose: bool | None, options: dict[str, Any], started: float
+) -> ExactSolution:
     for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
         if there:
             raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
@@ -104,13 +125,30 @@ def _of_scene(scene: Scene, method: str, options: dict[str, Any], started: float
     if scene.meshed:
         if walked:
             raise Unsupported("exact: friction on a load path of bodies, whose answer depends on the way")
-        return _of_floats(_asked(model.problem, BODY, method, options, started))
+        return _of_floats(_asked(model.problem, BODY, method, options, started), enclose)
     from contactqp.oracle.exact_problem import of_scene
-    from contactqp.oracle.rational_answer import prove
-    from contactqp.scene.building import NodeModel
+    from contactqp.oracle.rational_answer import prove, prove_path
+    from contactqp.scene.building import NodeModel as Nodes
 
-    assert isinstance(model, NodeModel)  # a scene without meshes is one of nodes
+    assert isinstance(model, Nodes)  # a scene without meshes is one of nodes
     asked = _asked(model.problem, CASE, method, options, started)
     if not model.exact.rational:
-        raise Unsupported("exact: irrational numbers")
-    return prove(of_scene(model.exact), asked)
+        if walked:
+            raise Unsupported("exact: friction on a load path with irrational numbers, whose answer depends on the way")
+        from contactqp.oracle.enclosed_scene import enclose_scene
+
+        return enclose_scene(scene, asked)
+    data = of_scene(model.exact)
+    if walked:
+        return prove_path(data, _corners(model), asked)
+    return prove(data, asked)
+
+
+def _corners(model: NodeModel) -> list[Any]:
+    """The exact loads (n, 1) of the path's corners on the free unknowns."""
+    from contactqp.oracle.rational import column
+    from contactqp.scene.corners import end_time
+
+    free = model.exact.unknowns.free
+    loads = [model.exact_load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
+    return [column([load.get(name, Fraction(0)) for name in free]) for load in loads]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -92,7 +93,19 @@ class ExactSolution:
         return text(self)
 
 
+def nearest(x: Fraction) -> float:
+    """The nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
+    try:
+        return x.numerator / x.denominator
+    except OverflowError:
+        return math.inf if x > 0 else -math.inf
+
+
+def rounded_up(x: Fraction) -> float:
+    """The least double that is not smaller."""
+    near = nearest(x)
+    return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
+
+
 def _floats(values: Fractions) -> Floats:
-    # Python divides integers of any size correctly rounded.
-    flat = [x.numerator / x.denominator for x in values.ravel().tolist()]
-    return np.array(flat, dtype=float).reshape(values.shape)
+    return np.array([nearest(x) for x in values.ravel().tolist()], dtype=float).reshape(values.shape)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,11 @@ from contactqp.errors import (
 from contactqp.existence import describe_motion
 from contactqp.oracle.closed_set import Settled, settle
 from contactqp.oracle.coulomb import Proposal, settle_with_friction
+from contactqp.oracle.exact_path import follow
 from contactqp.oracle.exact_problem import RationalProblem
 from contactqp.oracle.exact_solution import ExactEvent, ExactSolution, Fractions
 from contactqp.oracle.proof import status
-from contactqp.oracle.rational import NoSolution, Undecided, dot, fraction, number
+from contactqp.oracle.rational import NoSolution, Undecided, dot, fraction, number, zeros
 from contactqp.oracle.semidefinite import is_semidefinite
 from contactqp.problem import ContactProblem
 from contactqp.solution import FreeMotion, Solution
@@ -42,6 +43,7 @@ PROVEN = (
     "every gap >= 0 and every normal force >= 0, one of them 0 at each contact",
 )
 PROVEN_FRICTION = "Coulomb's law at every contact"
+PROVEN_PATH = "all of these at both ends of every piece of the load path, and that each event has one continuation"
 PROVEN_MINIMUM = "the stiffness is positive semidefinite: the equilibrium is the minimum"
 
 
@@ -103,6 +105,23 @@ def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
     except Undecided as why:
         raise NotConverged(f"exact: no proposed set of closed contacts holds, and Lemke's method: {why}") from error
     return solution_of(data, settled, asked, solution)
+
+
+def prove_path(data: RationalProblem, corners: Sequence[fmpq_mat], asked: Asked) -> ExactSolution:
+    """The exact answer at the end of a load path with friction.
+
+    Raises
+    ------
+    NoEquilibrium, SeveralEquilibria, NotConverged, Unsupported
+        As `exact_path.follow`.
+    """
+    names = [asked.problem.contact_name(i) for i in range(data.contacts)]
+    end = follow(data, corners, names)
+    ranges = tuple((fraction(x), fraction(x)) for x in end.answer.normal_force.entries())
+    way = f"the load path, event by event in rational numbers, in {end.pieces} pieces"
+    settled = Settled(end.answer, True, ranges, zeros(data.unknowns, 0), way)
+    answer = solution_of(data, settled, asked, None, events=end.events)
+    return replace(answer, contact_status=end.status, proof=(*answer.proof, PROVEN_PATH))
 
 
 def _guesses(solution: Solution | None) -> Iterator[tuple[int, ...]]:

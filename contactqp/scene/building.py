@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import chain
+from numbers import Rational
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class ExactProblem:
     @property
     def rational(self) -> bool:
         """Whether every number is a Fraction."""
-        return not any(isinstance(number, float) for number in self._numbers())
+        return all(isinstance(number, Rational) for number in self._numbers())
 
     def _numbers(self) -> Iterator[Number]:
         yield from self.stiffness.values()
