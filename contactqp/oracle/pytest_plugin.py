@@ -1,0 +1,114 @@
+"""The pytest plugin: the fixture `contact_oracle` and the mark `contact_gallery`.
+
+Loaded in every run of pytest where contactqp is installed, so it imports nothing before a test asks for it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from contactqp.oracle.gallery_problem import GalleryProblem
+    from contactqp.oracle.judged_answer import JudgedAnswer
+    from contactqp.oracle.solver_check import SolverReport
+
+MARK = (
+    "contact_gallery(*names, kind=None, difficulty=None, count=None, seed=0): run the test for problems of contactqp's "
+    "gallery, each given as `contact_problem`: those of the names, or of a kind (see contactqp.testing.problems)."
+)
+ARGUMENT = "contact_problem"
+
+
+class ContactOracle:
+    """What `contactqp.testing` has, and `certify`, for tests that take the fixture `contact_oracle`."""
+
+    def problem(self, name: str) -> GalleryProblem:
+        """The problem of the gallery with this name."""
+        from contactqp import testing
+
+        return testing.problem(name)
+
+    def problems(
+        self, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
+    ) -> list[GalleryProblem]:
+        """Problems of the gallery."""
+        from contactqp import testing
+
+        return testing.problems(kind, difficulty, count, seed)
+
+    def certify(self, problem: Any, *answer: Any, **options: Any) -> JudgedAnswer:
+        """`contactqp.certify`, of problems of the gallery too."""
+        import contactqp
+
+        return contactqp.certify(getattr(problem, "problem", problem), *answer, **options)
+
+    def assert_contact_solution(self, problem: Any, *answer: Any, **options: Any) -> None:
+        """`contactqp.testing.assert_contact_solution`."""
+        __tracebackhide__ = True
+        from contactqp import testing
+
+        testing.assert_contact_solution(problem, *answer, **options)
+
+    def assert_multipliers(self, problem: Any, *forces: Any, **options: Any) -> None:
+        """`contactqp.testing.assert_multipliers`."""
+        __tracebackhide__ = True
+        from contactqp import testing
+
+        testing.assert_multipliers(problem, *forces, **options)
+
+    def check_solver(
+        self, solver: Callable[[Any], Any], problems: Iterable[GalleryProblem] | None = None, **options: Any
+    ) -> SolverReport:
+        """`contactqp.testing.check_solver`."""
+        from contactqp import testing
+
+        return testing.check_solver(solver, problems, **options)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", MARK)
+
+
+@pytest.fixture(scope="session")
+def contact_oracle() -> ContactOracle:
+    """Problems with exact answers, and assertions that say what is wrong with an answer: see contactqp.testing."""
+    return ContactOracle()
+
+
+@pytest.fixture
+def contact_problem() -> None:
+    """A problem of contactqp's gallery with its exact answer, chosen by @pytest.mark.contact_gallery."""
+    pytest.fail(
+        f"{ARGUMENT}: mark the test with @pytest.mark.contact_gallery, which chooses the problems", pytrace=False
+    )
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    mark = metafunc.definition.get_closest_marker("contact_gallery")
+    if mark is None:
+        return
+    where = f"{metafunc.definition.nodeid}: contact_gallery: "
+    if ARGUMENT not in metafunc.fixturenames:
+        # Of a marked class some tests may take none.
+        if mark in getattr(metafunc.function, "pytestmark", []):
+            pytest.fail(f"{where}the test takes no argument {ARGUMENT!r}", pytrace=False)
+        return
+    try:
+        chosen = _chosen(*mark.args, **mark.kwargs)
+    except (TypeError, ValueError) as error:
+        pytest.fail(f"{where}{error}", pytrace=False)
+    metafunc.parametrize(ARGUMENT, chosen, ids=[known.name for known in chosen])
+
+
+def _chosen(
+    *names: str, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
+) -> list[GalleryProblem]:
+    from contactqp import testing
+
+    if names and (kind, difficulty, count, seed) != (None, None, None, 0):
+        raise TypeError(f"expected names or a kind, got both {names[0]!r} and a choice")
+    return [testing.problem(name) for name in names] if names else testing.problems(kind, difficulty, count, seed)

@@ -1,0 +1,134 @@
+"""Somebody's solver on the gallery: one verdict a problem, and a table of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.oracle.assertions import solution_fault
+from contactqp.oracle.gallery import problems as gallery_problems
+from contactqp.oracle.gallery_problem import GalleryProblem
+from contactqp.problem import ContactProblem
+
+PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
+VERDICTS = ("right", "wrong", "failed")
+
+
+@dataclass(frozen=True)
+class SolverVerdict:
+    """What became of one problem: "right", "wrong" (an answer was returned and is not), "failed" (it raised)."""
+
+    name: str
+    kind: str
+    difficulty: str
+    verdict: str
+    why: str  # empty where it is right
+    seconds: float  # of the solver
+
+
+@dataclass(frozen=True)
+class SolverReport:
+    """The verdicts on a solver; as text it is their table."""
+
+    verdicts: tuple[SolverVerdict, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every answer is right."""
+        return all(one.verdict == "right" for one in self.verdicts)
+
+    @property
+    def wrong(self) -> tuple[SolverVerdict, ...]:
+        """The answers that claimed to be right and are not."""
+        return tuple(one for one in self.verdicts if one.verdict == "wrong")
+
+    def table(self) -> str:
+        """One line a problem, then how many of each verdict."""
+        lines = [["problem", "difficulty", "verdict", "seconds", ""]]
+        for one in self.verdicts:
+            first = one.why.splitlines()[:2]
+            lines.append([one.name, one.difficulty, one.verdict, f"{one.seconds:.3f}", " ".join(first)])
+        widths = [max(len(line[j]) for line in lines) for j in range(4)] + [0]
+        text = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines
+        ]
+        counts = [f"{sum(one.verdict == verdict for one in self.verdicts)} {verdict}" for verdict in VERDICTS]
+        return "\n".join([*text, ", ".join(counts)])
+
+    def __str__(self) -> str:
+        return self.table()
+
+
+def check_solver(
+    solver: Callable[[ContactProblem], Any],
+    problems: Iterable[GalleryProblem] | None = None,
+    *,
+    rtol: float = 1e-9,
+    compression: str = "positive",
+) -> SolverReport:
+    """Run a solver over the gallery.
+
+    Parameters
+    ----------
+    solver : callable
+        Takes a ContactProblem, returns its answer: a mapping or an object with displacement, normal_force,
+        friction_force and tie_force, or a tuple of these in that order; what is missing is recovered where it can be.
+    problems : iterable of GalleryProblem, optional
+        `contactqp.testing.problems()` by default.
+    rtol, compression
+        As for `assert_contact_solution`.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> from contactqp.testing import problems
+    >>> check_solver(cq.solve, problems("tied", count=2)).passed
+    True
+    """
+    chosen = gallery_problems() if problems is None else problems
+    return SolverReport(tuple(_verdict(solver, known, rtol, compression) for known in chosen))
+
+
+def _verdict(
+    solver: Callable[[ContactProblem], Any], known: GalleryProblem, rtol: float, compression: str
+) -> SolverVerdict:
+    problem = known.problem
+    start = time.perf_counter()
+    try:
+        answer, why = solver(problem), ""
+    except Exception as error:  # noqa: BLE001  a code under test may raise anything, and others are still to be tried
+        answer, why = None, f"{type(error).__name__}: {error}"
+    seconds = time.perf_counter() - start
+    verdict = "failed"
+    if answer is not None:
+        try:
+            fault = solution_fault(known, rtol, **_parts(answer), compression=compression)
+        except ContactQPError as error:  # shapes that do not fit, nothing returned
+            fault = f"{known.name}: {error}"
+        verdict, why = ("right", "") if fault is None else ("wrong", fault)
+    elif not why:
+        why = "returned None"
+    return SolverVerdict(known.name, known.kind, known.difficulty, verdict, why, seconds)
+
+
+def _parts(answer: Any) -> dict[str, Any]:
+    """Displacement and forces of what a solver returned."""
+    if isinstance(answer, Mapping):
+        unknown = sorted(set(map(str, answer)) - set(PARTS))
+        if unknown:
+            raise InvalidProblem(f"the solver returned {unknown[0]!r}; known are {', '.join(PARTS)}")
+        return {str(name): value for name, value in answer.items()}
+    if isinstance(answer, tuple | list):
+        if len(answer) > len(PARTS):
+            raise InvalidProblem(f"the solver returned {len(answer)} parts; expected at most {', '.join(PARTS)}")
+        return dict(zip(PARTS, answer, strict=False))
+    found = {name: getattr(answer, name, None) for name in PARTS}
+    if found["displacement"] is None and found["normal_force"] is None:
+        raise InvalidProblem(
+            f"the solver returned a {type(answer).__name__}; expected {', '.join(PARTS)} as a mapping, a tuple in that "
+            "order or attributes"
+        )
+    return found
