@@ -210,6 +210,50 @@ def report_command(cases: tuple[str, ...], output: str) -> None:
     sys.exit(report(cases, output))
 
 
+@command.command("gallery")
+@click.argument("folder", required=False, metavar="[DIR]")
+@click.option(
+    "--kind", metavar="K", help="named, well-posed, degenerate, redundant, floating, frictional, ...; or all."
+)
+@click.option("--difficulty", metavar="D", help="easy, moderate or hard; all by default.")
+@click.option("--count", type=int, metavar="N", help="How many of each kind; 3 by default, and all named ones.")
+@click.option("--seed", type=int, default=0, show_default=True, metavar="S", help="Where the seeds start.")
+@click.option("--name", "names", multiple=True, metavar="NAME", help="A problem by its name; may be repeated.")
+@click.option("--list", "listed", is_flag=True, help="List the problems, write nothing.")
+@click.option("--json", "as_json", is_flag=True, help="With --list: print JSON instead of a table.")
+def gallery_command(
+    folder: str | None,
+    kind: str | None,
+    difficulty: str | None,
+    count: int | None,
+    seed: int,
+    names: tuple[str, ...],
+    listed: bool,
+    as_json: bool,
+) -> None:
+    """Write problems with exact answers to DIR, as JSON and Matrix Market files for the tests of any code.
+
+    DIR must be new or empty. index.json lists the problems; each has a folder with problem.json, stiffness.mtx,
+    load.mtx, normal.mtx, gap.mtx and so on, and answer.json with its exact answer, in doubles and as fractions.
+    """
+    from contactqp.oracle.gallery import chosen_problems
+    from contactqp.oracle.gallery_files import summary, write_gallery
+
+    chosen = chosen_problems(names, kind, difficulty, count, seed)
+    if listed == (folder is not None):
+        raise InvalidProblem("gallery: expected a folder to write to, or --list")
+    if as_json and not listed:
+        raise InvalidProblem("gallery: --json goes with --list; what is written has an index.json")
+    if as_json:
+        _print_json([summary(known) for known in chosen])
+    elif listed:
+        from contactqp.study.gallery_printing import print_gallery
+
+        print_gallery(_console(), chosen)
+    elif folder is not None:
+        click.echo(f"written: {write_gallery(folder, chosen)}, {len(chosen)} problems")
+
+
 def _console() -> Console:
     from rich.console import Console
 

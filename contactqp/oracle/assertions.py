@@ -197,7 +197,7 @@ def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: Gi
 
 def _refused(problem: ContactProblem | GalleryProblem, judged: JudgedAnswer, rtol: float) -> str:
     """The diagnosis of an answer that the certificate refuses."""
-    lines = [f"{name_of(problem)}: the answer is wrong (rtol {rtol:g})", _wrapped(judged.diagnosis)]
+    lines = [f"{name_of(problem)}: the answer is wrong (rtol {rtol:g})", _in_words(judged)]
     if judged.contacts:
         lines.append(judged.table(10))
     return "\n".join(lines)
@@ -214,9 +214,12 @@ def _off(
     units = plain_problem(problem).units
     lines = [f"{name_of(problem)}: {why} (rtol {rtol:g})"]
     if judged is not None and not judged.passed:
-        lines.append(_wrapped(judged.diagnosis))
+        lines.append(_in_words(judged))
     return "\n".join([*lines, deviations_table(found, units.force, units.length)])
 
 
-def _wrapped(text: str) -> str:
+def _in_words(judged: JudgedAnswer) -> str:
+    text = judged.diagnosis
+    if "error_tolerance=" in text:
+        text += " (rtol is both tolerances)"
     return "\n".join(textwrap.wrap(text, WIDTH, break_on_hyphens=False))

@@ -7,7 +7,7 @@ difficulty goes with the seed: 0, 3, 6, ... are easy, 1, 4, 7, ... moderate, 2, 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import lru_cache, partial
 
@@ -94,6 +94,25 @@ def problems(
         else:
             found += _of_kind(each, difficulty, 3 if count is None else count, seed)
     return found
+
+
+def chosen_problems(
+    names: Sequence[str],
+    kind: str | None = None,
+    difficulty: str | None = None,
+    count: int | None = None,
+    seed: int = 0,
+) -> list[GalleryProblem]:
+    """The problems of the names, where there are some, else `problems` of the rest.
+
+    Raises
+    ------
+    InvalidProblem
+        Names and a choice among kinds are given, or either knows no such problem.
+    """
+    if names and (kind, difficulty, count, seed) != (None, None, None, 0):
+        raise InvalidProblem(f"gallery: expected names or a kind, got both {names[0]!r} and a choice among kinds")
+    return [problem(name) for name in dict.fromkeys(names)] if names else problems(kind, difficulty, count, seed)
 
 
 def refuse_unknown(what: str, value: object, known: tuple[str, ...]) -> None:

@@ -67,7 +67,7 @@ def tied(draw: Draw, difficulty: str) -> Contents:
         other = 2 * draw.integer(0, node - 1)
         factor = draw.among((-3, -2, -1, 1, 2, 3))
         ties.append({2 * node + draw.integer(0, 1): draw.among((1, 2)), other: factor})
-    text = f"A lattice of springs over a floor; {len(ties)} ties A u = b between its unknowns."
+    text = f"A lattice of springs over a floor; constraints A u = b, {len(ties)} in number, between its unknowns."
     return _on_floor(draw, difficulty, _states(draw, columns, closed=(columns + 1) // 2), text, ties=clean(ties))
 
 

@@ -107,8 +107,6 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def _chosen(
     *names: str, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
 ) -> list[GalleryProblem]:
-    from contactqp import testing
+    from contactqp.oracle.gallery import chosen_problems
 
-    if names and (kind, difficulty, count, seed) != (None, None, None, 0):
-        raise TypeError(f"expected names or a kind, got both {names[0]!r} and a choice")
-    return [testing.problem(name) for name in names] if names else testing.problems(kind, difficulty, count, seed)
+    return chosen_problems(names, kind, difficulty, count, seed)

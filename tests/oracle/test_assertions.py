@@ -15,7 +15,7 @@ from contactqp.oracle.gallery import problem, problems
 from contactqp.oracle.gallery_problem import GalleryProblem
 from contactqp.oracle.gallery_statement import stated
 
-EVERY = problems(count=3)
+EVERY = problems()
 SLIDING = [known for known in EVERY if "slip" in known.exact.contact_status]
 
 
@@ -47,16 +47,18 @@ def test_exact_forces_pass_beside_a_solution(known: GalleryProblem) -> None:
 @pytest.mark.parametrize("known", [known for known in EVERY if any(known.exact.normal_force)])
 def test_the_opposite_sign_fails(known: GalleryProblem) -> None:
     given = parts(known) | {"normal_force": -known.normal_force}
-    with pytest.raises(AssertionError, match="tension"):
+    with pytest.raises(AssertionError, match=f"{known.name}: .*\nall contact forces have the opposite sign"):
         assert_contact_solution(known, **given)
-    with pytest.raises(AssertionError, match=r"tension|compress|opposite"):
+    # Of several answers another one may be meant.
+    words = "all contact forces have the opposite sign" if known.name != "klarbring-slides" else ".* held in tension"
+    with pytest.raises(AssertionError, match=f"{known.name}: .*\n{words}"):
         assert_multipliers(known, -known.normal_force, known.friction_force, known.tie_force)
 
 
 @pytest.mark.parametrize("known", SLIDING)
 def test_friction_along_the_slip_fails(known: GalleryProblem) -> None:
     given = parts(known) | {"friction_force": -np.asarray(known.friction_force)}
-    with pytest.raises(AssertionError, match="slip"):
+    with pytest.raises(AssertionError, match="friction"):
         assert_contact_solution(known, **given)
     with pytest.raises(AssertionError):
         assert_multipliers(known, known.normal_force, given["friction_force"])
@@ -117,7 +119,7 @@ def test_rtol_is_the_tolerance_of_the_figures() -> None:
     assert found.penetration == pytest.approx(5e-6, rel=1e-4)
     worst = max(found.penetration, found.equilibrium, found.energy_error or 0, found.force_error or 0, 1e-5)
     assert_contact_solution(truss, sunk, truss.normal_force, rtol=1.1 * worst)
-    with pytest.raises(AssertionError, match="penetrated"):
+    with pytest.raises(AssertionError, match=r"floor +gap"):
         assert_contact_solution(truss.problem, sunk, truss.normal_force, rtol=0.9 * found.penetration)
 
 
@@ -288,7 +290,7 @@ def test_the_message_has_the_place_the_wrong_and_the_right_values_and_their_unit
     with pytest.raises(AssertionError) as failed:
         assert_contact_solution(problem("bar-and-wall"), [1.0], [-142.5])
     message = str(failed.value)
-    for words in ("bar-and-wall: the answer is wrong", "wall", "-142.5", "142.5", "[kN]", "tension"):
+    for words in ("bar-and-wall: the answer is wrong", "wall", "-142.5", "142.5", "[kN]", "opposite sign"):
         assert words in message
     with pytest.raises(AssertionError) as failed:
         assert_multipliers(problem("bar-and-wall"), [-142.5])
