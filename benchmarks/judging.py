@@ -99,7 +99,7 @@ def judge(family_name: str, seed: int, methods: tuple[str, ...]) -> Report:
         warnings.simplefilter("always")
         problem = family(family_name, seed)
         first, error = attempt(problem, "active-set")
-        truth, known = _truth(problem, first or getattr(error, "solution", None))
+        truth, known = exact_truth(problem, first or getattr(error, "solution", None))
         if truth is None:
             outcomes = tuple(_without_truth(problem, method, known) for method in methods)
             return Report(family_name, seed, known, outcomes=outcomes)
@@ -112,7 +112,7 @@ def judge(family_name: str, seed: int, methods: tuple[str, ...]) -> Report:
     return Report(family_name, seed, known, *values)
 
 
-def _truth(problem: cq.ContactProblem, solution: Any) -> tuple[Truth | None, str]:
+def exact_truth(problem: cq.ContactProblem, solution: Any) -> tuple[Truth | None, str]:
     guesses = [] if solution is None else [np.flatnonzero(solution.normal_force > 0)]
     try:
         return find_truth(problem, guesses), "exact"
@@ -153,7 +153,7 @@ def _outcome(problem: cq.ContactProblem, method: str, truth: Truth, threshold: f
     if solution is not None:
         errors = truth.errors(solution.displacement, solution.normal_force)
         true = errors.worst
-        bounds += _bounded(method, truth, solution.certificate, errors)
+        bounds += bounded(method, truth, solution.certificate, errors)
     raw_wrong = _raw_is_wrong(method, solution, error, truth, threshold, bounds)
     verdict = _verdict(returned, error, true, threshold)
     needlessly = verdict == "refused" and true is not None and true <= WRONG
@@ -187,14 +187,14 @@ def _raw_is_wrong(
         return False
     if solution.raw is not None:
         errors = truth.errors(solution.raw.displacement, solution.raw.normal_force)
-        bounds += _bounded(f"raw {method}", truth, solution.raw.certificate, errors)
+        bounds += bounded(f"raw {method}", truth, solution.raw.certificate, errors)
         return bool(solution.raw.claimed and errors.worst > threshold)
     if find(method.split()[0]).kind == "active set" or isinstance(error, cq.NotConverged):
         return False
     return truth.errors(solution.displacement, solution.normal_force).worst > threshold
 
 
-def _bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterator[Bounded]:
+def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterator[Bounded]:
     """The certificate's bounds with the true errors they are to exceed; a tiny truth may be meant absolutely."""
     for figure, readings in errors.readings.items():
         if (bound := getattr(certificate, figure)) is not None:
@@ -242,7 +242,7 @@ def _spoil(
     for name, u, force in spoiled(truth, np.random.default_rng(seed)):
         certificate = cq.certify(problem, u, force, tie_force=truth.tie_force)
         errors = truth.errors(u, force)
-        bounds += _bounded(name, truth, certificate, errors)
+        bounds += bounded(name, truth, certificate, errors)
         if certificate.passed and errors.worst > threshold:
             passed.append((name, errors.worst))
         if name == "truth" and not certificate.passed:

@@ -7,8 +7,10 @@ gaps and slips show which law they obey.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import directions, lengths
@@ -122,20 +124,24 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
             yield Explanation(Finding("load-missing", text, True), 0.0)
             return
     part = _multiple(r, inner)
-    if part is not None and abs(part) > OBEYS:
+    if part is not None and part > -1 and _passes_with(evidence, (1 + part) * problem.stiffness):
         text = f"the bodies are {1 + part:.4g} times as stiff as the problem's: another modulus?"
         yield Explanation(Finding("stiffness", text, True), MET)
         return
     diagonal = problem.diagonal
-    for vector, what in ((u, "u"), (diagonal * u, "diag(K) u")):
-        part = _multiple(r, vector)
-        if part is not None and part > 0:
+    for added, what in ((np.ones_like(u), "u"), (diagonal, "diag(K) u")):
+        part = _multiple(r, added * u)
+        if part is not None and part > 0 and _passes_with(evidence, problem.stiffness + sp.diags(part * added)):
             text = (
                 f"what is out of balance is {part:.3g} {what}: the stiffness was regularised (that much was added to "
                 "its diagonal)"
             )
             yield Explanation(Finding("regularised", text, True), MET)
             return
+
+
+def _passes_with(evidence: Evidence, stiffness: Any) -> bool:
+    return evidence.passes(evidence.given, evidence.problem.replace(stiffness=sp.csr_matrix(stiffness)))
 
 
 def _multiple(vector: Vector, of: Vector) -> float | None:
