@@ -171,7 +171,7 @@ def text(reports: list[Judged], seconds: float) -> Iterator[str]:
     yield f"bounds below the true error: {len(below(reports))}"
     yield f"{'bound':14s}{'compared':>10s}{'median':>10s}{'90 %':>10s}{'99 %':>10s}{'max':>10s}"
     for figure, values in ratios(reports).items():
-        tail = "".join(f"{np.percentile(values, part):>10.3g}" for part in (90, 99, 100))
+        tail = "".join(f"{np.quantile(values, part, method='lower'):>10.3g}" for part in (0.9, 0.99, 1.0))
         yield f"{figure:14s}{len(values):>10d}{np.median(values):>10.3g}{tail}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import pathlib
 import re
 
@@ -169,3 +170,11 @@ def test_the_method_table_names_methods_that_exist() -> None:
     named = {name for row in rows for name in re.findall(r"`([a-z-]+)`", row)}
     assert len(named) >= 15
     assert named <= names
+
+
+def test_the_session_with_somebody_elses_answer_is_what_it_shows() -> None:
+    (session,) = re.findall(r"## Somebody else's answer\n.*?```pycon\n(.*?)```", README, re.DOTALL)
+    test = doctest.DocTestParser().get_doctest(session, {}, "README", "README.md", 0)
+    assert len(test.examples) >= 8
+    failed = doctest.DocTestRunner(verbose=False).run(test)
+    assert failed.failed == 0

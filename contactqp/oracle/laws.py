@@ -69,13 +69,14 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     far, near = float(np.max(abs(found.gap[sprung]))), float(np.min(abs(found.gap[sprung])))
     size = f"near {far:.2g}" if far <= 2 * near else f"from {near:.2g} to {far:.2g}"
     what = "penetration or pull" if np.any(pulls) else "penetration"
-    rule = "proportional to the force" if spread <= ONE_VALUE else "with every force"
+    rule = ", proportional to the force" if spread <= ONE_VALUE else ", with every force"
+    rule = "" if np.sum(sprung) == 1 else rule
     beta = f"about {np.median(stiffness):.3g}{unit}"
     if spread > ONE_VALUE:
         beta = f"{lowest:.3g} to {highest:.3g}{unit}, each contact its own"
     also = ", of springs that also pull" if np.any(pulls) else ""
     where = "everywhere" if np.sum(sprung) > 1 else f"at {problem.contact_name(int(np.flatnonzero(sprung)[0]))}"
-    text = f"{what} {where} {size}{unit_of(length)}, {rule}: looks like a penalty of {beta}{also}"
+    text = f"{what} {where} {size}{unit_of(length)}{rule}: looks like a penalty of {beta}{also}"
     one_stiffness = spread <= ONE_VALUE and np.sum(sprung) > 1
     # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
     noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))
