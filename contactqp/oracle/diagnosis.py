@@ -15,6 +15,7 @@ from contactqp.oracle.duplicates import duplicates
 from contactqp.oracle.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.foreign_answer import GivenAnswer
+from contactqp.oracle.judged_contacts import JudgedContact
 from contactqp.oracle.laws import laws
 from contactqp.oracle.one_value import one_value
 from contactqp.oracle.orders import orders
@@ -23,7 +24,7 @@ from contactqp.oracle.precision import inexact, printed
 from contactqp.oracle.recovery import missing_parts
 from contactqp.oracle.scales import scales
 from contactqp.oracle.shares import shares
-from contactqp.oracle.symptoms import symptoms
+from contactqp.oracle.symptoms import symptoms, unit_of
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.uniqueness import POSSIBLE, SEVERAL
@@ -83,14 +84,24 @@ def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
         yield Finding("not-examined", text)
 
 
-def paragraph(certificate: Certificate, findings: tuple[Finding, ...], why_not: str | None) -> str:
-    """The findings as one paragraph."""
+def paragraph(
+    certificate: Certificate,
+    problem: ContactProblem,
+    findings: tuple[Finding, ...],
+    worst: JudgedContact | None,
+    why_not: str | None,
+) -> str:
+    """The findings as one paragraph; without a cause the right values of the worst contact stand with them."""
     if certificate.passed:
         return "nothing is wrong with this answer"
     causes = [one.text for one in findings if one.cause]
     said = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
     if not causes:
         said = [one.text for one in findings if one.kind != "several"] or list(certificate.failures)
+        if worst is not None and worst.right_normal_force is not None:
+            force, length = unit_of(problem.units.force), unit_of(problem.units.length)
+            values = f"a force of {worst.right_normal_force:.6g}{force} at a gap of {worst.right_gap:.3g}{length}"
+            said.append(f"right would be {values} at {worst.name}")
     said += [one.text for one in findings if one.kind == "several"]
     if why_not is not None:
         said.append(f"no right answer can be set beside it ({why_not})")

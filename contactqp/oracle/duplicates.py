@@ -48,14 +48,13 @@ def _rows_twice(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _same_rows(evidence: Evidence) -> list[np.ndarray]:
-    """Groups of contacts with the same row and gap, all scaled alike."""
+    """Groups of contacts with the same row and gap."""
     problem = evidence.problem
+    rows = problem.normal
     keys: dict[bytes, list[int]] = {}
-    for i in range(problem.contacts):
-        row = problem.normal[[i]].tocoo()
-        size = float(np.max(abs(row.data)))
-        values = np.round(np.concatenate([row.data / size, [problem.gap[i] / size]]), 12) + 0.0
-        keys.setdefault(np.asarray(row.col, dtype=np.int64).tobytes() + values.tobytes(), []).append(i)
+    for i, (start, end) in enumerate(zip(rows.indptr[:-1], rows.indptr[1:], strict=True)):
+        key = rows.indices[start:end].tobytes() + rows.data[start:end].tobytes() + problem.gap[[i]].tobytes()
+        keys.setdefault(key, []).append(i)
     return [np.array(members) for members in keys.values() if len(members) > 1]
 
 

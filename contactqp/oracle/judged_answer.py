@@ -70,7 +70,8 @@ class JudgedAnswer(Certificate):
     @property
     def diagnosis(self) -> str:
         """What is wrong, in one paragraph."""
-        return paragraph(self, self.findings, None if self.passed else self.why_not)
+        worst = self.contacts[0] if self.contacts else None
+        return paragraph(self, self.problem, self.findings, worst, None if self.passed else self.why_not)
 
     def table(self, limit: int = 20) -> str:
         """The wrong contacts as text."""

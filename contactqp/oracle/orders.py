@@ -18,9 +18,9 @@ WRITTEN = 12
 
 def orders(evidence: Evidence) -> Iterator[Explanation]:
     """Orders of contacts, of unknowns, of both, and of tangential directions."""
-    if evidence.right is None or evidence.shared:
+    if evidence.right is None:
         return
-    contact, unknown = _of_contacts(evidence), _of_unknowns(evidence)
+    contact, unknown = None if evidence.shared else _of_contacts(evidence), _of_unknowns(evidence)
     for chosen in ([contact], [unknown], [contact, unknown]):
         found = [one for one in chosen if one is not None]
         if len(found) != len(chosen):
@@ -35,7 +35,8 @@ def orders(evidence: Evidence) -> Iterator[Explanation]:
             for _, kind, said in found:
                 yield Explanation(Finding(kind, f"{said}: {then} in the problem's order", True), left)
             return
-    yield from _of_directions(evidence)
+    if not evidence.shared:
+        yield from _of_directions(evidence)
 
 
 Order = tuple[dict[str, NDArray[np.float64]], str, str]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from contactqp.errors import ContactQPError
 from contactqp.multiplicity import equilibria
 from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.solution import Candidate, Solution
+from contactqp.solving import begin, solve
 from contactqp.uniqueness import POSSIBLE, SEVERAL
 from contactqp.violations import Answer
 
@@ -27,12 +29,16 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     found = solve(problem)
     others = found.certificate.uniqueness
     plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
-    if not (SEVERAL in others or POSSIBLE in others) or not plane or problem.contacts > FEW:
+    if not (SEVERAL in others or POSSIBLE in others) or not answer.finite():
         return found
-    try:
-        known = equilibria(problem)
-    except ContactQPError:
-        return found
+    known = [found]
+    with suppress(ContactQPError):
+        known += equilibria(problem) if plane and problem.contacts <= FEW else [_from(problem, answer)]
     weight = np.sqrt(np.maximum(problem.diagonal, 0.0))
-    apart = [float(np.linalg.norm(weight * (one.displacement - answer.displacement))) for one in known]
-    return known[int(np.argmin(apart))] if known and np.all(np.isfinite(apart)) else found
+    return min(known, key=lambda one: float(np.linalg.norm(weight * (one.displacement - answer.displacement))))
+
+
+def _from(problem: ContactProblem, answer: Answer) -> Solution:
+    """What Newton's method finds from the answer."""
+    start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
+    return begin(problem, start=start).finish()

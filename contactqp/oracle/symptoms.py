@@ -63,10 +63,13 @@ def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, lim
         if not beyond.size:
             continue
         worst = beyond[np.argsort(-measure[beyond], kind="stable")]
+        if len(worst) == 1:
+            i = int(worst[0])
+            yield Finding(kind, f"{problem.contact_name(i)} is {what} ({said(i)})")
+            continue
         named = ", ".join(f"{problem.contact_name(int(i))} ({said(int(i))})" for i in worst[:NAMED])
-        more = f" and {len(worst) - NAMED} more contacts are" if len(worst) > NAMED else ""
-        verb = "is" if len(worst) == 1 else "are"
-        yield Finding(kind, f"{named}{more} {verb} {what}" if not more else f"{named}{more} {what}")
+        more = f" and {len(worst) - NAMED} more contacts" if len(worst) > NAMED else ""
+        yield Finding(kind, f"{named}{more} are {what}")
 
 
 def _friction_of(problem: ContactProblem, answer: Answer, i: int) -> str:

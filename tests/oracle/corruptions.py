@@ -110,6 +110,20 @@ def frictional() -> tuple[Base, ...]:
     return tuple(found)
 
 
+@cache
+def redundant() -> tuple[Base, ...]:
+    """Problems in which a pushing contact stands twice: only the sum of its two forces is known."""
+    found = []
+    for seed in range(12):
+        problem = seeded_problem(seed, 12, 8)
+        twice = int(np.argmax(cq.solve(problem).normal_force))
+        rows = sp.vstack([problem.normal, problem.normal[[twice]]])
+        double = problem.replace(normal=rows, gap=np.append(problem.gap, problem.gap[twice]))
+        solution = cq.solve(double)
+        found.append(Base(f"twice {seed}", double, {p: getattr(solution, p) for p in ("displacement", "normal_force")}))
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class Kind:
     """One kind of mistake."""
@@ -117,16 +131,16 @@ class Kind:
     name: str
     make: Callable[[Base, np.random.Generator], Given | None]
     named: str | None
-    rough: bool = False  # made on problems with friction
+    on: Callable[[], tuple[Base, ...]] = frictionless
 
 
 KINDS: dict[str, Kind] = {}
 
 
-def mistake(named: str | None, rough: bool = False) -> Callable[[Callable], Callable]:
+def mistake(named: str | None, on: Callable[[], tuple[Base, ...]] = frictionless) -> Callable[[Callable], Callable]:
     def register(make: Callable[[Base, np.random.Generator], Given | None]) -> Callable:
         name = make.__name__
-        KINDS[name] = Kind(name, make, named, rough)
+        KINDS[name] = Kind(name, make, named, on)
         return make
 
     return register
@@ -138,7 +152,7 @@ def corpus(kind: Kind, count: int = PROBLEMS) -> Iterator[tuple[Base, Given]]:
 
 
 def _changed(kind: Kind) -> Iterator[tuple[Base, Given]]:
-    for i, base in enumerate(frictional() if kind.rough else frictionless()):
+    for i, base in enumerate(kind.on()):
         with suppress(cq.NoEquilibrium, cq.NotConverged, cq.NotCertified, cq.InvalidProblem):
             given = kind.make(base, np.random.default_rng([i, len(kind.name)]))
             if given is not None and _differs(base, given, ROUNDS if kind.named in ROUNDED else CHANGES):
@@ -264,7 +278,7 @@ def components_swapped(base, _rng):
     return base.right | {"displacement": u.reshape(-1, 2)[:, ::-1].ravel()} if len(u) % 2 == 0 else None
 
 
-@mistake("tangent-order", rough=True)
+@mistake("tangent-order", on=frictional)
 def tangents_swapped(base, _rng):
     friction = base["friction_force"]
     return base.right | {"friction_force": friction[:, ::-1].copy()} if friction.shape[1] == 2 else None
@@ -447,12 +461,12 @@ def random_noise(base, rng):
 # ------------------------------------------------------------------------------ other friction
 
 
-@mistake("friction-sign", rough=True)
+@mistake("friction-sign", on=frictional)
 def friction_of_the_other_sign(base, _rng):
     return base.right | {"friction_force": -base["friction_force"]}
 
 
-@mistake("friction-ignored", rough=True)
+@mistake("friction-ignored", on=frictional)
 def friction_ignored(base, _rng):
     return _other(base.problem.replace(friction=0 * base.problem.friction), base)
 
@@ -464,20 +478,20 @@ def _slides(problem: ContactProblem, given: Given | None) -> bool:
     return bool(np.any((np.linalg.norm(slip, axis=1) > 1e-6) & (given["normal_force"] > 1e-6) & (problem.friction > 0)))
 
 
-@mistake("friction-coefficient", rough=True)
+@mistake("friction-coefficient", on=frictional)
 def another_coefficient(base, _rng):
     found = _other(base.problem.replace(friction=0.8 * base.problem.friction), base)
     return found if _slides(base.problem, found) else None
 
 
-@mistake("associated", rough=True)
+@mistake("associated", on=frictional)
 def associated_cone(base, _rng):
     found = cq.solve(base.problem, algorithm="associated")
     given = {part: getattr(found, part) for part in base.right}
     return given if _slides(base.problem, given) else None
 
 
-@mistake("stuck", rough=True)
+@mistake("stuck", on=frictional)
 def nothing_slips(base, _rng):
     found = _other(base.problem.replace(friction=np.where(base.problem.friction > 0, 50.0, 0.0)), base)
     if found is None or _slides(base.problem, found):
@@ -486,18 +500,50 @@ def nothing_slips(base, _rng):
     return found if np.any(size > 1.001 * base.problem.friction * found["normal_force"]) else None
 
 
-@mistake("slip-origin", rough=True)
+@mistake("slip-origin", on=frictional)
 def slip_origin_ignored(base, _rng):
     return _other(base.problem.replace(slip_origin=0 * base.problem.slip_origin), base)
 
 
-@mistake("sign", rough=True)
+@mistake("sign", on=frictional)
 def normal_forces_of_the_other_sign_with_friction(base, _rng):
     return base.right | {"normal_force": -base["normal_force"]}
 
 
-@mistake("one-value", rough=True)
+@mistake("one-value", on=frictional)
 def one_friction_force_mistyped(base, _rng):
     friction = base["friction_force"].copy()
     friction[np.unravel_index(np.argmax(abs(friction)), friction.shape)] *= 1.5
     return base.right | {"friction_force": friction}
+
+
+# ------------------------------------------------------------------------------ contacts that stand twice
+
+
+@mistake("duplicate-row", on=redundant)
+def force_counted_at_each_of_two_rows(base, _rng):
+    force = base["normal_force"].copy()
+    rows = base.problem.normal.toarray()
+    pair = np.flatnonzero(np.all(rows == rows[-1], axis=1))
+    force[pair] = np.sum(force[pair])
+    return base.right | {"normal_force": force}
+
+
+@mistake("sign", on=redundant)
+def shared_forces_of_the_other_sign(base, _rng):
+    return base.right | {"normal_force": -base["normal_force"]}
+
+
+@mistake("unit", on=redundant)
+def shared_forces_in_another_unit(base, _rng):
+    return base.right | {"normal_force": 1e3 * base["normal_force"]}
+
+
+@mistake("unit", on=redundant)
+def displacements_of_shared_forces_in_millimetres(base, _rng):
+    return {"displacement": 1e3 * base["displacement"]}
+
+
+@mistake("gap-ignored", on=redundant)
+def gaps_ignored_where_forces_are_shared(base, _rng):
+    return _other(base.problem.replace(gap=0 * base.problem.gap), base)

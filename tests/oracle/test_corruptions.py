@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 import contactqp as cq
-from tests.oracle.corruptions import KINDS, PROBLEMS, Base, corpus, frictional, frictionless
+from contactqp.oracle.finding import CAUSES, SYMPTOMS
+from tests.oracle.corruptions import KINDS, PROBLEMS, Base, corpus, frictional, frictionless, redundant
 
 NAMED = [kind for kind in KINDS.values() if kind.named is not None]
 
@@ -13,7 +14,7 @@ NAMED = [kind for kind in KINDS.values() if kind.named is not None]
 def test_the_corpus_is_large_and_mixed() -> None:
     assert len(KINDS) >= 40
     assert len({kind.named for kind in NAMED}) >= 25
-    bases = frictionless() + frictional()
+    bases = frictionless() + frictional() + redundant()
     assert any(base.problem.ties for base in bases)
     assert any(base.name.startswith("lattice_in_corner") for base in bases), "bodies that float"
     assert any(base.name == "cantilever" for base in bases), "stiff data"
@@ -29,6 +30,7 @@ def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> Non
         judged = cq.certify(base.problem, **given)
         assert not judged.passed, base.name
         assert judged.failures, base.name
+        assert all(finding.kind in (CAUSES if finding.cause else SYMPTOMS) for finding in judged.findings)
         if kind.named is not None:
             assert kind.named in [finding.kind for finding in judged.findings], (base.name, judged.diagnosis)
         assert judged.diagnosis, base.name
@@ -36,7 +38,7 @@ def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> Non
     assert count == PROBLEMS
 
 
-@pytest.mark.parametrize("base", frictionless() + frictional(), ids=lambda base: base.name)
+@pytest.mark.parametrize("base", frictionless() + frictional() + redundant(), ids=lambda base: base.name)
 def test_uncorrupted_answers_are_accepted(base: Base) -> None:
     judged = cq.certify(base.problem, **base.right)
     assert judged.passed, judged.failures

@@ -151,7 +151,8 @@ def test_wrong_contacts_come_worst_first_with_the_right_values(block: tuple[cq.C
     assert "kN" in judged.table()
     assert len(judged.table().splitlines()) == 3
     assert json.loads(json.dumps(worst.data()))["right_normal_force"] == right.normal_force[pushing[1]]
-    assert f"{worst.name} ({force[pushing[1]]:.4g} kN) is held in tension" in judged.diagnosis
+    assert f"{worst.name} is held in tension ({force[pushing[1]]:.4g} kN)" in judged.diagnosis
+    assert f"right would be a force of {worst.right_normal_force:.6g} kN" in judged.diagnosis
 
 
 def test_a_long_table_is_cut() -> None:
