@@ -79,7 +79,7 @@ def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
     if too_large(problem):
         text = (
             f"not examined, the problem being large ({problem.dimension} unknowns, {problem.contacts} contacts): "
-            "whether it is the right answer to another question, such as without gaps, ties, friction or some contacts"
+            "whether it is the right answer to some other question, such as without ties or with contacts glued"
         )
         yield Finding("not-examined", text)
 

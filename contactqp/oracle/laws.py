@@ -186,10 +186,12 @@ def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         yield Explanation(Finding("stuck", text, True), MET)
         return
     if np.any(sliding):
-        yield from _other_cone(evidence, sliding, size, bound)
+        yield from _other_cone(evidence, sliding, size, bound, slip)
 
 
-def _other_cone(evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bound: Vector) -> Iterator[Explanation]:
+def _other_cone(
+    evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bound: Vector, slip: NDArray[np.float64]
+) -> Iterator[Explanation]:
     problem, force = evidence.problem, evidence.answer.friction_force
     assert problem.friction is not None
     assert force is not None
@@ -205,8 +207,10 @@ def _other_cone(evidence: Evidence, sliding: NDArray[np.bool_], size: Vector, bo
             yield Explanation(Finding("friction-coefficient", text, True), 0.0)
             return
     if force.shape[1] > 1:
-        largest = np.max(abs(force), axis=1)
-        square = abs(largest - bound)[sliding] <= OBEYS * bound[sliding]
+        # Of a square each component that slips is at the bound.
+        at_bound = abs(abs(force) - bound[:, None]) <= OBEYS * bound[:, None]
+        still = abs(slip) <= OBEYS * lengths(slip)[:, None]
+        square = np.all(at_bound | still, axis=1)[sliding]
         diamond = abs(np.sum(abs(force), axis=1) - bound)[sliding] <= OBEYS * bound[sliding]
         if np.all(square) or np.all(diamond):
             text = "friction is bounded direction by direction: a pyramid instead of Coulomb's round cone"

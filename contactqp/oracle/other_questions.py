@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError
+from contactqp.iteration import iterated
 from contactqp.oracle.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.finding import Finding
 from contactqp.oracle.symptoms import NAMED
@@ -21,8 +22,8 @@ from contactqp.solution import Solution
 from contactqp.solving import solve
 from contactqp.violations import Answer
 
-# Larger problems are not solved again for a hypothesis.
-LARGEST, MOST_CONTACTS = 20_000, 1500
+# Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
+LARGEST, LARGEST_OF_OTHER_ROWS, MOST_CONTACTS = 200_000, 60_000, 1500
 
 
 class Question(NamedTuple):
@@ -37,16 +38,24 @@ class Question(NamedTuple):
 
 
 def too_large(problem: ContactProblem) -> bool:
-    """Whether other questions are left unasked."""
-    return problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS
+    """Whether some other questions are left unasked."""
+    return problem.dimension > LARGEST_OF_OTHER_ROWS or problem.contacts > MOST_CONTACTS
+
+
+def _asked(problem: ContactProblem, question: Question) -> bool:
+    other_rows = question.kept is not None or question.problem.ties != problem.ties
+    return not (other_rows and too_large(problem))
 
 
 def other_questions(evidence: Evidence) -> Iterator[Explanation]:
     """The questions whose right answer was given."""
-    if too_large(evidence.problem):
+    problem = evidence.problem
+    if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
     for question in _questions(evidence):
-        answer = _answered(evidence.problem, question)
+        if not _asked(problem, question):
+            continue
+        answer = _answered(problem, question)
         if answer is None:
             continue
         left = evidence.apart(evidence.given, answer)

@@ -12,6 +12,7 @@ from contactqp.oracle.scales import CALLED, factors
 from contactqp.oracle.symptoms import unit_of
 from contactqp.problem import Vector
 
+FORCES_OF_CONTACTS = {"normal_force", "friction_force"}
 # Contacts that must push before their factors mean anything.
 ENOUGH = 3
 
@@ -80,4 +81,6 @@ def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
     left = evidence.apart(undone, evidence.right or evidence.answer)
     if evidence.explains(left):
         said = " and ".join(f"all {CALLED[name]} are {factor:.6g} times the right ones" for name, factor in odd.items())
-        yield Explanation(Finding("scaled", f"{said}, to {digits(left)}", True), left)
+        area = next(iter(odd.values()))
+        hint = f" (pressures, on areas of {1 / area:.4g}?)" if set(odd) <= FORCES_OF_CONTACTS and area > 0 else ""
+        yield Explanation(Finding("scaled", f"{said}, to {digits(left)}{hint}", True), left)
