@@ -18,6 +18,8 @@ from contactqp.errors import InvalidProblem
 
 Index = NDArray[np.int64]
 # Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
+LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
+MOST_GENERATED = 10**7
 _TYPES = (
     (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
     (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
@@ -95,8 +97,8 @@ def _numbers(keyword: str, lines: list[str], kind: type) -> NDArray[np.float64] 
     words = [word.strip() for line in lines for word in line.rstrip(",").split(",")]
     try:
         return np.array(words, dtype=kind)
-    except ValueError as error:
-        raise InvalidProblem(f"*{keyword}: expected numbers ({error})") from None
+    except (ValueError, OverflowError) as error:
+        raise InvalidProblem(f"*{keyword}: expected numbers ({str(error)[:100]})") from None
 
 
 def _nodes(reading: _Reading, options: dict[str, str], lines: list[str]) -> None:
@@ -107,7 +109,7 @@ def _nodes(reading: _Reading, options: dict[str, str], lines: list[str]) -> None
     if width not in (3, 4) or len(values) != width * len(lines):
         raise InvalidProblem("*NODE: expected a label and two or three coordinates on each line, of one length")
     table = values.reshape(-1, width)
-    if not np.all(np.isfinite(table[:, 0]) & (table[:, 0] == np.round(table[:, 0]))):
+    if not np.all((abs(table[:, 0]) < LARGEST_LABEL) & (table[:, 0] == np.round(table[:, 0]))):
         raise InvalidProblem("*NODE: expected whole numbers as labels")
     labels = table[:, 0].astype(np.int64)
     reading.labels.append(labels)
@@ -142,16 +144,22 @@ def _members(sets: dict[str, Index], options: dict[str, str], lines: list[str]) 
 def _generated(line: str) -> Index:
     """The labels of ``first, last, step``; the step is 1 unless stated."""
     words = [word.strip() for word in line.rstrip(",").split(",")]
-    if len(words) not in (2, 3) or not all(word.isdigit() for word in words) or words[2:] == ["0"]:
+    if len(words) not in (2, 3) or not all(_is_label(word) for word in words) or words[2:] == ["0"]:
         raise InvalidProblem(f"GENERATE: expected a first and a last label and a positive step, got {line!r}")
     first, last, *step = map(int, words)
+    if (last - first) // (step[0] if step else 1) > MOST_GENERATED:
+        raise InvalidProblem(f"GENERATE: expected at most {MOST_GENERATED} labels, got {line!r}")
     return np.arange(first, last + 1, *step, dtype=np.int64)
+
+
+def _is_label(word: str) -> bool:
+    return word.isascii() and word.isdigit() and len(word) < len(str(LARGEST_LABEL))
 
 
 def _labels(sets: dict[str, Index], word: str) -> Index:
     """A label, or the members of a set that is known by now; instance names in front are passed over."""
     name = word.rpartition(".")[2]
-    if name.isdigit():
+    if _is_label(name):
         return np.array([int(name)])
     if name not in sets:
         raise InvalidProblem(f"there is no set {name} at this place; it has {', '.join(sets) or 'none'}")

@@ -25,6 +25,7 @@ MESHIO_KINDS = {
     "tetra": "tet4", "tetra10": "tet10",
     "hexahedron": "hex8", "hexahedron20": "hex20", "hexahedron27": "hex27",
 }  # fmt: skip
+LONGEST_REASON = 200
 
 
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
@@ -112,7 +113,7 @@ def _read_by_meshio(file: Path) -> Any:
     except (SystemExit, Exception) as error:
         # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
         reason = said.getvalue().strip() or f"{type(error).__name__}: {error}"
-        raise InvalidProblem(f"meshio cannot read it ({' '.join(reason.split())})") from error
+        raise InvalidProblem(f"meshio cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
 
 
 def _cells_of_meshio(mesh: Any) -> Cells:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -9,13 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendMissing
+from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.exchange.matrix_storage import StoredMatrix, matrix_of
-from contactqp.exchange.refusal import Path, check_finite, read_bytes, wrong
+from contactqp.exchange.refusal import Path, check_finite, file_size, one_line, read_bytes, wrong
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Where the signature may stand: a user block of 512 bytes or a power of two times that may come before it.
 SIGNATURE_PLACES = (0, 512, 1024, 2048)
+# What an array may grow to: this many times the size of the file and some more, as in an archive of arrays.
+GROWTH, SMALL = 100, 2**26
 EXPECTED = "an FCLIB file (HDF5)"
 
 
@@ -56,7 +59,7 @@ def opened(path: Path) -> Iterator[Hdf5File]:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        raise wrong(path, "content", EXPECTED, f"a damaged one ({_one_line(error)})") from None
+        raise wrong(path, "content", EXPECTED, f"a damaged one ({one_line(error)})") from None
     with file:
         yield Hdf5File(path, file)
 
@@ -71,11 +74,14 @@ class Hdf5File:
     def has(self, name: str) -> bool:
         try:
             return name in self._file
-        except (OSError, RuntimeError, ValueError) as error:
-            raise wrong(self.path, name, "a group", f"damaged data ({_one_line(error)})") from None
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            raise wrong(self.path, name, "a group", f"damaged data ({one_line(error)})") from None
 
     def top(self) -> list[str]:
-        return sorted(str(name) for name in self._file)
+        try:
+            return sorted(str(name) for name in self._file)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            raise wrong(self.path, "content", "groups", f"damaged data ({one_line(error)})") from None
 
     def integer(self, name: str) -> int:
         values = self.integers(name)
@@ -124,6 +130,13 @@ class Hdf5File:
         )
         return matrix_of(stored, self.path, name)
 
+    def _check_growth(self, name: str, dataset: Any) -> None:
+        """Refuse what would grow beyond its file: chunks that are packed, or are not there at all."""
+        most = SMALL + GROWTH * file_size(self.path, EXPECTED)
+        stated = int(dataset.dtype.itemsize) * math.prod(int(size) for size in dataset.shape)
+        if stated > most:
+            raise wrong(self.path, name, f"at most {most >> 20} MiB", f"{stated / 2**20:.0f} MiB")
+
     def _values(self, name: str) -> NDArray[Any]:
         if not self.has(name):
             raise wrong(self.path, name, "this dataset", "none of that name")
@@ -131,10 +144,9 @@ class Hdf5File:
             dataset = self._file[name]
             if not hasattr(dataset, "shape"):
                 raise wrong(self.path, name, "a dataset", "a group")
+            self._check_growth(name, dataset)
             return np.asarray(dataset[()])
-        except (OSError, RuntimeError, KeyError, TypeError) as error:
-            raise wrong(self.path, name, "numbers", f"damaged data ({_one_line(error)})") from None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        except InvalidProblem:
+            raise
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError, MemoryError) as error:
+            raise wrong(self.path, name, "numbers", f"damaged data ({one_line(error)})") from None

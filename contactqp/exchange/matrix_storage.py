@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.refusal import Path, check_finite, wrong
+from contactqp.exchange.refusal import Path, check_finite, check_rows, wrong
 
 Storage = Literal["csc", "csr", "triplet"]
 COLUMNS, ROWS = -1, -2
@@ -51,6 +51,7 @@ def matrix_of(stored: StoredMatrix, path: Path, place: str) -> Any:
         raise wrong(path, f"{place}/nz", "-1 (columns), -2 (rows) or a number of triplets", stored.nz)
     if min(stored.m, stored.n) < 0:
         raise wrong(path, f"{place}/m, {place}/n", "a size", (stored.m, stored.n))
+    check_rows(path, f"{place}/m", stored.m)
     row, column, used = _triplets(stored, path, place) if stored.nz >= 0 else _compressed(stored, path, place)
     x = stored.x[:used]
     check_finite(path, f"{place}/x", x)
