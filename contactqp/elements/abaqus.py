@@ -17,9 +17,9 @@ from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
 
 Index = NDArray[np.int64]
-# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
 LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
 MOST_GENERATED = 10**7
+# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
 _TYPES = (
     (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
     (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
