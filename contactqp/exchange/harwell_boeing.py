@@ -191,7 +191,6 @@ def _values(path: Path, lines: list[str], first: int, header: Header, part: int,
     form = _format(path, header.formats[part], "iedfg")
     fields = _fields(path, lines, first, header, part, form, count)
     words = [BARE_EXPONENT.sub("e", field.strip().lower().replace("d", "e")) for field in fields]
-    words = [word.replace("ee", "e") for word in words]
     if form.letter == "i" or all("." in word for word in words):  # without a point Fortran puts one somewhere
         try:
             return np.array([float(word) for word in words])

@@ -1,0 +1,168 @@
+"""Mutated files of every format are judged or refused in one line; benchmarks/fuzz_readers.py goes on to thousands."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.fuzz_readers import JUDGED, REFUSED, outcome, run_format
+from benchmarks.mutations import MUTATIONS, bomb, mutate
+from benchmarks.valid_files import SLOW, Seed, seeds
+from contactqp.errors import InvalidProblem
+from tests.test_cli import run
+
+EACH = 28  # mutated files of each format; 36 formats
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    root = tmp_path_factory.mktemp("seeds")
+    return root, {seed.name: seed for seed in seeds(root)}
+
+
+def test_every_valid_file_is_judged(written):
+    root, known = written
+    assert len(known) >= 30
+    for name, seed in known.items():
+        if not name.startswith(SLOW):
+            assert outcome(seed, root / name) == JUDGED, name
+
+
+def test_mutated_files_are_judged_or_refused(written):
+    root, known = written
+    odd, counts = [], {JUDGED: 0, REFUSED: 0}
+    for name, seed in known.items():
+        if name.startswith(SLOW):
+            continue
+        for number, what, said in run_format(seed, root / name, range(EACH)):
+            if said in counts:
+                counts[said] += 1
+            else:
+                odd.append(f"{name} {number} ({what}): {said}")
+    assert not odd
+    assert counts[REFUSED] > 700
+    assert counts[JUDGED] > 50
+
+
+def raises(error: Exception):
+    def ask(_: Path) -> object:
+        raise error
+
+    return Seed("x", "x", ask)
+
+
+def test_what_is_neither_judged_nor_refused_is_told(tmp_path):
+    assert outcome(raises(InvalidProblem("a.csv: no")), tmp_path) == REFUSED
+    assert outcome(raises(InvalidProblem("two\nlines")), tmp_path).startswith("message")
+    assert outcome(raises(KeyError("load")), tmp_path).startswith("KeyError")
+    assert outcome(raises(MemoryError()), tmp_path).startswith("MemoryError")
+    assert outcome(Seed("x", "x", lambda _: print("note")), tmp_path).startswith("printed")
+    assert outcome(Seed("x", "x", lambda _: np.log(np.zeros(1))), tmp_path).startswith("RuntimeWarning")
+
+
+def test_a_mutation_is_the_same_whenever_it_is_asked_for_and_changes_files():
+    data = b"%%MatrixMarket matrix array real general\n3 1\n1.0\n2.0\n3.0\n" * 3
+    for k in range(40):
+        assert mutate(data, np.random.default_rng(k)) == mutate(data, np.random.default_rng(k))
+    changed = [change(data, np.random.default_rng(1)) != data for change in MUTATIONS]
+    assert sum(changed) >= len(MUTATIONS) - 1
+
+
+# At the command line: what is made of one file of which valid set. A text cut off between two numbers is whole.
+BROKEN = {
+    "empty": lambda data: data[:0],
+    "cut": lambda data: data[: len(data) // 4],
+    "swapped": lambda data: np.frombuffer(data[: len(data) // 8 * 8], "<u8").byteswap().tobytes(),
+    "binary": lambda data: bytes(range(256)) * (1 + len(data) // 256),
+}
+FORMATS = (
+    *("matrix-K.mtx", "matrix-stiffness.csv", "matrix-K.npy", "matrix-K.npz", "matrix-stiffness.npz", "matrix-K.rsa"),
+    *("problem-json", "contacts-csv", "problem-npz", "case-toml", "fclib-local", "siconos-local"),
+    *("answer-a.json", "answer-a.csv", "answer-a.npz", "answer-u.npy", "answer-u.mtx", "forces-r.json", "forces-r.npy"),
+)
+
+
+def arguments(seed: Seed) -> list[str]:
+    if seed.name.startswith(("fclib", "siconos")):
+        return [seed.mutated, "r.npy"]
+    if seed.name.startswith("forces"):
+        return ["p.hdf5", seed.mutated]
+    if seed.mutated.startswith("p/"):
+        return ["p", "answer.json"]
+    return [seed.mutated, "answer.json"] if seed.mutated.startswith("p.") else ["p", seed.mutated]
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+@pytest.mark.parametrize("name", FORMATS)
+def test_at_the_command_line_a_broken_file_is_exit_2_and_one_line(capsys, monkeypatch, written, name, fault):
+    root, known = written
+    file = root / name / known[name].mutated
+    data = file.read_bytes()
+    monkeypatch.chdir(root / name)
+    try:
+        file.write_bytes(BROKEN[fault](data))
+        code, out, err = run(capsys, "check", *arguments(known[name]))
+    finally:
+        file.write_bytes(data)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("contactqp: ")
+    assert err.count("\n") == 1
+    assert run(capsys, "check", *arguments(known[name]))[0] == 0
+
+
+PROBE = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (2**31, 2**31))
+from contactqp.cli import main
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on memory to set")
+@pytest.mark.parametrize("name", FORMATS)
+def test_enormous_files_do_not_fill_the_memory(written, name):
+    """A terabyte of nothing after the file, under two gigabytes of address space and a limit of time."""
+    root, known = written
+    file = root / name / known[name].mutated
+    data = file.read_bytes()
+    try:
+        os.truncate(file, 2**40)
+        command = [sys.executable, "-c", PROBE, "check", *arguments(known[name])]
+        ended = subprocess.run(command, cwd=root / name, capture_output=True, text=True, timeout=120, check=False)
+    finally:
+        file.write_bytes(data)
+    if name == "fclib-local":  # HDF5 says itself where it ends
+        assert ended.returncode == 0
+        return
+    assert ended.returncode == 2, ended.stderr[-500:]
+    assert ended.stdout == ""
+    assert ended.stderr.count("\n") == 1
+
+
+def test_an_archive_that_grows_is_refused_before_it_does(tmp_path, capsys, written):
+    root, _ = written
+    (tmp_path / "bomb.npz").write_bytes(bomb(b"\x93NUMPY\x01\x00"))
+    code, _, err = run(capsys, "check", root / "problem-json/p", tmp_path / "bomb.npz")
+    assert code == 2
+    assert "bomb.npz: sizes in the archive: expected at most" in err
+    code, _, err = run(capsys, "run", tmp_path / "bomb.npz")
+    assert code == 2
+    assert err.count("\n") == 1
+
+
+def test_pipes_and_devices_are_no_files(capsys, tmp_path, written):
+    root, _ = written
+    os.mkfifo(tmp_path / "pipe")
+    for name in (tmp_path / "pipe", "/dev/zero"):
+        code, _, err = run(capsys, "check", root / "problem-json/p", name)
+        assert code == 2
+        assert "got a pipe or a device" in err
+        code, _, err = run(capsys, "run", name)
+        assert code == 2
+        assert "got a pipe or a device" in err
