@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import NotCertified, NotConverged, Unsupported
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.oracle.fixed_point import Fixed, FixedMatrix, fixed
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
@@ -158,6 +158,9 @@ class _Walk:
             if not isinstance(error.solution, Solution):
                 raise
             found = error.solution
+        except NoEquilibrium as error:
+            reason = f"refine: what is left, magnified by 2^{power}, has no equilibrium: {error}"
+            raise NotConverged(reason) from None
         push = np.zeros(m)
         push[held_] = found.tie_force[problem.ties :]
         push[loose] = np.maximum(found.normal_force, 0.0)

@@ -1,0 +1,194 @@
+"""Exact answers of the cases: the published rationals, what the cases themselves claim, and the roots they hold."""
+
+from __future__ import annotations
+
+import pathlib
+from fractions import Fraction as F
+
+import flint
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.scene.claims import Expectation
+from contactqp.scene.schema import Scene
+
+CASES = pathlib.Path(__file__).parents[2] / "cases"
+NODES = sorted(
+    file.stem
+    for file in CASES.glob("*.toml")
+    for scene in [cq.load_scene(file)]
+    if not (scene.meshed or scene.large or scene.motion is not None)
+)
+# Irrational geometry with friction on a path.
+NOT_COVERED = {"wedge"}
+# Its slip_origin is a root rounded to eighteen digits, its claims are of the root.
+ROUNDED = {"truss_rough_penalty"}
+
+
+def exact(name: str) -> cq.ExactSolution:
+    return cq.exact(cq.load_scene(CASES / f"{name}.toml"))
+
+
+# Exact rationals of the course chapter's examples, derived apart from this package: (u, l_N, l_T, nu).
+PUBLISHED = {
+    "bar_wall": ("1/1000", "285/2", "", ""),  # Example 2.5
+    "bar_wall_path": ("1/1000", "285/2", "", ""),
+    "master_slave_gap": ("11657/28588 4869/28588 21289/28588 3693/14294", "", "", None),  # equation 2.20
+    "truss_floor_printed": ("668831/598030000 -1/1000", "180933933661/5980300000", "", ""),  # Example 2.10
+    "two_bars": ("41/31500 19/63000", "95", "", ""),  # Example 2.13
+    "two_bars_path": ("41/31500 19/63000", "95", "", ""),
+    "truss_rough": (  # Example 2.17
+        "533489/639328600 -1/1000",
+        "180933933661/6393286000",
+        "542801800983/31966430000",
+        "",
+    ),
+    "truss_friction": (  # Example 2.18
+        "30058/30933965 -1/1000",
+        "180933933661/6186793000",
+        "542801800983/61867930000",
+        "",
+    ),
+    "two_masses": (  # Example 2.19, pulled and let go
+        "1857/400000 0 1419/200000 0",
+        "981/50 981/100",
+        "-219/100 -981/400",
+        "",
+    ),
+    "two_masses_penalty": (  # Example 2.19 on springs of 1e4 N/m
+        "1599/400000 129/20000",
+        "981/50 981/100",
+        "-309/200 -981/400",
+        "",
+    ),
+    "string_over_floor": (  # Example 2.22, eight elements
+        "-3/32 -1/8 -1/8 -1/8 -1/8 -1/8 -3/32",
+        "0 1/8 1/4 1/4 1/4 1/8 0",
+        "",
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_the_exact_answer_equals_the_published_rational(name: str) -> None:
+    answer, (displacement, push, rub, _) = exact(name), PUBLISHED[name]
+    assert answer.rational
+    if name == "two_masses_penalty":  # the blocks' own displacements; the rest are sliders behind the springs
+        assert {F(x) for x in displacement.split()} <= set(answer.displacement)
+    else:
+        assert list(answer.displacement) == [F(x) for x in displacement.split()]
+    assert list(answer.normal_force) == [F(x) for x in push.split()]
+    if rub:
+        assert answer.friction_force is not None
+        assert list(answer.friction_force.ravel()) == [F(x) for x in rub.split()]
+
+
+def test_the_energies_of_the_course_chapter() -> None:
+    assert exact("bar_wall").energy == F(-177, 800)
+    assert exact("truss_floor_printed").energy == F(-1180262533661, 11960600000000)
+    assert exact("two_bars").energy == F(-2039, 8400)
+
+
+def _values(scene: Scene, answer: cq.ExactSolution, claim: Expectation) -> tuple[F, float] | None:
+    """What an answer says of a claim, and its radius; None of what it says nothing about."""
+    problem = answer.problem
+    if claim.quantity == "displacement":
+        place = [problem.dof_name(j) for j in range(problem.dimension)]
+        if claim.at not in place:
+            return None
+        at = place.index(str(claim.at))
+        return answer.displacement[at], 0.0 if answer.radius is None else answer.radius.displacement[at]
+    if claim.quantity in ("normal force", "gap"):
+        name = claim.quantity.replace(" ", "_")
+        at = [problem.contact_name(i) for i in range(problem.contacts)].index(str(claim.at))
+        return getattr(answer, name)[at], 0.0 if answer.radius is None else getattr(answer.radius, name)[at]
+    if claim.quantity == "tie force":
+        at = [tie.name for tie in scene.ties].index(str(claim.at))
+        return answer.tie_force[at], 0.0
+    return None
+
+
+@pytest.mark.parametrize("name", [name for name in NODES if name not in NOT_COVERED])
+def test_what_a_case_claims_is_exactly_so(name: str) -> None:
+    scene = cq.load_scene(CASES / f"{name}.toml")
+    answer, checked = cq.exact(scene), 0
+    for claim in scene.expect:
+        if claim.method is not None or claim.time is not None or claim.reached is not None:
+            continue
+        if claim.load_factor != 1:
+            continue
+        if claim.quantity == "status":
+            at = [c.name for c in scene.contacts].index(str(claim.at))
+            assert answer.contact_status[at] == claim.value
+            checked += 1
+        elif (found := _values(scene, answer, claim)) is not None:
+            value = scene.system.value(claim.targets[0])
+            # Roots in a claim are read to some ninety digits.
+            digits = 17 if name in ROUNDED else 80
+            assert abs(found[0] - value) <= F(found[1]) + (0 if answer.rational else abs(value) / 10**digits), claim
+            checked += 1
+    assert checked or name == "truss_free"
+
+
+def test_irrational_lengths_are_enclosed_and_hold_the_root_of_two() -> None:
+    answer = exact("truss_floor")
+    assert not answer.rational
+    assert answer.radius is not None
+    with flint.ctx.workprec(2000):
+        root = flint.arb(2).sqrt()
+        for mid, radius, value in (
+            (answer.displacement[0], answer.radius.displacement[0], 59 * root / 274204 + flint.arb(55807) / 68551000),
+            (answer.displacement[1], answer.radius.displacement[1], flint.arb(-1) / 1000),
+            (answer.normal_force[0], answer.radius.normal_force[0], (64855 - 15930 * root) / 1399),
+        ):
+            middle = flint.arb(flint.fmpq(mid.numerator, mid.denominator))
+            assert abs(middle - value) <= flint.arb(flint.fmpq(*radius.as_integer_ratio()))
+            assert 0 < radius <= 1e-60 * abs(mid)
+    assert answer.doubles.normal_force[0] == 30.2548805942791965
+
+
+def test_a_case_is_read_exactly_and_a_problem_as_it_stands() -> None:
+    scene = cq.load_scene(CASES / "truss_floor_printed.toml")
+    problem = cq.ContactProblem([[59803.0, 6883.1], [6883.1, 77443.0]], [60.0, -100.0], [[0.0, -1.0]], [1e-3])
+    of_case, of_floats = cq.exact(scene), cq.exact(problem)
+    assert of_case.displacement[1] == F(-1, 1000)
+    assert of_floats.displacement[1] == -F(1e-3) != F(-1, 1000)
+    # 6883.1 and 1e-3 are no doubles: the answers differ beyond the last digits of doubles, and only there.
+    assert of_floats.normal_force[0] != of_case.normal_force[0]
+    assert of_floats.doubles.normal_force[0] == pytest.approx(of_case.doubles.normal_force[0], rel=1e-15)
+
+
+@pytest.mark.parametrize("name", ["hanging_block", "corner_triangle"])
+def test_what_is_not_the_only_answer_says_so(name: str) -> None:
+    scene = cq.load_scene(CASES / f"{name}.toml").model_copy(update={"path": None})
+    answer = cq.exact(scene)
+    assert "several answers" in answer.uniqueness
+    assert answer.equilibria is None or answer.equilibria > 1
+
+
+def test_a_slip_direction_in_space_that_is_rational() -> None:
+    answer = exact("block_on_incline_sideways")
+    assert answer.rational
+    assert answer.friction_force is not None
+    assert list(answer.friction_force[0]) == [F(3600, 13), F(1500, 13)]  # mu N = 300 along (12, 5) / 13
+    assert answer.contact_status == ("slip",)
+    assert answer.slip is not None
+    assert answer.slip[0, 0] / answer.slip[0, 1] == F(12, 5)
+
+
+@pytest.mark.parametrize("name", ["truss_floor_printed", "two_bars", "string_over_floor_fine", "cantilever_stop"])
+@pytest.mark.parametrize("method", ["clarabel", "osqp", "lemke"])
+def test_any_method_may_propose(name: str, method: str) -> None:
+    scene = cq.load_scene(CASES / f"{name}.toml")
+    other = cq.exact(scene, method)
+    assert other.method == method
+    assert list(other.normal_force) == list(cq.exact(scene).normal_force)
+
+
+def test_doubles_are_the_nearest() -> None:
+    answer = exact("string_over_floor_fine")
+    for x, double in zip(answer.normal_force, answer.doubles.normal_force, strict=True):
+        near = [np.nextafter(double, -np.inf), double, np.nextafter(double, np.inf)]
+        assert min(near, key=lambda y: abs(F(float(y)) - x)) == double
