@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -79,6 +80,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     (['1', '1'], ['0', '2'])
     """
     started = time.perf_counter()
+    importlib.import_module("contactqp.oracle.rational")  # which says so where python-flint is missing
     if isinstance(problem, ContactProblem):
         return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
     if isinstance(problem, LocalProblem):

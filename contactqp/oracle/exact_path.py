@@ -108,6 +108,7 @@ class _Walk:
 
     def _continuation(self, rates: RationalProblem, at: str) -> tuple[States, RationalAnswer]:
         found: list[tuple[States, RationalAnswer]] = []
+        loose: list[States] = []
         for states in self._choices(at):
             system = system_of(rates, _combination(states))
             solved = system.solve()
@@ -117,18 +118,35 @@ class _Walk:
             if not self._goes_on(states, rate):
                 continue
             if not solved[2]:
-                raise Unsupported(f"exact: {at}: contact forces or motions are not unique in rates")
+                loose.append(states)
+                continue
             known = next((i for i, (_, other) in enumerate(found) if _same(rate, other)), None)
             if known is None:
                 found.append((states, rate))
             elif states.count(STICK) > found[known][0].count(STICK):
                 found[known] = states, rate  # what does not slip is called stuck
+        if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
+            raise Unsupported(f"exact: {at}: contact forces or motions are not unique in rates")
         if not found:
             raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
         if len(found) > 1:
             listed = "; ".join(", ".join(states) for states, _ in found)
             raise SeveralEquilibria(f"exact: {at}: several continuations, and nothing chooses ({listed})")
         return found[0]
+
+    def _is_of(self, states: States, rate: RationalAnswer) -> bool:
+        """Whether a continuation is one in these states too, where they leave a motion free: then it rests."""
+        approach, slips = (self.data.E * rate.displacement).entries(), (self.data.T * rate.displacement).entries()
+        for i, state in enumerate(states):
+            push, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
+            if state == OPEN:
+                same = push == rub == 0
+            else:
+                same = approach[i] == 0 and (state != STICK or slips[i] == 0)
+                same = same and (state not in SIGN or rub == SIGN[state] * self.data.friction[i] * push)
+            if not same:
+                return False
+        return True
 
     def _choices(self, at: str) -> Iterator[States]:
         choices = list[States]()

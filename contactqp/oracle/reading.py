@@ -7,6 +7,7 @@ from typing import Any
 
 from contactqp.exchange.problem_files import read_problem
 from contactqp.scene.loading import load_scene
+from contactqp.scene.schema import Scene
 
 
 def read_case(path: str) -> Any:
@@ -16,5 +17,5 @@ def read_case(path: str) -> Any:
 
 def tie_names(case: Any, ties: int) -> tuple[str, ...]:
     """The names of a scene's ties, or their numbers."""
-    named = tuple(str(tie.name) for tie in getattr(case, "ties", ()) if hasattr(tie, "name"))
+    named = tuple(str(tie.name) for tie in case.ties) if isinstance(case, Scene) else ()
     return named if len(named) == ties else tuple(f"tie {i}" for i in range(ties))

@@ -1,0 +1,117 @@
+"""Load paths with friction in rational numbers: events, answers and refusals."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import replace
+from fractions import Fraction as F
+
+import pytest
+from flint import fmpq
+
+import contactqp as cq
+from contactqp.oracle.exact_path import follow
+from contactqp.oracle.exact_problem import RationalProblem, of_floats
+from contactqp.oracle.rational import column, fractions, zeros
+
+CASES = pathlib.Path(__file__).parents[2] / "cases"
+PATHS = [
+    file.stem
+    for file in sorted(CASES.glob("*.toml"))
+    for scene in [cq.load_scene(file)]
+    if scene.path is not None
+    and not (scene.meshed or scene.large)
+    and any(contact.friction for contact in scene.contacts)
+    and file.stem != "wedge"
+]
+
+
+def exact(name: str) -> cq.ExactSolution:
+    return cq.exact(cq.load_scene(CASES / f"{name}.toml"))
+
+
+def slider(friction: float = 0.25) -> RationalProblem:
+    """A block on a spring of 2, pressed on a rough floor."""
+    return of_floats(
+        cq.ContactProblem([[2.0, 0.0], [0.0, 0.0]], [0.0, 0.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction)
+    )
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_the_exact_path_is_the_path_of_floats(name: str) -> None:
+    """Independent of it: other code finds its events and states, in doubles."""
+    scene = cq.load_scene(CASES / f"{name}.toml")
+    answer, history = cq.exact(scene), cq.run(scene)
+    end, doubles = history[-1], answer.doubles
+    size = float(max(abs(end.normal_force).max(), 1.0))
+    assert doubles.displacement == pytest.approx(end.displacement, abs=1e-12)
+    assert doubles.normal_force == pytest.approx(end.normal_force, abs=1e-12 * size)
+    assert doubles.friction_force == pytest.approx(end.friction_force, abs=1e-12 * size)
+    assert list(answer.contact_status) == list(end.contact_status)
+    assert [(e.kind, e.contact) for e in answer.events] == [(e.kind, e.contact) for e in history.events]
+    assert [float(e.time) for e in answer.events] == pytest.approx([e.time for e in history.events], abs=1e-11)
+
+
+def test_event_times_are_the_published_rationals() -> None:
+    # The load factor at which the truss touches, by hand: gap over free displacement.
+    assert {e.time for e in exact("truss_friction").events} == {F(458394666339, 639328600000)}
+    # Example 2.19: thresholds 981/400 and 2943/400 N on the way to 12 N, 1419/200 N on the way back.
+    times = [e.time for e in exact("two_masses").events if e.kind == "slip"]
+    assert [12 * (t - 1) for t in times[:2]] == [F(981, 400), F(2943, 400)]
+    assert 12 * (3 - times[2]) == F(1419, 200)
+
+
+def test_the_order_of_loads_matters() -> None:
+    press, push = exact("order_press_first"), exact("order_push_first")
+    assert press.problem.load.tolist() == push.problem.load.tolist()
+    assert press.normal_force[0] != push.normal_force[0]
+
+
+def test_a_slider_that_is_pulled_and_let_go() -> None:
+    # Pressed by 1, pulled by 1: slips at 1/4, ends at (1 - 1/4) / 2; let go, the spring pulls with 3/4 > 1/4.
+    end = follow(slider(), [column([0.0, -1.0]), column([1.0, -1.0]), column([0.0, -1.0])], ["pad"])
+    assert [(event.kind, event.time) for event in end.events] == [
+        ("closed", 0),
+        ("slip", F(5, 4)),
+        ("stick", 2),
+        ("slip", F(5, 2)),
+    ]
+    assert fractions(end.answer.displacement) == [F(1, 8), 0]
+    assert fractions(end.answer.friction_force) == [F(-1, 4)]
+    assert end.status == ("slip",)
+
+
+def test_a_path_without_load_stays_at_rest() -> None:
+    end = follow(slider(), [zeros(2, 1)], ["pad"])
+    assert fractions(end.answer.displacement) == [0, 0]
+    assert end.status == ("grazing",)
+
+
+def test_a_lost_equilibrium_is_told_with_its_time() -> None:
+    loose = replace(slider(), K=zeros(2, 2))
+    with pytest.raises(cq.NoEquilibrium, match=r"t = 1\.25: no continuation"):
+        follow(loose, [column([0.0, -1.0]), column([1.0, -1.0])], ["pad"])
+
+
+def test_friction_above_a_critical_one_goes_on_in_several_ways() -> None:
+    # Load (5/2, -1) on a node that touches: it sticks (5/2 < 3), or lifts off by K^-1 f = (3/2, 1/2), or slips by 1/2.
+    coupled = of_floats(
+        cq.ContactProblem([[2.0, -1.0], [-1.0, 1.0]], [0.0, 0.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], 3.0)
+    )
+    with pytest.raises(cq.SeveralEquilibria, match=r"at t = 0: several continuations.*open; stick; slip on"):
+        follow(coupled, [column([2.5, -1.0])], ["node"])
+
+
+def test_paths_that_do_not_start_at_rest_are_refused() -> None:
+    overlap = replace(slider(), g=column([-1.0]))
+    away = replace(slider(), slip_origin=column([1.0]))
+    for data, why in ((overlap, "does not start"), (away, "away from its slip_origin")):
+        with pytest.raises(cq.Unsupported, match=why):
+            follow(data, [column([0.0, -1.0])], ["pad"])
+
+
+def test_a_piece_that_breaks_the_law_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the next event skipped, the cone is left: the proof at the end of the piece refuses it."""
+    monkeypatch.setattr("contactqp.oracle.exact_path._Walk._ahead", lambda *_: fmpq(1))
+    with pytest.raises(ArithmeticError, match="cone"):
+        follow(slider(), [column([0.0, -1.0]), column([1.0, -1.0])], ["pad"])
