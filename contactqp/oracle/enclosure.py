@@ -77,7 +77,7 @@ def enclose(refined: Refined) -> Enclosure:
     gap[:] = reach * motion * SAFE
     gap[closed] = 0.0
     _refuse_undecided(refined, push, gap)
-    definite = least_eigenvalue(K, 0.0) is not None
+    definite = least_eigenvalue(K, EPS * h) is not None
     return Enclosure(refined, scale * motion * SAFE, push, ties * forces * SAFE, gap, definite)
 
 
@@ -91,7 +91,8 @@ def _norm(values: Fixed, scale: Floats) -> float:
     """An upper bound of |diag(scale) x|."""
     largest = values.exponent
     magnified = values.floats_at(-largest) * scale
-    return float(np.linalg.norm(magnified) * SAFE * 2.0 ** max(largest, -900))
+    # What has underflown is beneath the term added.
+    return float((np.linalg.norm(magnified) + 1e-280 * len(scale)) * SAFE * 2.0 ** max(largest, -900))
 
 
 def _refuse_undecided(refined: Refined, push: Floats, gap: Floats) -> None:

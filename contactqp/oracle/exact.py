@@ -22,6 +22,8 @@ CASE = "the case's own numbers"
 BODY = "the floats of the assembled bodies as they stand"
 # Unknowns, contacts and ties whose rational numbers take a second, and some ten seconds.
 RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
+# The numbers of a case are short, but matrices of them are dense.
+MOST_OF_A_CASE = 1500
 
 
 def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
@@ -120,6 +122,7 @@ def _of_scene(
     for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
         if there:
             raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
+    from contactqp.scene.corners import end_time
     from contactqp.scene.models import build
 
     model = build(scene)
@@ -127,12 +130,20 @@ def _of_scene(
     if scene.meshed:
         if walked:
             raise Unsupported("exact: friction on a load path of bodies, whose answer depends on the way")
-        return _of_floats(_asked(model.problem, BODY, method, options, started), enclose)
+        at_end = model.problem
+        if scene.path is not None:
+            at_end = at_end.replace(load=model.load_at(end_time(scene)))
+        return _of_floats(_asked(at_end, BODY, method, options, started), enclose)
     from contactqp.oracle.exact_problem import of_scene
     from contactqp.oracle.rational_answer import prove, prove_path
     from contactqp.scene.building import NodeModel as Nodes
 
     assert isinstance(model, Nodes)  # a scene without meshes is one of nodes
+    if model.problem.dimension > MOST_OF_A_CASE:
+        raise Unsupported(
+            f"exact: a case of {model.problem.dimension} unknowns, too many for rational numbers (at most "
+            f"{MOST_OF_A_CASE}); its problem of floats can be enclosed"
+        )
     asked = _asked(model.problem, CASE, method, options, started)
     if not model.exact.rational:
         if walked:

@@ -61,7 +61,8 @@ class ExactSolution:
     unique_forces: bool  # no other contact forces hold this displacement
     # (m, 2) the least and the largest value of each normal force over all forces that hold the displacement, None where
     # unbounded. Where they are not unique `normal_force` is the set of least norm: least sum of squares of all contact
-    # forces in the units given, none of them in tension; the ties' are then the least of those that fit.
+    # forces in the units given, none of them in tension; the ties' are then the least of those that fit. Enclosed
+    # forces are unique: both ends are the midpoint.
     force_range: Fractions = field(repr=False)
     free_motions: tuple[FreeMotion, ...]
     energy: Fraction | None  # 1/2 u'Ku - f'u [force x length]; None where enclosed

@@ -23,14 +23,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.oracle.fixed_point import Fixed, FixedMatrix, fixed
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
 # Digits of the parts of an approximation beyond its largest, in bits.
-KEPT = 360
+KEPT, MOST_DIGITS = 360, 90
 MOST_ROUNDS = 40
 # A force that is this much larger than all that is left pushes for certain.
 STANDS_OUT = 2.0**10
@@ -70,8 +70,8 @@ def refine(problem: ContactProblem, method: str = "active-set", digits: int = 40
     ------
     NotConverged
         Residuals do not fall that far: the contact set keeps changing, or the floats are too ill-conditioned.
-    Unsupported
-        Friction.
+    InvalidProblem, Unsupported
+        Too many digits; friction.
     NoEquilibrium, NotCertified
         Of the first solution.
 
@@ -84,6 +84,8 @@ def refine(problem: ContactProblem, method: str = "active-set", digits: int = 40
     >>> force == 30000 - 157500 * Fraction(0.1)
     True
     """
+    if not 0 < digits <= MOST_DIGITS:
+        raise InvalidProblem(f"refine: digits: expected 1 to {MOST_DIGITS}, got {digits}")
     if problem.frictional:
         raise Unsupported("refine: Coulomb friction is no quadratic program")
     first = solve(problem, method, **options)

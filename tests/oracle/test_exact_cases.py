@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.oracle.ball import root
 from contactqp.scene.claims import Expectation
 from contactqp.scene.schema import Scene
 
@@ -192,3 +193,60 @@ def test_doubles_are_the_nearest() -> None:
     for x, double in zip(answer.normal_force, answer.doubles.normal_force, strict=True):
         near = [np.nextafter(double, -np.inf), double, np.nextafter(double, np.inf)]
         assert min(near, key=lambda y: abs(F(float(y)) - x)) == double
+
+
+TILTED = """
+title = "A tilted frame"
+units = { length = "m", force = "kN" }
+axes = ["x", "z"]
+gravity = ["0 m/s^2", "-9.81 m/s^2"]
+nodes = [
+    { name = "a", at = ["0 m", "0 m"] },
+    { name = "b", at = ["1 m", "2 m"] },
+    { name = "c", at = ["3 m", "2.5 m"] },
+    { name = "d", at = ["4 m", "0 m"] },
+    { name = "e", at = ["3.001 m", "2.4 m"] },
+    { name = "f", at = ["3 m", "1 m"] },
+]
+bars = [
+    { name = "cd", nodes = ["c", "d"], area = "15 cm^2", modulus = "2.1e8 kN/m^2", density = "7850 kg/m^3" },
+    { name = "ed", nodes = ["e", "d"], area = "15 cm^2", modulus = "2.1e8 kN/m^2" },
+    { name = "ef", nodes = ["e", "f"], area = "15 cm^2", modulus = "2.1e8 kN/m^2" },
+]
+beams = [
+    { name = "ab", nodes = ["a", "b"], area = "15 cm^2", inertia = "300 cm^4", modulus = "2.1e8 kN/m^2" },
+    { name = "bc", nodes = ["b", "c"], area = "15 cm^2", inertia = "300 cm^4", modulus = "2.1e8 kN/m^2" },
+]
+springs = [{ name = "bd", nodes = ["b", "d"], stiffness = "100 kN/m" }]
+fixed = ["a", "d", "f"]
+obstacles = [{ name = "wall", point = ["1.001 m", "2 m"], normal = [-1, -1] }]
+contacts = [{ name = "tip", node = "b", obstacle = "wall" }, { name = "pair", nodes = ["c", "e"] }]
+loads = [{ unknown = "b.x", value = "300 kN" }, { unknown = "c.z", value = "-300 kN" }]
+"""
+
+
+def test_every_root_of_a_frame_is_carried_as_a_ball(tmp_path: pathlib.Path) -> None:
+    """Beams, bars, springs, weights, an oblique wall and an oblique pair: nothing is a float on the way."""
+    case = tmp_path / "tilted.toml"
+    case.write_text(TILTED)
+    scene = cq.load_scene(case)
+    answer, floats = cq.exact(scene), cq.run(scene)[-1]
+    assert answer.radius is not None
+    assert answer.contact_status == ("closed", "open")
+    assert answer.doubles.displacement == pytest.approx(floats.displacement, rel=1e-10)
+    assert answer.doubles.normal_force == pytest.approx(floats.normal_force, rel=1e-12)
+    seen = answer.doubles.displacement != 0
+    assert np.max(answer.radius.displacement[seen] / abs(answer.doubles.displacement[seen])) < 1e-60
+
+
+def test_a_ball_does_not_compute_with_what_may_be_rounded() -> None:
+    ball = root(F(2))
+    for other in (0.5, np.float64(0.5)):
+        with pytest.raises(TypeError):
+            ball * other
+        with pytest.raises(TypeError):
+            other - ball
+    assert not ball - ball > 0
+    assert not ball - ball < 0
+    with pytest.raises(TypeError):
+        float(ball)  # type: ignore[arg-type]

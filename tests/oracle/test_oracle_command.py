@@ -90,6 +90,7 @@ def test_ties_have_their_names_and_ranges_their_ends(capsys: pytest.CaptureFixtu
 def test_a_file_of_another_code_is_taken_as_it_stands(
     capsys: pytest.CaptureFixture[str], tmp_path: pathlib.Path
 ) -> None:
+    pytest.importorskip("h5py")
     problem = cq.ContactProblem([[2.0, 0.0], [0.0, 1.0]], [0.3, -1.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], 0.1)
     cq.write_fclib(tmp_path / "pad.hdf5", problem)
     code, out, _ = run(capsys, "oracle", tmp_path / "pad.hdf5", "--json")
