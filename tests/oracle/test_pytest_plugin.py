@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from contactqp import testing
 
 ROOT = Path(__file__).parents[2]
 
@@ -158,6 +161,28 @@ def test_the_entry_point_names_the_plugin() -> None:
         '[project.entry-points.pytest11]\ncontactqp = "contactqp.oracle.pytest_plugin"\n'
         in (ROOT / "pyproject.toml").read_text()
     )
+
+
+def test_the_readme_shows_what_is_printed(run, pytester: pytest.Pytester) -> None:  # type: ignore[no-untyped-def]
+    section = (ROOT / "README.md").read_text().split("## Testing a contact code")[1].split("\n## ")[0]
+    source, shown = (re.findall(rf"```{kind}\n(.*?)```", section, re.DOTALL)[0] for kind in ("python", "text"))
+    pytester.makepyfile(
+        my_code="""
+        import contactqp as cq
+
+        def solve(K, f, E, g):
+            found = cq.solve(cq.ContactProblem(stiffness=K, load=f, normal=E, gap=g))
+            return found.displacement, found.normal_force
+        """
+    )
+    result = run(source)
+    result.assert_outcomes(passed=5, failed=1)
+    assert shown in result.stdout.str()
+    kinds = tuple(re.findall(r"^\| `([a-z-]+)` \|", section, re.MULTILINE))
+    assert kinds == testing.KINDS
+    assert f": {len(testing.problems('named'))} from courses" in section
+    sizes = [known.problem.contacts for known in testing.problems("large")]
+    assert f"{min(sizes)} to {max(sizes)} contacts" in section
 
 
 @pytest.mark.slow
