@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
@@ -50,20 +51,26 @@ def _broken_friction(data: Any, answer: Any) -> list[str]:
 
 
 def is_semidefinite(rows: Rows) -> bool:
-    """Symmetric and positive semidefinite: every pivot of the elimination is positive, or its whole row zero."""
+    """Symmetric and positive semidefinite, by integer elimination (Bareiss 1968): no pivot is negative, and where one
+    is zero its whole row is."""
     if any(row != {j: rows[j].get(i, None) for j in row} for i, row in enumerate(rows)):
         return False
     if all(2 * row.get(i, 0) >= sum(abs(x) for x in row.values()) for i, row in enumerate(rows)):
         return True  # diagonally dominant
-    left = [dict(row) for row in rows]
-    for i in range(len(left)):
-        pivot = left[i].get(i, Fraction(0))
-        after = {j: x for j, x in left[i].items() if j > i and x}
-        if pivot < 0 or (pivot == 0 and after):
+    scale = math.lcm(*(x.denominator for row in rows for x in row.values()))
+    n = len(rows)
+    left = [[int(row.get(j, 0) * scale) for j in range(n)] for row in rows]
+    last = 1
+    for i in range(n):
+        pivot, row = left[i][i], left[i]
+        if pivot < 0 or (pivot == 0 and any(row[i:])):
             return False
-        for j, x in after.items():
-            for k, y in after.items():
-                left[j][k] = left[j].get(k, Fraction(0)) - x * y / pivot
+        if pivot == 0:
+            continue
+        for j in range(i + 1, n):
+            factor, other = left[j][i], left[j]
+            left[j] = [0] * (i + 1) + [(pivot * other[k] - factor * row[k]) // last for k in range(i + 1, n)]
+        last = pivot
     return True
 
 
