@@ -196,7 +196,7 @@ class GalleryProblem:
     def friction_force(self) -> NDArray[np.float64] | None:
         if not self.data.tangent:
             return None
-        return np.array([[float(x) for x in row] for row in self.exact.friction_force])
+        return _frozen(np.array([[float(x) for x in row] for row in self.exact.friction_force]))
 
     @cached_property
     def tie_force(self) -> Vector:
@@ -228,7 +228,13 @@ def exact_answer(
 
 
 def _vector(values: Sequence[Fraction]) -> Vector:
-    return np.array([float(x) for x in values], dtype=float)
+    return _frozen(np.array([float(x) for x in values], dtype=float))
+
+
+def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Problems are kept and shared by tests, none of which must change them for the others."""
+    values.setflags(write=False)
+    return values
 
 
 def _matrix(rows: Rows, n: int) -> Any:

@@ -172,6 +172,15 @@ def test_named_answers_are_those_of_their_sources() -> None:
     assert all(known.source and known.formula and known.description for known in problems("named"))
 
 
+def test_no_test_can_change_a_problem_for_another() -> None:
+    known = problem("pad-slides")
+    assert problem("pad-slides") is known
+    for values in (known.displacement, known.normal_force, known.friction_force, known.gap, known.problem.load):
+        assert values is not None
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 7
+
+
 def test_names_kinds_and_difficulties() -> None:
     assert str(problem("redundant-17")) == "redundant-17"
     assert (problem("redundant-17").kind, problem("redundant-17").difficulty) == ("redundant", "hard")
