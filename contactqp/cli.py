@@ -108,6 +108,7 @@ def run_command(
 @click.option("--dof-map", metavar="FILE", help="Where each unknown of PROBLEM stands in CANDIDATE, or its name there.")
 @click.option("--contact-map", metavar="FILE", help="The same for contacts.")
 @click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
+@click.option("--error-tolerance", type=float, default=1e-6, show_default=True, help="Largest bound that passes.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def check_command(
     problem: str,
@@ -117,6 +118,7 @@ def check_command(
     dof_map: str | None,
     contact_map: str | None,
     tolerance: float,
+    error_tolerance: float,
     as_json: bool,
 ) -> None:
     """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
@@ -136,7 +138,7 @@ def check_command(
     from contactqp.study.check_options import CheckOptions
     from contactqp.study.checking import check_answer, print_check
 
-    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map)
+    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
     verdict = check_answer(problem, candidate, options)
     if as_json:
         _print_json(verdict.data())

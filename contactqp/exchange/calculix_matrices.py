@@ -71,5 +71,5 @@ def refuse_mass(path: Path) -> MatrixFile:
     raise InvalidProblem(f"{path}: expected a stiffness, got CalculiX's mass matrix; the stiffness is in the .sti")
 
 
-READER = MatrixReader(NAME, (".sti",), read_sti, stiffness=True)
+READER = MatrixReader(NAME, (".sti",), read_sti, stiffness=True, beside=(".dof", ".mas"))
 MASS = MatrixReader("CalculiX .mas", (".mas",), refuse_mass)

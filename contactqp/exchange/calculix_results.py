@@ -131,9 +131,13 @@ def _pressures(
         ledger.ignored.append("contact pressures: two contacts of the problem are called by the same node")
         return
     printed = dict(zip(field.nodes.tolist(), field.component("CPRESS"), strict=True))  # type: ignore[arg-type]
-    strange = [node for node in printed if node not in set(nodes) and printed[node] != 0]
+    moving = {int(name[1]) for j in range(problem.dimension) if (name := UNKNOWN.fullmatch(problem.dof_name(j)))}
+    others = [node for node in printed if node not in set(nodes) and printed[node] != 0]
+    strange = [node for node in others if node in moving or not moving]
     if strange:
         raise wrong(path, "contact pressures", "those of the problem's contacts", f"one of node {strange[0]} too")
+    if others:
+        ledger.ignored.append(f"contact pressures at {len(others)} nodes that are held, such as node {others[0]}")
     absent = [node for node in nodes if node not in printed]
     if absent:
         ledger.assumed.append(f"{len(absent)} contacts have no contact element: no pressure")

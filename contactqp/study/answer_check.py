@@ -75,10 +75,11 @@ def check_problem(
         given["pressure_area"] = read_areas(options.pressure_areas, names_of(problem, "normal_force"), found.ledger)
         found.ledger.converted.append("pressures: multiplied by the areas of the contacts")
     _take_pressure(candidate_file, given, options)
+    given |= {"tolerance": options.tolerance, "error_tolerance": options.error_tolerance}
     if options.compression == "negative":
         found.ledger.converted.append("normal forces: turned round, compression is negative in the file")
     with naming(candidate_file):
-        certificate = certify(problem, **given, tolerance=options.tolerance, compression=options.compression)
+        certificate = certify(problem, **given, compression=options.compression)
     wrong_answer = not certificate.passed
     return AnswerVerdict(
         problem_file=ledger.source,

@@ -32,6 +32,7 @@ class CheckOptions:
     pressure_areas: str | None = None
     dof_map: str | None = None
     contact_map: str | None = None
+    error_tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
         if self.compression not in COMPRESSION:

@@ -159,6 +159,14 @@ def test_a_pressure_of_a_node_that_is_no_contact_is_refused(tmp_path: Path) -> N
         read_answer(written(tmp_path, "job.dat", DAT), PROBLEM.replace(contact_names=["node 4"]))
 
 
+def test_a_pressure_of_a_node_that_is_held_is_left_out(tmp_path: Path) -> None:
+    stress = DAT.index(" contact stress")
+    text = DAT[:stress] + DAT[stress:].replace("        17 ", "         3 -3.000000E+00  0.0  0.0\n        17 ", 1)
+    parts, ledger, _ = read_answer(written(tmp_path, "job.dat", text), PROBLEM)
+    assert parts["normal_pressure"].tolist() == [2.5]
+    assert "contact pressures at 1 nodes that are held, such as node 3" in ledger.ignored
+
+
 def test_unknowns_need_node_and_axis(tmp_path: Path) -> None:
     with pytest.raises(InvalidProblem, match=r"unknowns called node.axis, such as 12.2"):
         read_answer(written(tmp_path, "job.dat", DAT), PROBLEM.replace(dof_names=["left", "right"]))
