@@ -100,7 +100,7 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 @pytest.mark.parametrize(("name", "text"), [("job.frd", FRD), ("job.dat", DAT), ("renamed.txt", DAT)])
 def test_the_last_increment_is_the_answer(tmp_path: Path, name: str, text: str) -> None:
-    parts, ledger, named = read_answer(written(tmp_path, name, text), PROBLEM)
+    parts, ledger, named, *_ = read_answer(written(tmp_path, name, text), PROBLEM)
     assert parts["displacement"].tolist() == [2.5, 0.5]
     assert parts["normal_pressure"].tolist() == [2.5]
     assert named == {"displacement", "normal_pressure"}
@@ -125,13 +125,13 @@ def test_tables_of_two_sets_are_one_answer(tmp_path: Path) -> None:
 
 def test_a_contact_without_element_does_not_press(tmp_path: Path) -> None:
     two = PROBLEM.replace(normal=[[0.0, 1.0], [1.0, 0.0]], gap=[0.5, 9.0], contact_names=["node 17", "node 4"])
-    parts, ledger, _ = read_answer(written(tmp_path, "job.dat", DAT), two)
+    parts, ledger, *_ = read_answer(written(tmp_path, "job.dat", DAT), two)
     assert parts["normal_pressure"].tolist() == [2.5, 0.0]
     assert ledger.assumed == ["1 contacts have no contact element: no pressure"]
 
 
 def test_pressures_of_contacts_without_node_are_left_out(tmp_path: Path) -> None:
-    parts, ledger, _ = read_answer(written(tmp_path, "job.dat", DAT), PROBLEM.replace(contact_names=["the stop"]))
+    parts, ledger, *_ = read_answer(written(tmp_path, "job.dat", DAT), PROBLEM.replace(contact_names=["the stop"]))
     assert set(parts) == {"displacement"}
     assert any("not called by their slave node" in line for line in ledger.ignored)
 
@@ -140,7 +140,7 @@ def test_pressures_at_every_node_are_extrapolated_and_left_out(tmp_path: Path) -
     zeros = " 0.00000E+00" * 6 + "\n"
     block = " -1        17-1.00000E-99"
     text = FRD.replace(block, f" -1         3{zeros} -1         4{zeros}{block}")
-    parts, ledger, _ = read_answer(written(tmp_path, "job.frd", text), PROBLEM)
+    parts, ledger, *_ = read_answer(written(tmp_path, "job.frd", text), PROBLEM)
     assert set(parts) == {"displacement"}
     assert any("integration points of faces" in line for line in ledger.ignored)
 
@@ -149,7 +149,7 @@ def test_pressures_of_faces_are_no_pressures_at_nodes(tmp_path: Path) -> None:
     text = DAT.replace("(slave node,", "(slave element+face,").replace("        17 ", "        17      3 ")
     text = text.replace("        17      3  5.000000E-01", "        17  5.000000E-01")
     text = text.replace("        17      3  2.500000E-01", "        17  2.500000E-01")
-    parts, ledger, _ = read_answer(written(tmp_path, "job.dat", text), PROBLEM)
+    parts, ledger, *_ = read_answer(written(tmp_path, "job.dat", text), PROBLEM)
     assert set(parts) == {"displacement"}
     assert any("slave element+face" in line for line in ledger.ignored)
 
@@ -162,7 +162,7 @@ def test_a_pressure_of_a_node_that_is_no_contact_is_refused(tmp_path: Path) -> N
 def test_a_pressure_of_a_node_that_is_held_is_left_out(tmp_path: Path) -> None:
     stress = DAT.index(" contact stress")
     text = DAT[:stress] + DAT[stress:].replace("        17 ", "         3 -3.000000E+00  0.0  0.0\n        17 ", 1)
-    parts, ledger, _ = read_answer(written(tmp_path, "job.dat", text), PROBLEM)
+    parts, ledger, *_ = read_answer(written(tmp_path, "job.dat", text), PROBLEM)
     assert parts["normal_pressure"].tolist() == [2.5]
     assert "contact pressures at 1 nodes that are held, such as node 3" in ledger.ignored
 
