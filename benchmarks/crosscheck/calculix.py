@@ -31,6 +31,7 @@ class Contact:
     behaviour: tuple[str, ...] = ("*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=HARD",)
     overhang: float = 15.0  # of the floor beyond the block [mm]
     printed: bool = False  # contact pressures at slave nodes
+    fields: bool = False  # the same in job.frd
     nodal_surface: bool = False  # slave surface as a list of nodes, not of faces
     digits: int = DIGITS  # behind the point of printed loads
 
@@ -75,7 +76,8 @@ def contact_deck(block: Block, contact: Contact) -> str:
     ]
     pairs = ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=" + contact.pair, "SLAVE, MASTER"]
     surface = ["*SURFACE INTERACTION, NAME=TOUCH", *contact.behaviour]
-    asked = ["*NODE PRINT, NSET=BLOCK", "U", *(["*CONTACT PRINT", "CSTR"] if contact.printed else [])]
+    fields = ["*NODE FILE", "U, RF", "*CONTACT FILE", "CDIS, CSTR"] if contact.fields else []
+    asked = [*fields, "*NODE PRINT, NSET=BLOCK", "U", *(["*CONTACT PRINT", "CSTR"] if contact.printed else [])]
     step = ["*STEP", "*STATIC", "1., 1., 1e-5, 1.", "*CLOAD", *load, *asked, "*END STEP", ""]
     return "\n".join([*_body(block), *_floor(contact), *_slave(block, contact), *pairs, *surface, *step])
 

@@ -8,6 +8,8 @@ triangle or both. Lines of ** are comments. An unknown with a boundary condition
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from contactqp.errors import Unsupported
 from contactqp.exchange.entry_list import Integers, number_table, symmetric_matrix, whole_numbers
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, read_text, wrong
+from contactqp.exchange.refusal import Path, wrong
+from contactqp.exchange.text_lines import text_lines
 
 NAME = "Abaqus matrix text"
 EXPECTED = "entries of Abaqus's stiffness: node, direction, node, direction, value or row, column, value"
@@ -40,13 +43,15 @@ def read_abaqus_matrix(path: Path) -> MatrixFile:
         Internal nodes, whose labels are negative.
     """
     ledger = Ledger(str(path))
-    text, comments = _data(read_text(path, EXPECTED))
-    if comments:
-        ledger.ignored.append(f"{comments} lines of comments and keywords")
-    width = len(text.split("\n", 1)[0].split())
+    comments: list[int] = []
+    rows = _rows(path, comments)
+    first = next(rows, "")
+    width = len(first.split())
     if width not in (3, 5):
         raise wrong(path, "first line", EXPECTED, f"{width} words")
-    table = number_table(path, text, width, EXPECTED)
+    table = number_table(path, chain([first], rows), width, EXPECTED)
+    if comments:
+        ledger.ignored.append(f"{len(comments)} lines of comments and keywords")
     if width == 3:
         row, column = (whole_numbers(path, name, table[:, at]) - 1 for at, name in enumerate(("rows", "columns")))
         size, labels = int(max(row.max(), column.max())) + 1, None
@@ -61,12 +66,13 @@ def read_abaqus_matrix(path: Path) -> MatrixFile:
     return _without_fixed(path, matrix, labels, ledger)
 
 
-def _data(text: str) -> tuple[str, int]:
-    """The lines of numbers, blanks for commas, and how many lines were something else."""
-    lines = text.replace(",", " ").split("\n")
-    kept = [line for line in lines if line.strip() and not line.lstrip().startswith("*")]
-    others = sum(1 for line in lines if line.lstrip().startswith("*"))
-    return "\n".join(kept) + ("\n" if text.endswith("\n") else ""), others
+def _rows(path: Path, comments: list[int]) -> Iterator[str]:
+    """The lines of numbers, blanks for commas; the numbers of the other lines are left in `comments`."""
+    for number, line in enumerate(text_lines(path, EXPECTED), 1):
+        if line.lstrip().startswith("*"):
+            comments.append(number)
+        elif line.strip():
+            yield line.replace(",", " ")
 
 
 def _labelled(path: Path, table: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[Integers, Integers, tuple[str, ...]]:

@@ -9,12 +9,14 @@ contact at its integration points and give no value at a node; other tables are 
 from __future__ import annotations
 
 import re
+from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from contactqp.exchange.calculix_fields import CONTACT, DISPLACEMENT, FORCE, NodalField
-from contactqp.exchange.refusal import Path, read_text, wrong
+from contactqp.exchange.refusal import Path, wrong
+from contactqp.exchange.text_lines import text_lines
 
 EXPECTED = "CalculiX's printed tables (.dat)"
 TITLE = re.compile(r"\s(\S[^()]*?)\s*\(([^()]*)\).*\btime\s+(\S+)\s*", re.ASCII)
@@ -34,8 +36,8 @@ class _Table:
     kind: str
     components: tuple[str, ...]
     time: float
-    nodes: list[int] = field(default_factory=list)
-    values: list[list[float]] = field(default_factory=list)
+    nodes: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
 
 
 def read_dat(path: Path) -> tuple[list[NodalField], list[str]]:
@@ -46,15 +48,10 @@ def read_dat(path: Path) -> tuple[list[NodalField], list[str]]:
     InvalidProblem
         No such file, no table of CalculiX's in it, a line that is no row of its table, a file that was cut off.
     """
-    text = read_text(path, EXPECTED)
-    if not text.endswith("\n"):
-        raise wrong(
-            path, "last line", "a line break after it", "the end of the file: it was cut off" if text else "nothing"
-        )
     tables: list[_Table] = []
     others: list[str] = []
     table: _Table | None = None
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, line in enumerate(text_lines(path, EXPECTED), 1):
         if WORDS.search(line):
             table = _begin(path, f"line {number}", line, others)
             if table is not None:
@@ -86,7 +83,7 @@ def _take(path: Path, place: str, table: _Table, line: str) -> None:
     if len(words) != count or not words[0].isdecimal() or len(words[0]) > 12:
         raise wrong(path, place, f"a node and {count - 1} values", repr(line[:60]))
     table.nodes.append(int(words[0]))
-    table.values.append([_number(path, place, word) for word in words[1:]])
+    table.values.extend(_number(path, place, word) for word in words[1:])
 
 
 def _number(path: Path, place: str, word: str) -> float:
@@ -97,10 +94,11 @@ def _number(path: Path, place: str, word: str) -> float:
 
 
 def _field(path: Path, table: _Table) -> NodalField:
-    if len(set(table.nodes)) < len(table.nodes):
+    nodes = np.array(table.nodes, dtype=np.int64)
+    if len(np.unique(nodes)) < len(nodes):
         raise wrong(path, table.kind, "each node once at a time", "one twice")
     values = np.array(table.values, dtype=float).reshape(-1, len(table.components))
-    return NodalField(table.kind, table.components, table.time, np.array(table.nodes, dtype=np.int64), values)
+    return NodalField(table.kind, table.components, table.time, nodes, values)
 
 
 def is_dat(head: bytes) -> bool:

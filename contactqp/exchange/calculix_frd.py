@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,9 @@ import numpy as np
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.calculix_fields import CONTACT, DISPLACEMENT, FORCE, NodalField
 from contactqp.exchange.refusal import Path, read_bytes, wrong
+from contactqp.exchange.text_lines import text_lines
 
+BEGINNING = b"    1C"
 EXPECTED = "CalculiX's results in text (.frd)"
 KINDS = {"DISP": DISPLACEMENT, "FORC": FORCE, "RF": FORCE, "CONTACT": CONTACT}
 NODE_WIDTH = {"0": 5, "1": 10}
@@ -53,11 +56,10 @@ def read_frd(path: Path) -> list[NodalField]:
     Unsupported
         A binary file (``*NODE OUTPUT``, ``*EL FILE, OUTPUT=...`` in binary).
     """
-    lines = _lines(path)
     fields: list[NodalField] = []
     block: _Block | None = None
     skipping = ended = False
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(_lines(path), 1):
         mark, place = line[:3], f"line {number}"
         if ended and line.strip():
             raise wrong(path, place, "nothing after 9999", repr(line[:40]))
@@ -82,18 +84,12 @@ def read_frd(path: Path) -> list[NodalField]:
     return fields
 
 
-def _lines(path: Path) -> list[str]:
-    data = read_bytes(path, EXPECTED)
-    if not data.startswith(b"    1C"):
-        raise wrong(path, "first line", f"{EXPECTED}, beginning with 1C", repr(data[:20].decode("latin-1")))
-    # A binary file has the same headers in text, which name the format; only then are its bytes none.
-    for line in data[: 2**16].split(b"\n"):
-        if line.startswith((b"    2C", b"  100C")) and line.rstrip()[-1:] in (b"2", b"3"):
-            raise Unsupported(f"{path}: a binary .frd; let CalculiX print text (*NODE FILE instead of *NODE OUTPUT)")
-    try:
-        return data.decode("ascii").replace("\r", "").split("\n")
-    except UnicodeDecodeError as error:
-        raise wrong(path, "content", EXPECTED, f"the byte 0x{data[error.start]:02x} at place {error.start}") from None
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of a text; a binary file has the same headers in text, which name the format before the first bytes."""
+    head = read_bytes(path, EXPECTED, len(BEGINNING))
+    if head != BEGINNING:
+        raise wrong(path, "first line", f"{EXPECTED}, beginning with 1C", repr(head.decode("latin-1")))
+    return text_lines(path, EXPECTED)
 
 
 def _node_width(path: Path, place: str, line: str) -> int:

@@ -14,7 +14,8 @@ from contactqp.errors import InvalidProblem
 from contactqp.exchange.entry_list import number_table, symmetric_matrix, whole_numbers
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, read_text, wrong
+from contactqp.exchange.refusal import Path, wrong
+from contactqp.exchange.text_lines import text_lines
 
 NAME = "CalculiX .sti"
 EXPECTED = "entries of CalculiX's stiffness: row, column, value"
@@ -31,7 +32,7 @@ def read_sti(path: Path) -> MatrixFile:
     """
     labels = read_dof(FilePath(path).with_suffix(".dof"))
     ledger = Ledger(str(path))
-    table = number_table(path, read_text(path, EXPECTED), 3, EXPECTED)
+    table = number_table(path, text_lines(path, EXPECTED), 3, EXPECTED)
     row, column = (whole_numbers(path, name, table[:, at]) - 1 for at, name in enumerate(("rows", "columns")))
     if max(row.max(), column.max()) >= len(labels):
         largest = max(row.max(), column.max()) + 1
@@ -52,10 +53,9 @@ def read_dof(path: Path) -> tuple[str, ...]:
         No such file, a line that is no such name, a name twice.
     """
     expected = "CalculiX's list of unknowns, node.axis a line"
-    text = read_text(path, expected)
-    names = text.split()
-    if not names or not text.endswith("\n"):
-        raise wrong(path, "content", expected, "nothing" if not names else "a last line without end: it was cut off")
+    names = [name for line in text_lines(path, expected) if (name := line.strip())]
+    if not names:
+        raise wrong(path, "content", expected, "nothing")
     bad = next((i for i, name in enumerate(names) if not UNKNOWN.fullmatch(name)), None)
     if bad is not None:
         raise wrong(path, f"line {bad + 1}", "node.axis", repr(names[bad][:40]))

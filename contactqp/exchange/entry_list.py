@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from io import StringIO
+from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, check_finite, one_line, wrong
 from contactqp.problem_data import Vector
@@ -18,21 +20,22 @@ Integers = NDArray[np.int64]
 EXACT = 2**53
 
 
-def number_table(path: Path, text: str, columns: int, expected: str) -> NDArray[np.float64]:
-    """(rows, columns) the numbers of a text.
+def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> NDArray[np.float64]:
+    """(rows, columns) the numbers of a text, apart by blanks.
 
     Raises
     ------
     InvalidProblem
-        No number at all, a word that is none, a line of another length, or a last line that does not end: such a file
-        was cut off, maybe within a number.
+        No number at all, a word that is none, a line of another length.
     """
-    if not text.strip():
+    rows = (line for line in lines if line.strip())
+    first = next(rows, None)
+    if first is None:
         raise wrong(path, "content", expected, "nothing")
-    if not text.endswith("\n"):
-        raise wrong(path, "last line", "a line break after it", "the end of the file: it was cut off")
     try:
-        table = np.loadtxt(StringIO(text), ndmin=2, comments=None)
+        table = np.loadtxt(chain([first], rows), ndmin=2, comments=None)
+    except InvalidProblem:
+        raise
     except ValueError as error:
         raise wrong(path, "content", expected, one_line(error)) from None
     if table.shape[1] != columns:

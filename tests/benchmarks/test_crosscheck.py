@@ -17,6 +17,8 @@ from benchmarks.crosscheck.__main__ import PAGE, as_expected, available
 from benchmarks.crosscheck.attempts import ATTEMPTS, CALCULIX, WRONG, Attempt
 from benchmarks.crosscheck.block import YOUNG, block, block_in_metres
 from benchmarks.crosscheck.judging import Judged, judge, own_stiffness, prepare
+from contactqp.errors import Unsupported
+from contactqp.exchange.answer_files import read_answer
 
 EVERY = [one for asked in ATTEMPTS.values() for one in asked]
 ROW = re.compile(
@@ -67,6 +69,22 @@ def test_calculix_stores_the_stiffness_that_is_ours(tmp_path: Path) -> None:
         pytest.skip("CalculiX is not installed (benchmarks/crosscheck/README.md)")
     (tmp_path / "calculix").mkdir()
     assert own_stiffness(tmp_path) <= 1e-12
+
+
+def test_both_files_of_results_are_one_answer(tmp_path: Path) -> None:
+    """Seven digits in .dat, six in .frd; binary fields are refused."""
+    if not calculix.available():
+        pytest.skip("CalculiX is not installed (benchmarks/crosscheck/README.md)")
+    deck = calculix.contact_deck(block(), calculix.Contact("NODE TO SURFACE", printed=True, fields=True))
+    assert calculix.run(tmp_path, "job", deck)[0] == 0
+    tables, fields = (read_answer(tmp_path / f"job{suffix}", block().problem).parts for suffix in (".dat", ".frd"))
+    for part in ("displacement", "normal_pressure"):
+        assert np.allclose(fields[part], tables[part], rtol=6e-6, atol=0)
+    calculix.run(
+        tmp_path, "binary", deck.replace("*NODE FILE", "*NODE OUTPUT").replace("*CONTACT FILE", "*CONTACT OUTPUT")
+    )
+    with pytest.raises(Unsupported, match="a binary block"):
+        read_answer(tmp_path / "binary.frd", block().problem)
 
 
 def test_hard_contact_is_a_penalty_of_fifty_times_young(folder: Path) -> None:

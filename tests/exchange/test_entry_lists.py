@@ -134,3 +134,27 @@ def test_abaqus_refusals(tmp_path: Path, text: str, kind: type[Exception], messa
     with pytest.raises(kind, match=message) as refused:
         read_matrix(mtx(tmp_path, text))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("kind", ["sti", "mtx"])
+def test_mutations_are_refused_in_one_line_or_read(tmp_path: Path, kind: str) -> None:
+    """A byte changed, a piece cut out or doubled, the rest cut off: one line of an own error, or a matrix."""
+    rng = np.random.default_rng(21)
+    data = (STI if kind == "sti" else FIXED).encode()
+    file = sti(tmp_path) if kind == "sti" else mtx(tmp_path, FIXED)
+    said: list[str] = []
+    for _ in range(400):
+        at, to = np.sort(rng.integers(0, len(data), 2))
+        changed = data[:at] + bytes([rng.integers(256)]) + data[at + 1 :]
+        file.write_bytes([changed, data[:at], data[:at] + data[to:], data[:to] + data[at:]][rng.integers(4)])
+        try:
+            read_matrix(file)
+        except (InvalidProblem, Unsupported) as error:
+            said.append(str(error))
+    assert len(said) > 200
+    assert not any("\n" in line for line in said)
+
+
+def test_a_line_without_end_is_not_read_whole(tmp_path: Path) -> None:
+    with pytest.raises(InvalidProblem, match="line 1: expected at most 65536 bytes"):
+        read_matrix(sti(tmp_path, "1 " * 100_000 + "\n"))
