@@ -84,7 +84,7 @@ def main() -> None:
         answer, seconds = _timed(problem, enclose=enclose)
         closed = answer.contact_status.count("closed")
         sizes = f"{problem.dimension:9} {problem.contacts:9} {closed:7}"
-        print(f"{name:32} {sizes} {seconds:8.2f} {widest(answer):8.0e}")
+        print(f"{name:32} {sizes} {seconds:8.2f} {'exact' if answer.rational else f'{widest(answer):.0e}':>8}")
 
 
 if __name__ == "__main__":

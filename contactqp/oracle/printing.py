@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 DIGITS, SHOWN_DIGITS = 50, 20
 # Two digits of a radius, shown this much larger, are not less than it.
 ROUNDING_UP = 1.06
+# A table of more unknowns is read by nobody.
+MOST_SHOWN = 200
 # Longer fractions are cut out of tables, not out of data.
 WIDEST = 44
 SIGNS = (
@@ -164,13 +166,16 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
                 table.add_row(*row)
             console.print(table, markup=False)
 
-    number = ("double", "exact" if answer.rational else "mid +- radius")
-    show(
-        ["unknown", f"displacement{_in(length)}", number[1]],
-        [[problem.dof_name(j), *_pair(answer, "displacement", j)] for j in range(problem.dimension)],
-    )
+    number = "exact" if answer.rational else "mid +- radius"
+    if problem.dimension <= MOST_SHOWN:
+        show(
+            ["unknown", f"displacement{_in(length)}", number],
+            [[problem.dof_name(j), *_pair(answer, "displacement", j)] for j in range(problem.dimension)],
+        )
+    else:
+        console.print(f"{problem.dimension} displacements are not shown; --json has them", markup=False)
     rubs = answer.friction_force is not None
-    heads = ["contact", "status", f"normal force{_in(force)}", number[1], f"gap{_in(length)}"]
+    heads = ["contact", "status", f"normal force{_in(force)}", number, f"gap{_in(length)}"]
     heads += [f"friction force{_in(force)}"] if rubs else []
     heads += [] if answer.unique_forces else ["range"]
     rows = []
@@ -183,7 +188,7 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
         rows.append(row)
     show(heads, rows)
     show(
-        ["tie", f"force{_in(force)}", number[1]],
+        ["tie", f"force{_in(force)}", number],
         [[name, *_pair(answer, "tie_force", k)] for k, name in enumerate(ties)],
     )
     show(["event", "contact", "time"], [[event.kind, event.name, _cut(ratio(event.time))] for event in answer.events])

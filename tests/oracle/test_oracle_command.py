@@ -170,6 +170,14 @@ def test_data_of_bodies_say_whose_numbers_they_are() -> None:
     assert np.max([c["normal_force"]["radius"] for c in data["contacts"]]) < 1e-12
 
 
+def test_a_table_of_thousands_of_unknowns_is_left_to_json(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "oracle", CASES / "membrane_paraboloid.toml")
+    assert code == 0
+    assert "449 displacements are not shown; --json has them" in out
+    assert "+-" in out
+    assert len(out.splitlines()) < 470
+
+
 def test_other_arguments_are_refused() -> None:
     with pytest.raises(cq.InvalidProblem, match="expected a ContactProblem or a Scene, got list"):
         cq.exact([1.0])
