@@ -7,7 +7,7 @@ import time
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from contactqp.errors import InvalidProblem, NotCertified, Unsupported
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.exact_solution import ExactSolution
 from contactqp.problem import ContactProblem
@@ -56,6 +56,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     ------
     NoEquilibrium
         Proven: the constraints conflict, or the load drives a motion that nothing holds.
+    SeveralEquilibria
+        On a load path with friction, several ways to go on.
     NotCertified, NotConverged
         Nothing could be proven.
     Unsupported
@@ -110,7 +112,7 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
     if enclose or (enclose is None and not small):
         try:
             return prove_by_enclosure(asked)
-        except NotCertified:
+        except (NotCertified, NotConverged):
             if enclose or size > RATIONAL_AT_LAST:
                 raise
     return prove(of_floats(asked.problem), asked)

@@ -35,6 +35,8 @@ def is_semidefinite(K: fmpq_mat) -> bool:
 def _cholesky_proves(K: fmpq_mat) -> bool:
     try:
         doubles = np.array([number(x) for x in K.entries()]).reshape(K.nrows(), K.ncols())
+        if not np.all(np.diag(doubles) > 0):  # too small for doubles
+            return False
         # Powers of two scale without rounding.
         scale = np.exp2(-np.round(np.log2(np.diag(doubles)) / 2))
         doubles = doubles * np.outer(scale, scale)

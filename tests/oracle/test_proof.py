@@ -172,6 +172,11 @@ def test_definiteness_is_exact() -> None:
     assert not is_semidefinite(barely)
     barely[0, 0] = barely[0, 0] + 2 * LEAST
     assert is_semidefinite(barely)  # floats cannot tell; the minors do
+    tiny = matrix([[1.0, 0.0], [0.0, 0.0]])
+    tiny[1, 1] = fmpq(1, 10**400)  # no double
+    assert is_semidefinite(tiny)
+    tiny[0, 1] = tiny[1, 0] = fmpq(1, 10**199)
+    assert not is_semidefinite(tiny)
 
 
 def test_a_stiffness_that_rounding_made_indefinite_is_refused() -> None:
