@@ -54,7 +54,7 @@ class ExactSolution:
     friction_force: Fractions | None  # (m, d-1) l_T [force], what the body does to the obstacle
     tie_force: Fractions  # (k,) nu [force]
     gap: Fractions  # (m,) g - E_N u [length], positive when open
-    slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]
+    slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, since its start
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     rational: bool
     radius: Parts | None = field(repr=False)  # rounded up; None where rational: all zero
