@@ -141,9 +141,10 @@ class _Unknowns:
             normal[self._contacts] = found[: self.normals]
         rest = found[self.normals :]
         if "friction_force" in self._missing and friction is not None:
-            count = friction[self._contacts].size
+            chosen = friction[self._contacts]
+            count = chosen.size
             friction = np.zeros_like(friction)
-            friction[self._contacts] = rest[:count].reshape(len(self._contacts), -1)
+            friction[self._contacts] = rest[:count].reshape(chosen.shape)
             rest = rest[count:]
         return Answer(known.displacement, normal, friction, rest if "tie_force" in self._missing else tie)
 

@@ -84,6 +84,13 @@ def test_frictional_answers_from_forces(seed: int) -> None:
     assert not cq.certify(known.problem, normal_force=spoiled, friction_force=known.friction_force).passed
 
 
+def test_a_displacement_that_touches_nothing_is_judged() -> None:
+    known = several(0)
+    lifted = cq.certify(known.problem, known.displacement + 5.0 * (np.arange(known.problem.dimension) % 3 == 0))
+    assert not lifted.passed
+    assert lifted.penetration == 0
+
+
 def test_friction_is_not_recovered_from_normal_forces() -> None:
     known = several(0)
     with pytest.raises(cq.InvalidProblem, match="friction_force: the problem has friction, and without displacement"):
