@@ -126,7 +126,7 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
             return
     part = _multiple(r, inner)
     if part is not None and part > -1 and _passes_with(evidence, (1 + part) * problem.stiffness):
-        text = f"the bodies are {1 + part:.4g} times as stiff as the problem's: another modulus?"
+        text = f"the bodies are {1 + part:.6g} times as stiff as the problem's: another modulus?"
         yield Explanation(Finding("stiffness", text, True), MET)
         return
     diagonal = problem.diagonal
