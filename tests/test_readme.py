@@ -172,9 +172,9 @@ def test_the_method_table_names_methods_that_exist() -> None:
     assert named <= names
 
 
-def test_the_session_with_somebody_elses_answer_is_what_it_shows() -> None:
-    (session,) = re.findall(r"## Somebody else's answer\n.*?```pycon\n(.*?)```", README, re.DOTALL)
-    test = doctest.DocTestParser().get_doctest(session, {}, "README", "README.md", 0)
+def test_the_example_of_somebody_elses_answer_is_what_it_shows() -> None:
+    (shown,) = re.findall(r"## Somebody else's answer\n.*?```pycon\n(.*?)```", README, re.DOTALL)
+    test = doctest.DocTestParser().get_doctest(shown, {}, "README", "README.md", 0)
     assert len(test.examples) >= 8
     failed = doctest.DocTestRunner(verbose=False).run(test)
     assert failed.failed == 0
