@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from contactqp.exchange.global_problem import GlobalProblem as GlobalProblem
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
+    from contactqp.exchange.problem_folder import write_problem as write_problem
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
     from contactqp.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
     from contactqp.friction.exact_enumeration import exact_equilibria as exact_equilibria
@@ -185,6 +186,7 @@ _HOME = {
     "siconos_local_error": "published_errors",
     "solve": "solving",
     "write_fclib": "exchange.fclib_writing",
+    "write_problem": "exchange.problem_folder",
 }
 __all__ = ["__version__", *sorted(_HOME)]
 

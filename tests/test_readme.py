@@ -127,7 +127,7 @@ def test_the_example_of_files_writes_reads_and_judges(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(_block("python", 5), "README.md", "exec"), {})
+    exec(compile(_block("python", 6), "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "[[2.69230769 2.15384615]]" in printed
     assert "passed" in printed
@@ -178,3 +178,23 @@ def test_the_example_of_somebody_elses_answer_is_what_it_shows() -> None:
     assert len(test.examples) >= 8
     failed = doctest.DocTestRunner(verbose=False).run(test)
     assert failed.failed == 0
+
+
+def test_a_folder_of_matrices_is_solved_and_judged_as_the_example_says(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(_block("python", 5), "README.md", "exec"), {})
+    assert capsys.readouterr().out == "[221.25]\n"
+    options = ["--compression", "negative", "--pressure-areas", "areas.csv"]
+    for arguments, code, words in (
+        (options, 0, "right (tolerance"),
+        (options[2:], 1, "all contact forces have the opposite sign"),
+        (options[:2], 2, "--pressure-areas, which make it a force"),
+    ):
+        for problem in ("bar", "bar-out"):
+            with pytest.raises(SystemExit) as ended:
+                main(["check", problem, "theirs.csv", *arguments])
+            assert ended.value.code == code
+            told = capsys.readouterr()
+            assert words in told.out + told.err
