@@ -170,6 +170,11 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
             "velocity": solution.velocity.tolist(),
             "joint_force": solution.joint_force.tolist(),
         }
+    elif solution is not None:
+        parts = {
+            name: getattr(solution, name) for name in ("displacement", "normal_force", "friction_force", "tie_force")
+        }
+        data |= {name: part.tolist() for name, part in parts.items() if part is not None}
     return data
 
 
