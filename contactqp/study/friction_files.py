@@ -24,6 +24,7 @@ from contactqp.solving import solve
 SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 LOCAL_FIGURES = (*SHARED_FIGURES, "joints", "natural_map", "siconos_error")
 BODY_FIGURES = ("equilibrium", "balance", *SHARED_FIGURES, "tie")
+ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 DEFAULT_METHOD = "active-set"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
+import h5py
 import numpy as np
 import pytest
 
@@ -246,3 +247,18 @@ def test_a_dump_of_rows_is_not_supported(tmp_path):
     file.write_text(local_text(COLUMNS.replace("\n2\nCS", "\n3\nCS")))
     with pytest.raises(cq.Unsupported, match=r"rows\.dat: first matrix: a dump of compressed rows"):
         cq.read_siconos(file)
+
+
+def test_arrays_that_are_stated_and_not_there_fill_no_memory(tmp_path):
+    """Chunks that were never written take no place in a file and all of it in the memory."""
+    file = write_hdf5(tmp_path / "a.hdf5", put(LOCAL, "fclib_local/vectors/q", None))
+    with h5py.File(file, "a") as stored:
+        stored.create_dataset("fclib_local/vectors/q", shape=(10**12,), dtype="f8", chunks=(1024,))
+    with pytest.raises(cq.InvalidProblem, match=r"a\.hdf5: fclib_local/vectors/q: expected at most .* MiB"):
+        cq.read_fclib(file)
+    huge = {"fclib_local/W/m": np.array([10**9], dtype=np.int32), "fclib_local/W/n": np.array([10**9], dtype=np.int32)}
+    tree = LOCAL | {}
+    for place, value in huge.items():
+        tree = put(tree, place, value)
+    with pytest.raises(cq.InvalidProblem, match=r"b\.hdf5: "):
+        cq.read_fclib(write_hdf5(tmp_path / "b.hdf5", tree))
