@@ -33,6 +33,7 @@ from contactqp.errors import ContactQPError
 JUDGED, REFUSED = "judged", "refused"
 # Bytes of address space of a process that has NumPy, SciPy, h5py and meshio; seconds for a file.
 MEMORY, SECONDS = 3 * 2**30, 20
+SECONDS_SLOW = 150  # of formats that take a process of their own, with a graphics library in it
 LONGEST_MESSAGE = 1000
 SPARED = 10  # of the slow formats a tenth as many
 
@@ -84,7 +85,7 @@ def child(name: str, first: int, count: int) -> None:
         (seed,) = (one for one in seeds(Path(root)) if one.name == name)
         for number in range(first, first + count):
             print(json.dumps({"next": number}), file=out, flush=True)
-            signal.alarm(SECONDS)
+            signal.alarm(SECONDS_SLOW if name.startswith(SLOW) else SECONDS)
             for _, what, said in run_format(seed, Path(root, name), [number]):
                 signal.alarm(0)
                 print(json.dumps({"number": number, "what": what, "outcome": said}), file=out, flush=True)

@@ -32,7 +32,7 @@ WORDS, KIND, LENGTH = 100, 2, 28
 FULL, RESULT = 4, 12
 NAMES = {FULL: "Ansys .full", RESULT: "Ansys .rst"}
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
-SECONDS = 300
+SECONDS = 120
 
 
 def read_full(path: Path) -> MatrixFile:
