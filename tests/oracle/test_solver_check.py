@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.testing import check_solver, problem, problems
+from contactqp.testing import assert_contact_solution, assert_multipliers, check_solver, problem, problems
 
 
 def without_signs(problem: cq.ContactProblem) -> tuple[Any, Any]:
@@ -35,6 +35,31 @@ def test_a_wrong_solver_is_told_where_and_why() -> None:
     assert "tension" in report.wrong[0].why
     assert str(report).splitlines()[-1] == "1 right, 1 wrong, 0 failed"
     assert "bar-short-of-wall" in report.table()
+
+
+def test_what_plain_elimination_makes_of_stiff_problems() -> None:
+    """The true contacts closed and one system solved in doubles: digits are lost as the README says."""
+
+    def plain(known: Any) -> Any:
+        problem, closed = known.problem, np.array([gap == 0 for gap in known.exact.gap])
+        K, E = np.asarray(problem.stiffness), problem.normal.toarray()[closed]
+        count, force = len(E), np.zeros(problem.contacts)
+        saddle = np.block([[K, E.T], [E, np.zeros((count, count))]])
+        x = np.linalg.solve(saddle, np.concatenate([problem.load, problem.gap[closed]]))
+        force[closed] = x[len(K) :]
+        return x[: len(K)], force
+
+    for difficulty, passes, refused in (("easy", 1e-6, None), ("moderate", 1e-4, 1e-11), ("hard", None, 1e-7)):
+        for known in problems("stiff", difficulty, count=2):
+            u, force = plain(known)
+            if passes is not None:
+                assert_contact_solution(known, u, force, rtol=passes)
+            assert_multipliers(known, force, rtol=1e-5)
+            if refused is not None:
+                with pytest.raises(AssertionError):
+                    assert_contact_solution(known, u, force, rtol=refused)
+            found = cq.solve(known.problem)
+            assert_contact_solution(known, found.displacement, found.normal_force)
 
 
 def test_a_solver_may_raise_or_return_nothing() -> None:
