@@ -19,6 +19,7 @@ import scipy.io
 import scipy.sparse as sp
 
 import contactqp as cq
+from benchmarks.printed_files import add_printed
 from contactqp.elements.mesh_files import read_mesh
 from contactqp.exchange.problem_folder import write_problem
 from contactqp.study.check_options import CheckOptions
@@ -65,6 +66,7 @@ def seeds(root: Path) -> list[Seed]:
     _add_matrices(add)
     _add_problems(add)
     _add_answers(add)
+    add_printed(add, _whole)
     _add_local(add)
     _add_ansys(add)
     for kind in ("inp", "msh22", "msh41", "vtu"):

@@ -67,7 +67,7 @@ CALCULIX = (
         contact=Contact(N2F, SPRINGS),
         limits=PRINTED,
         verdict=WRONG,
-        kinds=("penetration",),
+        kinds=("penalty",),
         because="What HARD is, without its pull: a penalty.",
     ),
     Attempt(

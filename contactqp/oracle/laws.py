@@ -26,6 +26,8 @@ from contactqp.violations import Violations
 MET = 1e-6
 # Spring stiffnesses, ratios and products that spread by this part are one.
 ONE_VALUE = 1e-3
+# The same where few different ones are looked for: printed overlaps have few digits.
+ONE_OF_FEW = 5e-3
 # Parts of a force that stand out by no more than this from a rule obey it.
 OBEYS = 1e-3
 
@@ -73,16 +75,23 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     rule = "" if np.sum(sprung) == 1 else rule
     beta = f"about {np.median(stiffness):.3g}{unit}"
     if spread > ONE_VALUE:
-        beta = f"{lowest:.3g} to {highest:.3g}{unit}, each contact its own"
+        others = "few different ones" if _few(stiffness) else "each contact its own"
+        beta = f"{lowest:.3g} to {highest:.3g}{unit}, {others}"
     also = ", of springs that also pull" if np.any(pulls) else ""
     where = "everywhere" if np.sum(sprung) > 1 else f"at {problem.contact_name(int(np.flatnonzero(sprung)[0]))}"
     text = f"{what} {where} {size}{unit_of(length)}{rule}: looks like a penalty of {beta}{also}"
-    one_stiffness = spread <= ONE_VALUE and np.sum(sprung) > 1
+    one_stiffness = (spread <= ONE_VALUE and np.sum(sprung) > 1) or _few(stiffness)
     # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
     noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))
     strict = evidence.certificate.equilibrium <= noise and not evidence.recovered
     if one_stiffness or strict:
         yield Explanation(Finding(kind, text, True), MET if one_stiffness else LATER)
+
+
+def _few(stiffness: Vector) -> bool:
+    """Whether few different values occur, a third of all at most: a penalty by the area, on a regular mesh."""
+    steps = np.diff(np.log(np.sort(stiffness)))
+    return 3 * (1 + int(np.sum(steps > ONE_OF_FEW))) <= len(stiffness)
 
 
 # How far from right an explanation is said to leave an answer that others may explain better.

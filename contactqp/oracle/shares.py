@@ -15,6 +15,8 @@ from contactqp.problem import Vector
 FORCES_OF_CONTACTS = {"normal_force", "friction_force"}
 # Contacts that must push before their factors mean anything.
 ENOUGH = 3
+# The smallest area of the largest, where forces are taken for pressures.
+AREAS_DIFFER = 0.95
 
 
 def shares(evidence: Evidence) -> Iterator[Explanation]:
@@ -44,7 +46,8 @@ def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Exp
             return
     area = right[acting] / force[acting] if np.all(force[acting] > 0) else np.zeros(1)
     values = np.unique(np.round(area / np.max(area), 4)) if np.all(area > 0) else np.zeros(0)
-    if 2 <= len(values) <= max(2, int(np.sum(acting)) // 2):
+    # Areas differ by more than what an inexact answer is off by.
+    if 2 <= len(values) <= max(2, int(np.sum(acting)) // 2) and values[0] < AREAS_DIFFER:
         text = (
             f"the forces are the right ones divided by {np.min(area):.4g} to {np.max(area):.4g}, few different "
             "numbers: pressures? With pressure_area= they are turned into forces"
