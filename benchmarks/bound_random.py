@@ -23,13 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.rational import floats, rational
 
 import contactqp as cq
 from benchmarks.exact_truth import Truth, displaced, on_set
 from benchmarks.judging import Bounded, attempt, bounded, exact_truth
 from benchmarks.problem_families import FAMILIES, family
 from benchmarks.processes import reports_of
-from benchmarks.rational import floats, rational
 
 SOLVABLE = tuple(name for name, entry in FAMILIES.items() if entry.solvable)
 EACH = 50  # candidates of a problem
