@@ -16,7 +16,7 @@ import contactqp as cq
 from benchmarks.exact_truth import Truth, condition, find_truth
 from benchmarks.problem_families import FAMILIES, family
 from contactqp.methods import Settings, find
-from contactqp.oracle.rational import NoSolution, Undecided, floats, rational
+from contactqp.oracle.exact.rational import NoSolution, Undecided, floats, rational
 from contactqp.scaling import nondimensional
 
 EPS = float(np.finfo(float).eps)

@@ -75,11 +75,11 @@ if TYPE_CHECKING:
     from contactqp.local_solution import LocalSolution as LocalSolution
     from contactqp.methods import methods as methods
     from contactqp.multiplicity import equilibria as equilibria
-    from contactqp.oracle.exact import exact as exact
-    from contactqp.oracle.exact_solution import ExactSolution as ExactSolution
-    from contactqp.oracle.finding import Finding as Finding
-    from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
-    from contactqp.oracle.judged_answer import certify as certify
+    from contactqp.oracle.diagnosis.finding import Finding as Finding
+    from contactqp.oracle.exact.exact import exact as exact
+    from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
+    from contactqp.oracle.foreign.judged_answer import JudgedAnswer as JudgedAnswer
+    from contactqp.oracle.foreign.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
     from contactqp.problem import ContactProblem as ContactProblem
     from contactqp.problem import Units as Units
@@ -117,12 +117,12 @@ _HOME = {
     "Cylinder": "elements.round_obstacle",
     "Equal": "energies.limits",
     "ExactEquilibrium": "friction.exact_enumeration",
-    "ExactSolution": "oracle.exact_solution",
-    "Finding": "oracle.finding",
+    "ExactSolution": "oracle.exact.exact_solution",
+    "Finding": "oracle.diagnosis.finding",
     "GlobalProblem": "exchange.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
-    "JudgedAnswer": "oracle.judged_answer",
+    "JudgedAnswer": "oracle.foreign.judged_answer",
     "LocalCertificate": "local_certificate",
     "LocalProblem": "local_problem",
     "LocalSolution": "local_solution",
@@ -155,13 +155,13 @@ _HOME = {
     "UpdatedTruss": "elements.updated_truss",
     "acary_bremond_huber_error": "published_errors",
     "associated_difference": "relaxation",
-    "certify": "oracle.judged_answer",
+    "certify": "oracle.foreign.judged_answer",
     "certify_local": "local_certificate",
     "compare": "study.comparison",
     "critical_friction": "critical_coefficients",
     "draw_history": "pictures.history_drawing",
     "equilibria": "multiplicity",
-    "exact": "oracle.exact",
+    "exact": "oracle.exact.exact",
     "exact_equilibria": "friction.exact_enumeration",
     "existence_margin": "solvability",
     "fclib_merit_1": "published_errors",

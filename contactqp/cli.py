@@ -176,9 +176,9 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
     CASE is a case file, whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file of another code,
     whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
     """
-    from contactqp.oracle.exact import exact
-    from contactqp.oracle.printing import answer_data, print_answer
-    from contactqp.oracle.reading import read_case, tie_names
+    from contactqp.oracle.exact.exact import exact
+    from contactqp.oracle.exact.printing import answer_data, print_answer
+    from contactqp.oracle.exact.reading import read_case, tie_names
 
     asked = read_case(case)
     answer = exact(asked, method)
@@ -238,8 +238,8 @@ def gallery_command(
     DIR must be new or empty. index.json lists the problems; each has a folder with problem.json, stiffness.mtx,
     load.mtx, normal.mtx, gap.mtx and so on, and answer.json with its exact answer, in doubles and as fractions.
     """
-    from contactqp.oracle.gallery import chosen_problems
-    from contactqp.oracle.gallery_files import summary, write_gallery
+    from contactqp.oracle.gallery.files import summary, write_gallery
+    from contactqp.oracle.gallery.gallery import chosen_problems
 
     chosen = chosen_problems(names, kind, difficulty, count, seed)
     if listed == (folder is not None):

@@ -16,8 +16,8 @@ solver over them and returns a table. With pytest the fixture `contact_oracle` h
 from __future__ import annotations
 
 from contactqp.oracle.assertions import assert_contact_solution, assert_multipliers
-from contactqp.oracle.gallery import DIFFICULTIES, KINDS, problem, problems
-from contactqp.oracle.gallery_problem import ExactAnswer, ExactProblem, GalleryProblem
+from contactqp.oracle.gallery.gallery import DIFFICULTIES, KINDS, problem, problems
+from contactqp.oracle.gallery.problem import ExactAnswer, ExactProblem, GalleryProblem
 from contactqp.oracle.solver_check import SolverReport, SolverVerdict, check_solver
 
 __all__ = [

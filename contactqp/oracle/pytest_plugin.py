@@ -12,8 +12,8 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from contactqp.oracle.gallery_problem import GalleryProblem
-    from contactqp.oracle.judged_answer import JudgedAnswer
+    from contactqp.oracle.foreign.judged_answer import JudgedAnswer
+    from contactqp.oracle.gallery.problem import GalleryProblem
     from contactqp.oracle.solver_check import SolverReport
 
 MARK = (
@@ -107,6 +107,6 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def _chosen(
     *names: str, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
 ) -> list[GalleryProblem]:
-    from contactqp.oracle.gallery import chosen_problems
+    from contactqp.oracle.gallery.gallery import chosen_problems
 
     return chosen_problems(names, kind, difficulty, count, seed)

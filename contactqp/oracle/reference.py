@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.oracle.gallery_problem import GalleryProblem
-from contactqp.oracle.right_answer import right_answer
+from contactqp.oracle.foreign.right_answer import right_answer
+from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer
 

@@ -11,7 +11,7 @@ from contactqp.exchange.answer_files import read_answer
 from contactqp.exchange.answer_reader import AnswerFile, names_of
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import naming, wrong
-from contactqp.oracle.judged_answer import JudgedAnswer, certify
+from contactqp.oracle.foreign.judged_answer import JudgedAnswer, certify
 from contactqp.problem import ContactProblem
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contactqp.oracle.gallery_problem import GalleryProblem
+from contactqp.oracle.gallery.problem import GalleryProblem
 
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:

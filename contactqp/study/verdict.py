@@ -13,7 +13,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.local_certificate import LocalCertificate
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
-from contactqp.oracle.judged_answer import JudgedAnswer
+from contactqp.oracle.foreign.judged_answer import JudgedAnswer
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.study.friction_files import figures, finite

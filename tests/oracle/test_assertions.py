@@ -11,9 +11,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.oracle.assertions import assert_contact_solution, assert_multipliers
-from contactqp.oracle.gallery import problem, problems
-from contactqp.oracle.gallery_problem import GalleryProblem
-from contactqp.oracle.gallery_statement import stated
+from contactqp.oracle.gallery.gallery import problem, problems
+from contactqp.oracle.gallery.problem import GalleryProblem
+from contactqp.oracle.gallery.statement import stated
 
 EVERY = problems()
 SLIDING = [known for known in EVERY if "slip" in known.exact.contact_status]

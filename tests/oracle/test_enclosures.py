@@ -15,10 +15,10 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.oracle.definite import least_eigenvalue
-from contactqp.oracle.enclosure import enclose
-from contactqp.oracle.fixed_point import FixedMatrix, fixed
-from contactqp.oracle.refinement import refine
+from contactqp.oracle.exact.definite import least_eigenvalue
+from contactqp.oracle.exact.enclosure import enclose
+from contactqp.oracle.exact.fixed_point import FixedMatrix, fixed
+from contactqp.oracle.exact.refinement import refine
 from tests.examples import truss
 
 # Singular matrices whose free motions nothing holds, redundant rows, contacts that touch with no force.

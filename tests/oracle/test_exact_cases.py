@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.ball import root
+from contactqp.oracle.exact.ball import root
 from contactqp.scene.claims import Expectation
 from contactqp.scene.schema import Scene
 

@@ -10,9 +10,9 @@ import pytest
 from flint import fmpq
 
 import contactqp as cq
-from contactqp.oracle.exact_path import follow
-from contactqp.oracle.exact_problem import RationalProblem, of_floats
-from contactqp.oracle.rational import column, fractions, zeros
+from contactqp.oracle.exact.exact_path import follow
+from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
+from contactqp.oracle.exact.rational import column, fractions, zeros
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 PATHS = [
@@ -112,6 +112,6 @@ def test_paths_that_do_not_start_at_rest_are_refused() -> None:
 
 def test_a_piece_that_breaks_the_law_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the next event skipped, the cone is left: the proof at the end of the piece refuses it."""
-    monkeypatch.setattr("contactqp.oracle.exact_path._Walk._ahead", lambda *_: fmpq(1))
+    monkeypatch.setattr("contactqp.oracle.exact.exact_path._Walk._ahead", lambda *_: fmpq(1))
     with pytest.raises(ArithmeticError, match="cone"):
         follow(slider(), [column([0.0, -1.0]), column([1.0, -1.0])], ["pad"])

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.gallery import DIFFICULTIES, KINDS, NAMED, RANDOM, problem, problems
-from contactqp.oracle.gallery_algebra import rank, rows_of
-from contactqp.oracle.gallery_problem import GalleryProblem
+from contactqp.oracle.gallery.algebra import rank, rows_of
+from contactqp.oracle.gallery.gallery import DIFFICULTIES, KINDS, NAMED, RANDOM, problem, problems
+from contactqp.oracle.gallery.problem import GalleryProblem
 from tests.oracle.exact_conditions import broken_conditions, doubles, is_semidefinite
 
 EVERY = problems("named") + [known for kind in RANDOM for known in problems(kind, count=6)]
@@ -146,8 +146,8 @@ def test_what_is_not_unique_is_not_called_so() -> None:
 
 def test_forces_that_only_signs_make_unique_are_found_to_be() -> None:
     """Two opposite stops of one slide, both touching: no compression of both adds nothing... but one alone does."""
-    from contactqp.oracle.gallery_problem import ExactProblem, exact_answer
-    from contactqp.oracle.gallery_uniqueness import only_forces
+    from contactqp.oracle.gallery.problem import ExactProblem, exact_answer
+    from contactqp.oracle.gallery.uniqueness import only_forces
 
     def answered(normal: list[list[int]]) -> bool:
         n = len(normal[0])
@@ -244,7 +244,7 @@ def test_random_problems_never_change(kind: str) -> None:
 
 def test_problems_do_not_depend_on_the_process() -> None:
     code = (
-        "from contactqp.oracle.gallery import problem; import numpy.random, random; random.seed(1); "
+        "from contactqp.oracle.gallery.gallery import problem; import numpy.random, random; random.seed(1); "
         "print(problem('frictional-1').exact.displacement == problem('frictional-1').exact.displacement, "
         "hash(problem('frictional-1').exact.displacement))"
     )

@@ -10,14 +10,14 @@ from flint import fmpq
 
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.oracle.affine_family import Family
-from contactqp.oracle.balancing import balance
-from contactqp.oracle.closed_set import balanced, settle
-from contactqp.oracle.combination import Combination, system_of
-from contactqp.oracle.exact_problem import RationalProblem, of_floats
-from contactqp.oracle.lemke import lemke
-from contactqp.oracle.proof import STATEMENTS, RationalAnswer, status, wrong
-from contactqp.oracle.rational import (
+from contactqp.oracle.exact.affine_family import Family
+from contactqp.oracle.exact.balancing import balance
+from contactqp.oracle.exact.closed_set import balanced, settle
+from contactqp.oracle.exact.combination import Combination, system_of
+from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
+from contactqp.oracle.exact.lemke import lemke
+from contactqp.oracle.exact.proof import STATEMENTS, RationalAnswer, status, wrong
+from contactqp.oracle.exact.rational import (
     NoSolution,
     column,
     fractions,
@@ -27,7 +27,7 @@ from contactqp.oracle.rational import (
     solve_any,
     zeros,
 )
-from contactqp.oracle.semidefinite import is_semidefinite
+from contactqp.oracle.exact.semidefinite import is_semidefinite
 from tests.examples import truss
 
 LEAST = fmpq(1, 10**40)

@@ -1,0 +1,179 @@
+"""What a diagnosis looks at: what was given, what is right, and how far apart the two are.
+
+Distances are the largest difference as a part of the largest value, unknowns in the energy scale sqrt(K_jj) u_j, forces
+in that of their own rows, |E_i D| l_i, D = 1/sqrt(K_jj). Only what was given is compared. Where dependent rows leave
+the forces open, what they do together, E_N'l_N + E_T'l_T + A'nu, is compared instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate import Certificate
+from contactqp.condensation import unknown_scale
+from contactqp.errors import ContactQPError
+from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer
+from contactqp.oracle.foreign.judging import judge
+from contactqp.problem import ContactProblem, Vector
+from contactqp.solution import Solution
+from contactqp.violations import Answer
+
+PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
+# A hypothesis explains an answer if, undone, so much of the error is gone and no more than this is left.
+GONE, LEFT = 1e-2, 1e-3
+# What differs by less than this has no error left.
+NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A cause, and how far from right the answer is once it is undone."""
+
+    finding: Finding
+    left: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One refused answer."""
+
+    problem: ContactProblem
+    given: GivenAnswer
+    answer: Answer  # complete
+    certificate: Certificate
+    right: Solution | None
+    recovered: bool = False  # whether a part of the answer was made from the others
+
+    @cached_property
+    def before(self) -> float:
+        """How far what was given is from right."""
+        return np.inf if self.right is None else self.apart(self.given, self.right)
+
+    @cached_property
+    def weights(self) -> dict[str, Any]:
+        """The scale of each part [root of energy per its unit]."""
+        D = unknown_scale(self.problem)
+        problem = self.problem
+
+        def of(rows: Any) -> Vector:
+            return np.asarray(np.sqrt(np.asarray(rows.multiply(rows) @ D**2).ravel()))
+
+        friction = None
+        if problem.tangent is not None and problem.slip_origin is not None:
+            friction = of(problem.tangent).reshape(problem.slip_origin.shape)
+        return {
+            "displacement": 1 / D,
+            "normal_force": of(problem.normal),
+            "friction_force": friction,
+            "tie_force": of(problem.tie),
+        }
+
+    @cached_property
+    def shared(self) -> bool:
+        """Whether dependent rows leave the forces open."""
+        words = [*self.certificate.reasons, *self.certificate.notes, *self.certificate.uniqueness]
+        if self.right is not None:
+            known = self.right.certificate
+            words += [*known.reasons, *known.notes, *known.uniqueness]
+        return any("redundant" in word or "forces not unique" in word for word in words)
+
+    @cached_property
+    def given_parts(self) -> tuple[str, ...]:
+        """The parts that were given and have entries."""
+        return tuple(name for name in PARTS if getattr(self.given, name) is not None and self.size_of(name))
+
+    def size_of(self, name: str) -> int:
+        return int(np.size(getattr(self.given, name)))
+
+    def apart(self, one: GivenAnswer, other: Solution | Answer) -> float:
+        """How far the given parts of one answer are from another's."""
+        worst = 0.0
+        names = list(self.given_parts)
+        if self.shared and "normal_force" in names:
+            worst = self._of_resultants(one, other)
+            names = [name for name in names if name == "displacement"]
+        for name in names:
+            worst = max(worst, self.part_apart(name, getattr(one, name), getattr(other, name)))
+        return worst
+
+    def part_apart(self, name: str, mine: NDArray[np.float64], right: NDArray[np.float64]) -> float:
+        """max |w (x - x*)| / max |w x*|, of either size where the right part is nothing beside the other forces."""
+        weight = self.weights[name]
+        difference = weight * (mine - right)
+        if name == "displacement":
+            difference = self._without_free_motions(difference)
+        return _relative(difference, weight * right, weight * mine, self._floor(name))
+
+    def _floor(self, name: str) -> float:
+        """Friction and tie forces that are this part of all forces are none: they are measured against the others."""
+        if self.right is None or name == "displacement":
+            return 0.0
+        sizes = [
+            float(np.max(abs(self.weights[other] * getattr(self.right, other)), initial=0.0))
+            for other in ("normal_force", "friction_force", "tie_force")
+            if getattr(self.right, other) is not None and self.weights[other] is not None
+        ]
+        return 1e-3 * max(sizes, default=0.0)
+
+    def _without_free_motions(self, difference: Vector) -> Vector:
+        if self.right is None or not self.right.free_motions:
+            return difference
+        motions = np.column_stack([motion.direction for motion in self.right.free_motions])
+        motions = motions * self.weights["displacement"][:, None]
+        along, *_ = np.linalg.lstsq(motions, difference, rcond=None)
+        return np.asarray(difference - motions @ along)
+
+    def _of_resultants(self, one: GivenAnswer, other: Solution | Answer) -> float:
+        D = unknown_scale(self.problem)
+        mine, right = (D * self.resultant(answer) for answer in (one.filled(self.problem), other))
+        return _relative(mine - right, right, mine, 0.0)
+
+    def resultant(self, answer: Solution | Answer) -> Vector:
+        """E_N'l_N + E_T'l_T + A'nu (n,) of the parts that were given, [force]."""
+        total = self.problem.normal.T @ answer.normal_force
+        if "friction_force" in self.given_parts and self.problem.tangent is not None:
+            total = total + self.problem.tangent.T @ np.ravel(np.asarray(answer.friction_force))
+        if "tie_force" in self.given_parts:
+            total = total + self.problem.tie.T @ answer.tie_force
+        return np.asarray(total)
+
+    def explains(self, left: float) -> bool:
+        """Whether an answer that is this far from right, something undone, was wrong for that reason."""
+        return left <= max(NOTHING, min(LEFT, GONE * self.before))
+
+    def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
+        """Whether the certificate passes a changed answer, or the same answer to another problem."""
+        try:
+            found, _ = judge(
+                problem or self.problem, changed, self.certificate.tolerance, self.certificate.error_tolerance
+            )
+        except ContactQPError:
+            return False
+        return found.passed
+
+    def with_parts(self, **changes: Any) -> GivenAnswer:
+        """What was given, some parts of it changed."""
+        return replace(self.given, **changes)
+
+    def then(self, undone: GivenAnswer, left: float) -> str:
+        """What is to be said of the answer with its mistake undone."""
+        return "this answer is right" if self.passes(undone) else f"it agrees with the right one to {digits(left)}"
+
+
+def _relative(difference: Any, right: Any, mine: Any, floor: float) -> float:
+    scale = max(float(np.max(abs(right), initial=0.0)), floor)
+    scale = scale or float(np.max(abs(mine), initial=0.0))
+    worst = float(np.max(abs(difference), initial=0.0))
+    return worst / scale if scale > 0 else worst
+
+
+def digits(part: float) -> str:
+    """How many digits agree where this part of the largest value differs, in words."""
+    count = 16 if part <= 0 else max(0, min(16, int(np.floor(-np.log10(part)))))
+    return f"{count} digit{'' if count == 1 else 's'}"

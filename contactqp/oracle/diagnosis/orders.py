@@ -1,0 +1,139 @@
+"""Answers whose values are right and stand in another order: contacts, unknowns, tangential directions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
+from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.problem import Vector
+
+# Orders that are written out.
+WRITTEN = 12
+
+
+def orders(evidence: Evidence) -> Iterator[Explanation]:
+    """Orders of contacts, of unknowns, of both, and of tangential directions."""
+    if evidence.right is None:
+        return
+    contact, unknown = None if evidence.shared else _of_contacts(evidence), _of_unknowns(evidence)
+    for chosen in ([contact], [unknown], [contact, unknown]):
+        found = [one for one in chosen if one is not None]
+        if len(found) != len(chosen):
+            continue
+        changes: dict[str, NDArray[np.float64]] = {}
+        for one in found:
+            changes |= one[0]
+        undone = evidence.with_parts(**changes)
+        left = evidence.apart(undone, evidence.right)
+        if evidence.explains(left):
+            then = evidence.then(undone, left)
+            for _, kind, said in found:
+                yield Explanation(Finding(kind, f"{said}: {then} in the problem's order", True), left)
+            return
+    if not evidence.shared:
+        yield from _of_directions(evidence)
+
+
+Order = tuple[dict[str, NDArray[np.float64]], str, str]
+
+
+def _of_contacts(evidence: Evidence) -> Order | None:
+    mine, right = evidence.given.normal_force, evidence.right.normal_force if evidence.right else None
+    if mine is None or right is None or len(mine) < 2:
+        return None
+    place = _places(mine, right)
+    if place is None:
+        return None
+    changes: dict[str, NDArray[np.float64]] = {"normal_force": mine[place]}
+    if evidence.given.friction_force is not None:
+        changes["friction_force"] = evidence.given.friction_force[place]
+    count = len(mine)
+    if np.array_equal(place, np.arange(count)[::-1]):
+        said = "the contacts stand in reverse order"
+    else:
+        moved = np.flatnonzero(place != np.arange(count))
+        names = [
+            f"{evidence.problem.contact_name(int(i))} has the force of {evidence.problem.contact_name(int(j))}"
+            for i, j in zip(place[moved[:2]], moved[:2], strict=True)
+        ]
+        said = f"the contacts stand in another order ({', '.join(names)})"
+    if count <= WRITTEN:
+        said += f", contact_map={[int(i) for i in place]}"
+    return changes, "permuted", said
+
+
+def _places(mine: Vector, right: Vector) -> NDArray[np.intp] | None:
+    """p with mine[p] = right, None if there is none but the order as it is."""
+    size = float(np.max(abs(right), initial=0.0))
+    if size == 0 or np.max(abs(np.sort(mine) - np.sort(right))) > LEFT * size:
+        return None
+    if np.max(abs(mine - right)) <= LEFT * size:
+        return None
+    place = np.empty(len(mine), dtype=np.intp)
+    place[np.argsort(right, kind="stable")] = np.argsort(mine, kind="stable")
+    reverse = np.arange(len(mine))[::-1]
+    return reverse if np.max(abs(mine[reverse] - right)) <= LEFT * size else place
+
+
+def _of_unknowns(evidence: Evidence) -> Order | None:
+    mine = evidence.given.displacement
+    if mine is None or evidence.right is None or evidence.part_apart("displacement", mine, _right(evidence)) <= LEFT:
+        return None
+    right = _right(evidence)
+    for place, said in _regular_orders(len(mine)):
+        if evidence.part_apart("displacement", mine[place], right) <= LEFT:
+            return {"displacement": mine[place]}, "permuted-unknowns", said
+    general = _places(mine, right)
+    if general is None or evidence.part_apart("displacement", mine[general], right) > LEFT:
+        return None
+    said = "the unknowns stand in another order"
+    if len(mine) <= WRITTEN:
+        said += f", dof_map={[int(i) for i in general]}"
+    return {"displacement": mine[general]}, "permuted-unknowns", said
+
+
+def _right(evidence: Evidence) -> Vector:
+    assert evidence.right is not None
+    return evidence.right.displacement
+
+
+def _regular_orders(n: int) -> Iterator[tuple[NDArray[np.intp], str]]:
+    """Orders that programs have for the components of nodes."""
+    yield np.arange(n)[::-1], "the unknowns stand in reverse order"
+    for d in (2, 3, 6):
+        if n % d or n == d == 6:
+            continue
+        table = np.arange(n).reshape(-1, d)
+        for order in permutations(range(d)) if d <= 3 else ():
+            if order != tuple(range(d)):
+                words = " ".join("xyz"[j] for j in order)
+                yield table[:, list(order)].ravel(), f"the components of the nodes stand in the order {words}"
+        blocked = np.arange(n).reshape(d, -1)
+        yield blocked.T.ravel(), f"all {d} components stand one after the other (blocked), not node by node"
+        yield table.T.ravel(), f"the {d} components stand node by node, not one after the other (blocked)"
+
+
+def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
+    mine, right = evidence.given.friction_force, evidence.right
+    if mine is None or right is None or mine.shape[1] < 2:
+        return
+    flat = mine.ravel()
+    tried = (
+        (mine[:, ::-1], "tangent-order", "the two tangential directions are swapped"),
+        (flat.reshape(2, -1).T, "tangent-order", "the friction forces stand direction by direction, not by contact"),
+        (mine * [-1.0, 1.0], "tangent-sign", "the first tangential direction has the opposite sign"),
+        (mine * [1.0, -1.0], "tangent-sign", "the second tangential direction has the opposite sign"),
+        (mine[:, ::-1] * [1.0, -1.0], "tangent-order", "the tangential directions are turned by a right angle"),
+        (mine[:, ::-1] * [-1.0, 1.0], "tangent-order", "the tangential directions are turned by a right angle"),
+    )
+    for changed, kind, said in tried:
+        undone = evidence.with_parts(friction_force=np.ascontiguousarray(changed))
+        left = evidence.apart(undone, right)
+        if evidence.explains(left):
+            yield Explanation(Finding(kind, f"{said}: undone, {evidence.then(undone, left)}", True), left)
+            return

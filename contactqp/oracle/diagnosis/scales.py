@@ -1,0 +1,157 @@
+"""Answers that are right but for a factor: signs, units, halves, nothing at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from contactqp.condensation import unknown_scale
+from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
+from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.diagnosis.named_factors import CLOSE, NamedFactor, named_factor
+from contactqp.problem import Vector
+
+CALLED = {
+    "displacement": "displacements",
+    "normal_force": "contact forces",
+    "friction_force": "friction forces",
+    "tie_force": "tie forces",
+}
+# Beside parts that are zero the rest is right to this part.
+REST = 1e-6
+
+
+def factors(evidence: Evidence) -> dict[str, float] | None:
+    """What each given part has to be divided by to be right, None where some part is not proportional to the right one.
+
+    A part that is right, or whose right value is zero, has the factor one.
+    """
+    found: dict[str, float] = {}
+    for name, (mine, right) in _compared(evidence).items():
+        size = float(right @ right)
+        factor = float(mine @ right) / size if size > 0 else 1.0
+        largest = np.max(abs(right), initial=0.0) * max(abs(factor), 1e-300) or 1.0
+        if factor != 0 and np.max(abs(mine - factor * right), initial=0.0) > LEFT * largest:
+            return None
+        if factor == 0 and np.any(mine):
+            return None
+        found[name] = 1.0 if abs(factor - 1) <= 1e-12 else factor
+    if evidence.shared:
+        found = {name: found.get(name, found.get("forces", 1.0)) for name in evidence.given_parts}
+    return found
+
+
+def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
+    """What was given beside what is right, part by part; forces that are open by what they do together."""
+    right = evidence.right
+    names = evidence.given_parts
+    pairs: dict[str, tuple[Vector, Vector]] = {}
+    if evidence.shared and "normal_force" in names and right is not None:
+        D = unknown_scale(evidence.problem)
+        filled = evidence.given.filled(evidence.problem)
+        pairs["forces"] = D * evidence.resultant(filled), D * evidence.resultant(right)
+        names = tuple(name for name in names if name == "displacement")
+    for name in names:
+        weight = evidence.weights[name]
+        pairs[name] = np.ravel(weight * getattr(evidence.given, name)), np.ravel(weight * getattr(right, name))
+    return pairs
+
+
+def scales(evidence: Evidence) -> Iterator[Explanation]:
+    """Signs, units and other factors that have a name."""
+    if evidence.right is None:
+        yield from _without_right(evidence)
+        return
+    known = factors(evidence)
+    if known is None or all(abs(factor - 1) <= CLOSE for factor in known.values()):
+        return
+    named: dict[str, NamedFactor] = {}
+    units = evidence.problem.units
+    for name, factor in known.items():
+        length = name == "displacement"
+        one = named_factor(factor, length, units.length if length else units.force)
+        if one is None:
+            return
+        named[name] = one
+    meant = {name: one.exact for name, one in named.items()}
+    if any(exact == 0 for exact in meant.values()):
+        yield from _zero(evidence, meant)
+        return
+    undone = evidence.with_parts(**{name: getattr(evidence.given, name) / exact for name, exact in meant.items()})
+    left = evidence.apart(undone, evidence.right)
+    if not evidence.explains(left):
+        return
+    yield from _of_load(evidence, meant)
+    then = evidence.then(undone, left)
+    for exact in sorted({one for one in meant.values() if one != 1}, key=abs):
+        parts = [name for name, one in meant.items() if one == exact]
+        kind, _, guess = named[parts[0]]
+        kind = f"{parts[0].split('_')[0]}-{kind}" if kind == "sign" and "normal_force" not in parts else kind
+        text = _text(evidence, parts, exact, guess, then)
+        yield Explanation(Finding(kind, text, True), left)
+
+
+def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
+    """Where one factor belongs to everything, and gaps do not tell, the load may have had it."""
+    problem, factor = evidence.problem, next(iter(meant.values()))
+    if len(set(meant.values())) > 1 or not np.any(problem.load):
+        return
+    if evidence.passes(evidence.given, problem.replace(load=factor * problem.load)):
+        text = f"it is the right answer to {factor:.6g} times the load"
+        yield Explanation(Finding("load", text, True), 0.0)
+
+
+def _text(evidence: Evidence, parts: list[str], factor: float, guess: str, then: str) -> str:
+    what = "everything" if len(parts) == len(evidence.given_parts) and len(parts) > 1 else _joined(parts)
+    if factor == -1:
+        has = "has" if what == "everything" else "have"
+        if parts == ["normal_force"] and then == "this answer is right":
+            other = "negative" if evidence.given.compression == "positive" else "positive"
+            return f"all {what} {has} the opposite sign: with compression={other!r} {then}"
+        return f"{what if what == 'everything' else f'all {what}'} {has} the opposite sign: turned, {then}"
+    is_ = "is" if what == "everything" else "are"
+    if what == "everything" and " instead of " in guess and "ring" not in guess:
+        guess = "another unit, such as milli for one"
+    turned = " and have the opposite sign" if factor < 0 else ""
+    size = f"{abs(factor):.6g}"
+    return f"{what} {is_} {size} times the right values{turned} ({guess}?): divided by {size}, {then}"
+
+
+def _joined(parts: list[str]) -> str:
+    names = [CALLED[name] for name in parts]
+    if set(parts) >= {"normal_force", "friction_force", "tie_force"}:
+        names = [CALLED["displacement"]] * ("displacement" in parts) + ["forces"]
+    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _zero(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
+    parts = [name for name, factor in meant.items() if factor == 0]
+    if any(factor not in (0, 1) for factor in meant.values()):
+        return
+    what = "everything" if len(parts) == len(evidence.given_parts) else f"all {_joined(parts)}"
+    verb = "is" if what == "everything" else "are"
+    undone = evidence.with_parts(**{name: getattr(evidence.right, name) for name in parts})
+    if evidence.right is None or evidence.apart(undone, evidence.right) > REST:
+        return
+    rest = "" if what == "everything" else "; the rest is right"
+    yield Explanation(Finding("zero", f"{what} {verb} zero{rest}", True), 0.0)
+
+
+def _without_right(evidence: Evidence) -> Iterator[Explanation]:
+    """Where no right answer is known the certificate alone tells whether a sign or a power of ten was all."""
+    force = evidence.given.normal_force
+    if force is None or not np.any(force):
+        return
+    turned = evidence.with_parts(normal_force=-force)
+    if evidence.passes(turned):
+        text = _text(evidence, ["normal_force"], -1.0, "", "this answer is right")
+        yield Explanation(Finding("sign", text, True), 0.0)
+        return
+    for power in (3, -3, 6, -6):
+        scaled = evidence.with_parts(normal_force=force / 10.0**power)
+        if evidence.passes(scaled):
+            one = named_factor(10.0**power, False, evidence.problem.units.force)
+            text = _text(evidence, ["normal_force"], 10.0**power, one.guess if one else "", "this answer is right")
+            yield Explanation(Finding("unit", text, True), 0.0)
+            return

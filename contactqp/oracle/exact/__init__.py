@@ -1,0 +1,1 @@
+"""Exact and enclosed answers: rational numbers, intervals, and the proofs of them."""

@@ -1,0 +1,270 @@
+"""Enclosures of the answer of a scene whose geometry is irrational: its square roots as balls, and all that follows.
+
+The scene is assembled anew with balls in place of irrational numbers, the linear system of the combination that floats
+propose is solved in balls (which proves that it is regular), and every sign that the problem asks for is proven to be
+strictly right. What lies on the edge, a contact that just touches, cannot be told from one that does not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import flint
+import numpy as np
+from flint import arb, arb_mat
+
+from contactqp.elements.exact import irrational_roots
+from contactqp.errors import NotCertified, Unsupported
+from contactqp.oracle.exact.ball import midpoint, radius, root, to_arb
+from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts
+from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal
+from contactqp.scene.building import ExactProblem, exact_problem
+from contactqp.solution import Solution
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import Scene
+
+# Bits; the second where signs are not decided, or cancellation has eaten the first.
+PRECISIONS = (256, 1024, 4096)
+# Every component that is not zero is known to this part of itself, or the next precision is tried.
+ENOUGH = 1e-15
+# Dense systems in balls of some hundred unknowns take seconds.
+MOST_UNKNOWNS = 400
+
+Rows = list[list[arb]]
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """The problem on its free unknowns; matrices are lists of rows."""
+
+    K: Rows
+    f: list[arb]
+    E: Rows
+    g: list[arb]
+    T: Rows  # one a contact, none where nothing rubs
+    friction: list[arb]
+    origin: list[arb]
+    A: Rows
+    b: list[arb]
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Balls of an answer whose signs are strict."""
+
+    u: list[arb]
+    push: list[arb]
+    rub: list[arb]
+    tie: list[arb]
+    gap: list[arb]
+    slip: list[arb]
+
+    def values(self) -> list[arb]:
+        return self.u + self.push + self.rub + self.tie + self.gap + self.slip
+
+
+def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
+    """The answer in balls.
+
+    Raises
+    ------
+    NotCertified
+        A sign cannot be decided.
+    Unsupported
+        Too many unknowns, friction in space, a singular system, floats that propose nothing.
+    """
+    problem = asked.problem
+    if problem.dimension > MOST_UNKNOWNS:
+        raise Unsupported(f"exact: {problem.dimension} unknowns with irrational numbers; at most {MOST_UNKNOWNS}")
+    if problem.frictional and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        raise Unsupported("exact: friction in space with irrational numbers")
+    solution, error = proposal(asked)
+    if solution is None:
+        raise error if error is not None else Unsupported("exact: floats propose nothing")
+    undecided = ""
+    for precision in PRECISIONS:
+        with flint.ctx.workprec(precision), irrational_roots(root):
+            try:
+                balls = _balls(exact_problem(scene))
+            except TypeError as error:
+                raise Unsupported(f"exact: irrational numbers that are known as floats only ({error})") from None
+            _refuse_indefinite(scene, balls)
+            states = tuple(str(word) for word in solution.contact_status)
+            try:
+                found = _solved(balls, states, [float(x) for x in _rub(solution)])
+            except ZeroDivisionError:
+                undecided = "the system of the proposed contact set is singular"
+                continue
+            undecided = _undecided(balls, states, found, problem.contact_name)
+            if not undecided and all(_is_sharp(x) for x in found.values()):
+                return _answer(asked, solution, found, states)
+    raise NotCertified(f"exact: {undecided or 'the balls stay too wide'}, with {PRECISIONS[-1]} bits", solution)
+
+
+def _rub(solution: Solution) -> Sequence[float]:
+    force = solution.friction_force
+    return [] if force is None else [float(x) for x in np.asarray(force)[:, 0]]
+
+
+def _balls(exact: ExactProblem) -> Balls:
+    free = exact.unknowns.free
+    place = {name: i for i, name in enumerate(free)}
+    K = [[arb(0)] * len(free) for _ in free]
+    for (i, j), entry in exact.stiffness.items():
+        if i in place and j in place:
+            K[place[i]][place[j]] = to_arb(entry)
+    rubs = any(contact.friction for contact in exact.contacts)
+    contacts = exact.contacts if rubs else ()
+    return Balls(
+        K=K,
+        f=[to_arb(exact.load.get(name, Fraction(0))) for name in free],
+        E=[_row(contact.normal, place) for contact in exact.contacts],
+        g=[to_arb(contact.gap) for contact in exact.contacts],
+        T=[_row(row, place) for contact in contacts for row in contact.tangent],
+        friction=[to_arb(contact.friction) for contact in exact.contacts],
+        origin=[to_arb(x) for contact in contacts for x in contact.slip_origin],
+        A=[_row(tie.row, place) for tie in exact.ties],
+        b=[to_arb(tie.value) for tie in exact.ties],
+    )
+
+
+def _row(row: Mapping[str, Any], place: Mapping[str, int]) -> list[arb]:
+    made = [arb(0)] * len(place)
+    for name, value in row.items():
+        if name in place:
+            made[place[name]] = to_arb(value)
+    return made
+
+
+def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
+    """Elements are positive semidefinite one by one; matrices that somebody gave are not known to be."""
+    if not scene.matrices:
+        return
+    pivots = [list(row) for row in balls.K]
+    for i, row in enumerate(pivots):
+        if not row[i] > 0:
+            raise Unsupported("exact: a stiffness with matrices of its own that is not proven to be positive definite")
+        for other in pivots[i + 1 :]:
+            share = other[i] / row[i]
+            other[i:] = [x - share * y for x, y in zip(other[i:], row[i:], strict=True)]
+
+
+def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclosed:
+    """The system of `contactqp.oracle.exact.combination` in balls."""
+    n, m = len(balls.f), len(balls.g)
+    closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
+    stuck = [i for i in closed if states[i] == "stick"]
+    sign = {i: (1 if rubs[i] > 0 else -1) for i in closed if states[i] == "slip"}
+    pushed = [
+        [x + sign[i] * balls.friction[i] * y for x, y in zip(balls.E[i], balls.T[i], strict=True)]
+        if i in sign
+        else balls.E[i]
+        for i in closed
+    ]
+    held = balls.A + [balls.E[i] for i in closed] + [balls.T[i] for i in stuck]
+    along = balls.A + pushed + [balls.T[i] for i in stuck]
+    limit = balls.b + [balls.g[i] for i in closed] + [balls.origin[i] for i in stuck]
+    matrix = [[*balls.K[j], *(row[j] for row in along)] for j in range(n)]
+    matrix += [[*row, *[arb(0)] * len(held)] for row in held]
+    size = n + len(held)
+    x = arb_mat(size, size, [y for row in matrix for y in row]).solve(arb_mat(size, 1, balls.f + limit)).entries()
+    if not all(y.is_finite() for y in x):
+        raise ZeroDivisionError
+    u, tie, rest = x[:n], x[n : n + len(balls.A)], x[n + len(balls.A) :]
+    push, rub = [arb(0)] * m, [arb(0)] * len(balls.T)
+    for i, value in zip(closed, rest, strict=False):
+        push[i] = value
+        if i in sign:
+            rub[i] = sign[i] * balls.friction[i] * value
+    for i, value in zip(stuck, rest[len(closed) :], strict=True):
+        rub[i] = value
+    gap = [arb(0) if i in closed else balls.g[i] - _product(balls.E[i], u) for i in range(m)]
+    slip = [arb(0) if i in stuck else _product(row, u) - balls.origin[i] for i, row in enumerate(balls.T)]
+    return Enclosed(u, push, rub, tie, gap, slip)
+
+
+def _product(row: list[arb], u: list[arb]) -> arb:
+    return sum((x * y for x, y in zip(row, u, strict=True)), arb(0))
+
+
+def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any) -> str:
+    """The first sign that is not strictly right, in words, or nothing."""
+    for i, word in enumerate(states):
+        if word in ("open", "grazing"):
+            if not found.gap[i] > 0:
+                return f"the gap of {name(i)} is not proven to be positive ({found.gap[i].str(6)})"
+            continue
+        if not found.push[i] > 0:
+            return f"the normal force of {name(i)} is not proven to be positive ({found.push[i].str(6)})"
+        if word == "stick" and not abs(found.rub[i]) < balls.friction[i] * found.push[i]:
+            return f"{name(i)} is not proven to stick"
+        if word == "slip" and not found.rub[i] * found.slip[i] > 0:
+            return f"{name(i)} is not proven to slip that way"
+    return ""
+
+
+def _is_sharp(value: arb) -> bool:
+    """Known well enough, or so small that it may be zero."""
+    size, off = abs(float(value.mid())), float(value.rad())
+    return off <= ENOUGH * size or off < 1e-60
+
+
+def _answer(asked: Asked, solution: Solution, found: Enclosed, states: tuple[str, ...]) -> ExactSolution:
+    problem = asked.problem
+    shape = None if problem.slip_origin is None else problem.slip_origin.shape
+    push = found.push
+    ranges = np.empty((len(push), 2), dtype=object)
+    for i, force in enumerate(push):
+        ranges[i] = [midpoint(force), midpoint(force)]
+    last = (PROVEN_FRICTION,) if problem.frictional else ("the stiffness is positive semidefinite, element by element",)
+    return ExactSolution(
+        problem=problem,
+        displacement=_middles(found.u),
+        normal_force=_middles(push),
+        friction_force=None if shape is None else _middles(found.rub).reshape(shape),
+        tie_force=_middles(found.tie),
+        gap=_middles(found.gap),
+        slip=None if shape is None else _middles(found.slip).reshape(shape),
+        contact_status=tuple("open" if word == "grazing" else word for word in states),
+        rational=False,
+        radius=Parts(
+            _radii(found.u),
+            _radii(push),
+            None if shape is None else _radii(found.rub).reshape(shape),
+            _radii(found.tie),
+            _radii(found.gap),
+            None if shape is None else _radii(found.slip).reshape(shape),
+        ),
+        unique_forces=True,
+        force_range=ranges,
+        free_motions=(),
+        energy=None,
+        equilibria=None,
+        uniqueness=solution.certificate.uniqueness,
+        events=(),
+        data=asked.source,
+        way="the proposed contact set, in balls",
+        proof=(
+            "the system of this contact set is regular: these are its only displacements and forces",
+            "every gap and every normal force is strictly positive where it is not zero by that system",
+            *last,
+        ),
+        notes=(),
+        method=asked.method,
+        seconds=time.perf_counter() - asked.started,
+    )
+
+
+def _middles(values: Sequence[arb]) -> Fractions:
+    array = np.empty(len(values), dtype=object)
+    array[:] = [midpoint(x) for x in values]
+    return array
+
+
+def _radii(values: Sequence[arb]) -> Any:
+    return np.array([radius(x) for x in values], dtype=float)

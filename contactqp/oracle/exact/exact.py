@@ -1,0 +1,169 @@
+"""exact(): the equilibrium in rational numbers, or enclosed, proven."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
+from contactqp.local_problem import LocalProblem
+from contactqp.oracle.exact.exact_solution import ExactSolution
+from contactqp.problem import ContactProblem
+
+if TYPE_CHECKING:
+    from contactqp.oracle.exact.rational_answer import Asked
+    from contactqp.scene.building import NodeModel
+    from contactqp.scene.schema import Scene
+
+FLOATS = "the problem's floats as they stand"
+CASE = "the case's own numbers"
+BODY = "the floats of the assembled bodies as they stand"
+# Unknowns, contacts and ties whose rational numbers take a second, and some ten seconds.
+RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
+# The numbers of a case are short, but matrices of them are dense.
+MOST_OF_A_CASE = 1500
+
+
+def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
+    """The exact answer to a contact problem.
+
+    A floating-point method proposes which contacts are closed (and which of them stick and slip); the linear system of
+    that proposal is solved in rational numbers, and every statement of the problem is checked in them, with no
+    tolerance. What does not hold corrects the proposal; at last Lemke's method in rational numbers finds the answer or
+    proves that there is none.
+
+    Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
+    that is proven to hold the exact one (`contactqp.oracle.exact.enclosure`, `contactqp.oracle.exact.enclosed_scene`).
+
+    Parameters
+    ----------
+    problem : ContactProblem or Scene
+        A problem's floats are taken as they stand, the stiffness as it was symmetrised. The numbers of a scene of nodes
+        are read exactly: 1 mm is 1/1000 m, and 0.1 is 1/10. A scene's answer is the one under its full load; with
+        friction and a load path, the one at the end of the path. Of a scene with elastic bodies the floats of the
+        assembled problem are taken as they stand.
+    method : str
+        A name of `contactqp.methods()`: what proposes.
+    enclose : bool, optional
+        Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
+        300 unknowns and contacts, and up to 700 where an enclosure cannot decide what just touches.
+    **options
+        Of `contactqp.solve`.
+
+    Raises
+    ------
+    NoEquilibrium
+        Proven: the constraints conflict, or the load drives a motion that nothing holds.
+    SeveralEquilibria
+        On a load path with friction, several ways to go on.
+    NotCertified, NotConverged
+        Nothing could be proven.
+    Unsupported
+        Motions and large deformations, friction on paths of bodies or with irrational numbers, irrational slip
+        directions; a stiffness that rounding has made indefinite.
+    BackendMissing
+        python-flint is not installed.
+
+    Examples
+    --------
+    A bar of 157500 kN/m, pulled with 300 kN against a wall 1/8 m away.
+
+    >>> import contactqp as cq
+    >>> bar = cq.ContactProblem(stiffness=[[1575.0]], load=[300.0], normal=[[1.0]], gap=[0.125])
+    >>> answer = cq.exact(bar)
+    >>> answer.normal_force[0], answer.doubles.normal_force[0].item(), answer.unique_forces
+    (Fraction(825, 8), 103.125, True)
+
+    Two stops at one place: the least of the forces that hold, and how far each can range.
+
+    >>> stops = cq.ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0], [1.0]], gap=[0.5, 0.5])
+    >>> answer = cq.exact(stops)
+    >>> [str(force) for force in answer.normal_force], [str(end) for end in answer.force_range[0]]
+    (['1', '1'], ['0', '2'])
+    """
+    started = time.perf_counter()
+    importlib.import_module("contactqp.oracle.exact.rational")  # which says so where python-flint is missing
+    if isinstance(problem, ContactProblem):
+        return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
+    if isinstance(problem, LocalProblem):
+        raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")
+    from contactqp.scene.schema import Scene
+
+    if not isinstance(problem, Scene):
+        raise InvalidProblem(f"exact: expected a ContactProblem or a Scene, got {type(problem).__name__}")
+    return _of_scene(problem, method, enclose, options, started)
+
+
+def _asked(problem: ContactProblem, source: str, method: str, options: dict[str, Any], started: float) -> Asked:
+    from contactqp.oracle.exact.rational_answer import Asked
+
+    return Asked(problem, source, method, options, started)
+
+
+def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
+    from contactqp.oracle.exact.enclosed_answer import prove_by_enclosure
+    from contactqp.oracle.exact.exact_problem import of_floats
+    from contactqp.oracle.exact.rational_answer import prove
+
+    size = asked.problem.dimension + asked.problem.contacts + asked.problem.ties
+    small = size <= (RATIONAL_WITH_FRICTION if asked.problem.frictional else RATIONAL)
+    if enclose or (enclose is None and not small):
+        try:
+            return prove_by_enclosure(asked)
+        except (NotCertified, NotConverged):
+            if enclose or size > RATIONAL_AT_LAST:
+                raise
+    return prove(of_floats(asked.problem), asked)
+
+
+def _of_scene(
+    scene: Scene, method: str, enclose: bool | None, options: dict[str, Any], started: float
+) -> ExactSolution:
+    for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
+        if there:
+            raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
+    from contactqp.scene.corners import end_time
+    from contactqp.scene.models import build
+
+    model = build(scene)
+    walked = scene.path is not None and model.problem.frictional
+    if scene.meshed:
+        if walked:
+            raise Unsupported("exact: friction on a load path of bodies, whose answer depends on the way")
+        at_end = model.problem
+        if scene.path is not None:
+            at_end = at_end.replace(load=model.load_at(end_time(scene)))
+        return _of_floats(_asked(at_end, BODY, method, options, started), enclose)
+    from contactqp.oracle.exact.exact_problem import of_scene
+    from contactqp.oracle.exact.rational_answer import prove, prove_path
+    from contactqp.scene.building import NodeModel as Nodes
+
+    assert isinstance(model, Nodes)  # a scene without meshes is one of nodes
+    if model.problem.dimension > MOST_OF_A_CASE:
+        raise Unsupported(
+            f"exact: a case of {model.problem.dimension} unknowns, too many for rational numbers (at most "
+            f"{MOST_OF_A_CASE}); its problem of floats can be enclosed"
+        )
+    asked = _asked(model.problem, CASE, method, options, started)
+    if not model.exact.rational:
+        if walked:
+            raise Unsupported("exact: friction on a load path with irrational numbers, whose answer depends on the way")
+        from contactqp.oracle.exact.enclosed_scene import enclose_scene
+
+        return enclose_scene(scene, asked)
+    data = of_scene(model.exact)
+    if walked:
+        return prove_path(data, _corners(model), asked)
+    return prove(data, asked)
+
+
+def _corners(model: NodeModel) -> list[Any]:
+    """The exact loads (n, 1) of the path's corners on the free unknowns."""
+    from contactqp.oracle.exact.rational import column
+    from contactqp.scene.corners import end_time
+
+    free = model.exact.unknowns.free
+    loads = [model.exact_load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
+    return [column([load.get(name, Fraction(0)) for name in free]) for load in loads]

@@ -1,0 +1,265 @@
+"""A load path with Coulomb friction in the plane, in rational numbers, from event to event.
+
+While no contact opens, closes, starts or stops slipping, all is affine in the load. At each event and corner Coulomb's
+law in rates says how the contacts at a limit go on (`contactqp.analysis.friction_rates` states it):
+
+    edge of the cone, l_T = e mu l_N:    s' = 0 and e l_T' <= mu l_N'    or    l_T' = e mu l_N' and e s' >= 0
+    neither gap nor force:    gap' >= 0    or    gap' = 0, l_N' >= 0 and |l_T'| <= mu l_N', = mu l_N' along s' != 0
+
+Every choice is tried; the path goes on where one way of going on is left, and the law is proven at both ends of every
+piece, whose slips count from rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import product
+
+from flint import fmpq, fmpq_mat
+
+from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.oracle.exact.combination import Combination, system_of
+from contactqp.oracle.exact.exact_problem import RationalProblem
+from contactqp.oracle.exact.exact_solution import ExactEvent
+from contactqp.oracle.exact.proof import RationalAnswer, wrong
+from contactqp.oracle.exact.rational import fraction, is_zero, zeros
+
+OPEN, CLOSED, STICK, SLIP_BACK, SLIP_ON = "open", "closed", "stick", "slip back", "slip on"
+SIGN = {SLIP_BACK: -1, SLIP_ON: 1}
+MOST_TRIED = 4096
+EVENTS_A_CONTACT = 40
+
+States = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PathEnd:
+    """The end of a path: its answer, the states in which it was reached, and all events."""
+
+    answer: RationalAnswer
+    status: tuple[str, ...]
+    events: tuple[ExactEvent, ...]
+    pieces: int
+
+
+def follow(data: RationalProblem, corners: Sequence[fmpq_mat], names: Sequence[str]) -> PathEnd:
+    """From rest without load straight to each corner (n, 1) in turn.
+
+    Raises
+    ------
+    NoEquilibrium
+        At a load from which no states go on.
+    SeveralEquilibria
+        Several do, and nothing chooses.
+    Unsupported
+        The path does not start at rest, rates are not unique, or friction in space.
+    """
+    if data.width != 1:
+        raise Unsupported("exact: friction on a load path in space, where slip directions turn")
+    walk = _Walk(data, names)
+    before = zeros(data.unknowns, 1)
+    for leg, corner in enumerate(corners):
+        walk.leg(before, corner, leg)
+        before = corner
+    return PathEnd(walk.answer, walk.words(), tuple(walk.events), walk.pieces)
+
+
+class _Walk:
+    def __init__(self, data: RationalProblem, names: Sequence[str]) -> None:
+        self.data, self.names = data, names
+        m = data.contacts
+        self.answer = RationalAnswer(zeros(data.unknowns, 1), zeros(m, 1), zeros(m, 1), zeros(data.ties, 1))
+        self.states: States = (OPEN,) * m
+        self.events: list[ExactEvent] = []
+        self.pieces = 0
+        at_rest = replace(data, f=zeros(data.unknowns, 1))
+        if next(wrong(at_rest, self.answer), None) is not None or not is_zero(data.b):
+            raise Unsupported("exact: a load path that does not start without forces, gaps and ties met at rest")
+        for i, gap in enumerate(data.g.entries()):
+            if gap == 0 and data.friction[i] > 0 and data.slip_origin[i, 0] != 0:
+                raise Unsupported(f"exact: {names[i]} is closed at the start, away from its slip_origin")
+
+    def leg(self, start: fmpq_mat, end: fmpq_mat, time: int) -> None:
+        """All of it: the load is start + x (end - start), x from 0 to 1."""
+        direction, x = end - start, fmpq(0)
+        rates = replace(
+            self.data,
+            f=direction,
+            g=zeros(self.data.contacts, 1),
+            b=zeros(self.data.ties, 1),
+            slip_origin=zeros(self.data.contacts, 1),
+        )
+        for _ in range(EVENTS_A_CONTACT * (self.data.contacts + 1)):
+            at = f"at t = {float(fraction(x)) + time:.12g}"
+            states, rate = self._continuation(rates, at)
+            self._tell(states, time + fraction(x))
+            self.states = states
+            self._prove(start + direction * x, rate)
+            step = min(self._ahead(rate), 1 - x)
+            self.answer = _moved(self.answer, rate, step)
+            x += step
+            self.pieces += 1
+            self._prove(start + direction * x, rate)
+            if x == 1:
+                return
+        raise NotConverged(f"exact: too many changes of state in leg {time + 1} of the load path")
+
+    def _continuation(self, rates: RationalProblem, at: str) -> tuple[States, RationalAnswer]:
+        found: list[tuple[States, RationalAnswer]] = []
+        loose: list[States] = []
+        for states in self._choices(at):
+            system = system_of(rates, _combination(states))
+            solved = system.solve()
+            if solved is None:
+                continue
+            rate = system.answer(solved[0], solved[1])
+            if not self._goes_on(states, rate):
+                continue
+            if not solved[2]:
+                loose.append(states)
+                continue
+            known = next((i for i, (_, other) in enumerate(found) if _same(rate, other)), None)
+            if known is None:
+                found.append((states, rate))
+            elif states.count(STICK) > found[known][0].count(STICK):
+                found[known] = states, rate  # what does not slip is called stuck
+        if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
+            raise Unsupported(f"exact: {at}: contact forces or motions are not unique in rates")
+        if not found:
+            raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
+        if len(found) > 1:
+            listed = "; ".join(", ".join(states) for states, _ in found)
+            raise SeveralEquilibria(f"exact: {at}: several continuations, and nothing chooses ({listed})")
+        return found[0]
+
+    def _is_of(self, states: States, rate: RationalAnswer) -> bool:
+        """Whether a continuation is one in these states too, where they leave a motion free: then it rests."""
+        approach, slips = (self.data.E * rate.displacement).entries(), (self.data.T * rate.displacement).entries()
+        for i, state in enumerate(states):
+            push, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
+            if state == OPEN:
+                same = push == rub == 0
+            else:
+                same = approach[i] == 0 and (state != STICK or slips[i] == 0)
+                same = same and (state not in SIGN or rub == SIGN[state] * self.data.friction[i] * push)
+            if not same:
+                return False
+        return True
+
+    def _choices(self, at: str) -> Iterator[States]:
+        choices = list[States]()
+        gap = self.data.gap(self.answer.displacement).entries()
+        for i, mu in enumerate(self.data.friction):
+            push, rub = self.answer.normal_force[i, 0], self.answer.friction_force[i, 0]
+            if gap[i] > 0:
+                choices.append((OPEN,))
+            elif push == 0:
+                choices.append((OPEN, CLOSED) if mu == 0 else (OPEN, STICK, SLIP_BACK, SLIP_ON))
+            elif mu == 0:
+                choices.append((CLOSED,))
+            elif abs(rub) < mu * push:
+                choices.append((STICK,))
+            else:
+                choices.append((STICK, SLIP_ON if rub > 0 else SLIP_BACK))
+        count = 1
+        for choice in choices:
+            count *= len(choice)
+        if count > MOST_TRIED:
+            raise Unsupported(f"exact: {at}: {count} ways to go on are too many to try in rational numbers")
+        return product(*choices)
+
+    def _goes_on(self, states: States, rate: RationalAnswer) -> bool:
+        """The law in rates at contacts that are at a limit."""
+        gaps = (-1 * self.data.E * rate.displacement).entries()
+        slips = (self.data.T * rate.displacement).entries()
+        now = self.data.gap(self.answer.displacement).entries()
+        for i, state in enumerate(states):
+            mu, push = self.data.friction[i], self.answer.normal_force[i, 0]
+            more, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
+            if state == OPEN:
+                holds = now[i] > 0 or gaps[i] >= 0
+            elif push == 0:
+                holds = more >= 0 and (state != STICK or abs(rub) <= mu * more)
+                holds = holds and SIGN.get(state, 0) * slips[i] >= 0
+            elif state in SIGN:
+                holds = SIGN[state] * slips[i] >= 0
+            else:
+                edge = self.answer.friction_force[i, 0]
+                at_edge = state == STICK and abs(edge) == mu * push
+                holds = not at_edge or (rub if edge > 0 else -rub) <= mu * more
+            if not holds:
+                return False
+        return True
+
+    def _ahead(self, rate: RationalAnswer) -> fmpq:
+        """How far the next limit is, as a part of the leg, or 1."""
+        nearest = fmpq(1)
+        gaps, rates = self.data.gap(self.answer.displacement).entries(), (self.data.E * rate.displacement).entries()
+        for i, state in enumerate(self.states):
+            mu = self.data.friction[i]
+            push, more = self.answer.normal_force[i, 0], rate.normal_force[i, 0]
+            rub, turn = self.answer.friction_force[i, 0], rate.friction_force[i, 0]
+            rooms = [(gaps[i], -rates[i])] if state == OPEN else [(push, more)]
+            if state == STICK:
+                rooms += [(mu * push - s * rub, mu * more - s * turn) for s in (-1, 1)]
+            for room, slope in rooms:
+                if room > 0 > slope:
+                    nearest = min(nearest, room / -slope)
+        return nearest
+
+    def _prove(self, load: fmpq_mat, rate: RationalAnswer) -> None:
+        """Every statement, slips counted from where each contact would be without its rate of slip."""
+        moved = self.data.T * rate.displacement
+        origin = self.data.T * self.answer.displacement
+        for i, state in enumerate(self.states):
+            if state in SIGN:
+                origin[i, 0] = origin[i, 0] - moved[i, 0]
+        here = replace(self.data, f=load, slip_origin=origin)
+        failed = next(wrong(here, self.answer), None)
+        if failed is not None:
+            raise ArithmeticError(f"a piece of the path fails the exact proof: {failed}")
+
+    def _tell(self, states: States, time: Fraction) -> None:
+        for i, (before, now) in enumerate(zip(self.states, states, strict=True)):
+            if before == now:
+                continue
+            kinds = []
+            if (before == OPEN) != (now == OPEN):
+                kinds.append("opened" if now == OPEN else "closed")
+            if now not in (OPEN, CLOSED) and (now != STICK or before != OPEN):
+                kinds.append("stick" if now == STICK else "slip")
+            self.events += [ExactEvent(kind, i, self.names[i], time) for kind in kinds]
+
+    def words(self) -> tuple[str, ...]:
+        """(m,) the states of the last piece as a `Solution` calls them."""
+        gap, push = self.data.gap(self.answer.displacement).entries(), self.answer.normal_force.entries()
+        return tuple(
+            ("open" if gap[i] != 0 else "grazing") if push[i] == 0 else ("slip" if state in SIGN else state)
+            for i, state in enumerate(self.states)
+        )
+
+
+def _combination(states: States) -> Combination:
+    closed = tuple(i for i, state in enumerate(states) if state != OPEN)
+    stuck = tuple(i for i in closed if states[i] == STICK)
+    return Combination(closed, stuck, {i: (fmpq(SIGN[states[i]]),) for i in closed if states[i] in SIGN})
+
+
+def _moved(one: RationalAnswer, rate: RationalAnswer, step: fmpq) -> RationalAnswer:
+    return RationalAnswer(
+        one.displacement + rate.displacement * step,
+        one.normal_force + rate.normal_force * step,
+        one.friction_force + rate.friction_force * step,
+        one.tie_force + rate.tie_force * step,
+    )
+
+
+def _same(one: RationalAnswer, other: RationalAnswer) -> bool:
+    return (
+        one.displacement == other.displacement
+        and one.normal_force == other.normal_force
+        and one.friction_force == other.friction_force
+        and one.tie_force == other.tie_force
+    )

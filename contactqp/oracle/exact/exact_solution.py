@@ -1,0 +1,112 @@
+"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.problem import ContactProblem
+from contactqp.solution import FreeMotion
+
+# Object arrays of Fractions.
+Fractions = NDArray[Any]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Floats in the shapes of a `Solution`; `friction_force` and `slip` are None where nothing rubs."""
+
+    displacement: Floats  # (n,)
+    normal_force: Floats  # (m,)
+    friction_force: Floats | None  # (m, d-1)
+    tie_force: Floats  # (k,)
+    gap: Floats  # (m,)
+    slip: Floats | None  # (m, d-1)
+
+
+@dataclass(frozen=True)
+class ExactEvent:
+    """A change of a contact on a load path."""
+
+    kind: str  # "closed", "opened", "stick", "slip"
+    contact: int
+    name: str
+    time: Fraction  # pseudo-time of the path
+
+
+@dataclass(frozen=True, eq=False)
+class ExactSolution:
+    """The equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f in numbers that are proven; signs and shapes of `Solution`.
+
+    Entries are Fractions: the exact values where `rational`, otherwise the midpoints of intervals mid +- radius, one an
+    entry, that hold the exact values (`radius`). `doubles` has the nearest floats.
+    """
+
+    problem: ContactProblem = field(repr=False)
+    displacement: Fractions  # (n,) u [length]; least norm where motions are free
+    normal_force: Fractions  # (m,) l_N [force], positive in compression
+    friction_force: Fractions | None  # (m, d-1) l_T [force], what the body does to the obstacle
+    tie_force: Fractions  # (k,) nu [force]
+    gap: Fractions  # (m,) g - E_N u [length], positive when open
+    slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, since its start
+    contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
+    rational: bool
+    radius: Parts | None = field(repr=False)  # rounded up; None where rational: all zero
+    unique_forces: bool  # no other contact forces hold this displacement
+    # (m, 2) the least and the largest value of each normal force over all forces that hold the displacement, None where
+    # unbounded. Where they are not unique `normal_force` is the set of least norm: least sum of squares of all contact
+    # forces in the units given, none of them in tension; the ties' are then the least of those that fit. Enclosed
+    # forces are unique: both ends are the midpoint.
+    force_range: Fractions = field(repr=False)
+    free_motions: tuple[FreeMotion, ...]
+    energy: Fraction | None  # 1/2 u'Ku - f'u [force x length]; None where enclosed
+    equilibria: int | None  # with friction, how many displacements are equilibria at this load; None: not counted
+    uniqueness: tuple[str, ...]  # with friction, what is known of other equilibria, as in a certificate
+    events: tuple[ExactEvent, ...]  # of a load path with friction
+    data: str  # whose numbers are solved exactly
+    way: str  # how the answer was found
+    proof: tuple[str, ...]  # what was proven
+    notes: tuple[str, ...]  # what else to know
+    method: str  # that proposed the contact set
+    seconds: float
+
+    @property
+    def doubles(self) -> Parts:
+        """The nearest floats of the exact values, or of the midpoints."""
+        return Parts(
+            _floats(self.displacement),
+            _floats(self.normal_force),
+            None if self.friction_force is None else _floats(self.friction_force),
+            _floats(self.tie_force),
+            _floats(self.gap),
+            None if self.slip is None else _floats(self.slip),
+        )
+
+    def __str__(self) -> str:
+        from contactqp.oracle.exact.printing import text
+
+        return text(self)
+
+
+def nearest(x: Fraction) -> float:
+    """The nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
+    try:
+        return x.numerator / x.denominator
+    except OverflowError:
+        return math.inf if x > 0 else -math.inf
+
+
+def rounded_up(x: Fraction) -> float:
+    """The least double that is not smaller."""
+    near = nearest(x)
+    return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
+
+
+def _floats(values: Fractions) -> Floats:
+    return np.array([nearest(x) for x in values.ravel().tolist()], dtype=float).reshape(values.shape)

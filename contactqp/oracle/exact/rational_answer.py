@@ -1,0 +1,204 @@
+"""From a problem in rational numbers and what floats propose to a proven `ExactSolution`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from flint import fmpq_mat
+
+from contactqp.errors import (
+    BackendFailed,
+    ContactQPError,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    Unsupported,
+)
+from contactqp.existence import describe_motion
+from contactqp.oracle.exact.closed_set import Settled, settle
+from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
+from contactqp.oracle.exact.exact_path import follow
+from contactqp.oracle.exact.exact_problem import RationalProblem
+from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
+from contactqp.oracle.exact.proof import status
+from contactqp.oracle.exact.rational import NoSolution, Undecided, dot, fraction, number, zeros
+from contactqp.oracle.exact.semidefinite import is_semidefinite
+from contactqp.problem import ContactProblem
+from contactqp.solution import FreeMotion, Solution
+from contactqp.solving import solve
+from contactqp.uniqueness import SEVERAL
+
+# Lemke's method, asked where no proposed set holds, takes seconds for some hundred pivots.
+MOST_PIVOTS = 400
+# Floats and exact answer of the same numbers agree to this part of the largest where the numbers are well-posed.
+AGREE = 1e-6
+PROVEN = (
+    "equilibrium at every unknown",
+    "every tie",
+    "every gap >= 0 and every normal force >= 0, one of them 0 at each contact",
+)
+PROVEN_FRICTION = "Coulomb's law at every contact"
+PROVEN_PATH = "all of these at both ends of every piece of the load path, and that each event has one continuation"
+PROVEN_MINIMUM = "the stiffness is positive semidefinite: the equilibrium is the minimum"
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A problem in floats, whose exact answer is asked for, and by what the contact set is proposed."""
+
+    problem: ContactProblem
+    source: str
+    method: str
+    options: dict[str, Any]
+    started: float
+
+
+def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
+    """The answer of floats, or the one they gave up with, and why."""
+    try:
+        return solve(asked.problem, asked.method, **asked.options), None
+    except (NotCertified, NotConverged) as error:
+        found = error.solution
+        return (found if isinstance(found, Solution) else None), error
+    except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
+        return None, error
+
+
+def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
+    """The exact answer.
+
+    Raises
+    ------
+    NoEquilibrium
+        Proven in rational arithmetic.
+    NotConverged
+        No proposed set holds, and Lemke's method did not end.
+    Unsupported
+        The stiffness as it stands is indefinite, or friction that is not covered.
+    """
+    solution, error = proposal(asked)
+    if data.frictional:
+        found = settle_with_friction(data, Proposal(asked.problem, solution))
+        if found is None:
+            raise NoEquilibrium("no combination of open, stick and slip is an equilibrium, proven in rational numbers")
+        findings = () if solution is None else solution.certificate.uniqueness
+        if found.equilibria is not None:
+            findings = tuple(word for word in findings if "several" not in word)
+            findings += (SEVERAL,) if found.equilibria > 1 or found.continuum else ()
+        several = None if found.continuum else found.equilibria
+        return solution_of(data, found.settled, asked, solution, several, findings)
+    if not is_semidefinite(data.K):
+        raise Unsupported(
+            f"exact: the stiffness is not positive semidefinite as it stands ({asked.source}): rounding has made it "
+            "indefinite, as it does with bodies that float; give rational numbers"
+        )
+    try:
+        settled = settle(data, _guesses(solution), MOST_PIVOTS)
+    except NoSolution:
+        reason = str(error) if isinstance(error, NoEquilibrium) else "the constraints and the load conflict"
+        raise NoEquilibrium(f"{reason} (proven in rational numbers)") from None
+    except Undecided as why:
+        raise NotConverged(f"exact: no proposed set of closed contacts holds, and Lemke's method: {why}") from error
+    return solution_of(data, settled, asked, solution)
+
+
+def prove_path(data: RationalProblem, corners: Sequence[fmpq_mat], asked: Asked) -> ExactSolution:
+    """The exact answer at the end of a load path with friction.
+
+    Raises
+    ------
+    NoEquilibrium, SeveralEquilibria, NotConverged, Unsupported
+        As `exact_path.follow`.
+    """
+    names = [asked.problem.contact_name(i) for i in range(data.contacts)]
+    end = follow(data, corners, names)
+    ranges = tuple((fraction(x), fraction(x)) for x in end.answer.normal_force.entries())
+    way = f"the load path, event by event in rational numbers, in {end.pieces} pieces"
+    settled = Settled(end.answer, True, ranges, zeros(data.unknowns, 0), way)
+    answer = solution_of(data, settled, asked, None, events=end.events)
+    return replace(answer, contact_status=end.status, proof=(*answer.proof, PROVEN_PATH))
+
+
+def _guesses(solution: Solution | None) -> Iterator[tuple[int, ...]]:
+    if solution is not None:
+        yield tuple(np.flatnonzero(solution.normal_force > 0).tolist())
+        yield tuple(i for i, word in enumerate(solution.contact_status) if word != "open")
+    else:
+        yield ()
+
+
+def solution_of(
+    data: RationalProblem,
+    settled: Settled,
+    asked: Asked,
+    solution: Solution | None,
+    equilibria: int | None = None,
+    findings: tuple[str, ...] = (),
+    events: tuple[ExactEvent, ...] = (),
+) -> ExactSolution:
+    """What was settled, in Fractions and in words."""
+    problem, answer = asked.problem, settled.answer
+    u, shape = answer.displacement, None if problem.slip_origin is None else problem.slip_origin.shape
+    minimum = () if data.frictional else (PROVEN_MINIMUM,)
+    ranges = np.empty((data.contacts, 2), dtype=object)
+    ranges[:] = [list(pair) for pair in settled.ranges] if data.contacts else ranges
+    return ExactSolution(
+        problem=problem,
+        displacement=_array(u),
+        normal_force=_array(answer.normal_force),
+        friction_force=None if shape is None else _array(answer.friction_force).reshape(shape),
+        tie_force=_array(answer.tie_force),
+        gap=_array(data.gap(u)),
+        slip=None if shape is None else _array(data.slip(u)).reshape(shape),
+        contact_status=status(data, answer),
+        rational=True,
+        radius=None,
+        unique_forces=settled.unique_forces,
+        force_range=ranges,
+        free_motions=_motions(problem, settled.motions),
+        energy=fraction(dot(u, data.K * u) / 2 - dot(u, data.f)),
+        equilibria=equilibria,
+        uniqueness=findings,
+        events=events,
+        data=asked.source,
+        way=settled.way,
+        proof=PROVEN + ((PROVEN_FRICTION,) if data.frictional else minimum),
+        notes=_notes(answer.displacement, solution),
+        method=asked.method,
+        seconds=time.perf_counter() - asked.started,
+    )
+
+
+def _notes(u: fmpq_mat, solution: Solution | None) -> tuple[str, ...]:
+    if solution is None:
+        return ()
+    try:
+        exact = np.array([number(x) for x in u.entries()])
+    except OverflowError:
+        return ("the exact displacement is beyond all doubles",)
+    apart = float(np.max(abs(exact - solution.displacement), initial=0.0))
+    if apart <= AGREE * float(np.max(abs(exact), initial=0.0)):
+        return ()
+    return (
+        f"the numbers as they stand have another answer than floats find, which take them to be rounded: displacements "
+        f"differ by up to {apart:.3g}",
+    )
+
+
+def _motions(problem: ContactProblem, motions: fmpq_mat) -> tuple[FreeMotion, ...]:
+    directions = []
+    for column in motions.transpose().tolist():
+        largest = max(column, key=abs)
+        directions.append(np.array([number(x / largest) for x in column]))
+    return tuple(FreeMotion(direction, describe_motion(problem, direction)) for direction in directions)
+
+
+def _array(column: fmpq_mat) -> Fractions:
+    array = np.empty(column.nrows(), dtype=object)
+    array[:] = [fraction(x) for x in column.entries()]
+    return array

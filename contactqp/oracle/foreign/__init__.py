@@ -1,0 +1,1 @@
+"""Other people's answers: read as told, completed, certified, with the right values beside."""

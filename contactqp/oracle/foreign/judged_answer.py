@@ -1,0 +1,156 @@
+"""Somebody else's answer, judged: the certificate, and beside it what the certificate alone cannot say.
+
+The certificate is computed from the problem and the answer; nothing here changes its verdict. What is wrong at which
+contact, what is right there and why it may have gone wrong takes a solution, which is computed when first asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from contactqp.certificate import Certificate
+from contactqp.condensation import Condensation
+from contactqp.errors import ContactQPError, refuse_other
+from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
+from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
+from contactqp.oracle.foreign.judged_contacts import JudgedContact, contacts_table, judged_contacts
+from contactqp.oracle.foreign.judging import judge
+from contactqp.oracle.foreign.right_answer import right_answer
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+from contactqp.violations import Answer
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JudgedAnswer(Certificate):
+    """The certificate of somebody's answer, and what went wrong with it in words.
+
+    `right`, `contacts`, `findings` and `diagnosis` are computed when first looked at; they may solve the problem.
+    """
+
+    problem: ContactProblem = field(repr=False)
+    given: GivenAnswer = field(repr=False)  # what came, in the problem's order, signs and units
+    answer: Answer = field(repr=False)  # what was judged: what came and what was recovered from it
+    recovered: tuple[str, ...] = ()
+
+    @cached_property
+    def _found(self) -> tuple[Solution | None, str | None]:
+        try:
+            return right_answer(self.problem, self.answer), None
+        except ContactQPError as error:
+            return None, f"{type(error).__name__}: {error}"
+
+    @property
+    def right(self) -> Solution | None:
+        """The right solution, None where there is none or none was found: `why_not` says why."""
+        return self._found[0]
+
+    @property
+    def why_not(self) -> str | None:
+        """Why there is no right solution to set beside the answer."""
+        return self._found[1]
+
+    @cached_property
+    def contacts(self) -> tuple[JudgedContact, ...]:
+        """The wrong contacts, worst first, with the right values beside; empty where the answer passed."""
+        return () if self.passed else judged_contacts(self.problem, self.answer, self, self.right)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong, causes first; empty where the answer passed."""
+        if self.passed:
+            return ()
+        return diagnose(self.problem, self.given, self.answer, self, self.right)
+
+    @property
+    def diagnosis(self) -> str:
+        """What is wrong, in one paragraph."""
+        worst = self.contacts[0] if self.contacts else None
+        return paragraph(self, self.problem, self.findings, worst, None if self.passed else self.why_not)
+
+    def table(self, limit: int = 20) -> str:
+        """The wrong contacts as text."""
+        return contacts_table(self.problem, self.contacts, limit)
+
+
+def certify(
+    problem: ContactProblem,
+    displacement: ArrayLike | None = None,
+    normal_force: ArrayLike | None = None,
+    friction_force: ArrayLike | None = None,
+    tie_force: ArrayLike | None = None,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+    *,
+    compression: str = "positive",
+    pressure_area: ArrayLike | None = None,
+    dof_map: Any = None,
+    contact_map: Any = None,
+) -> JudgedAnswer:
+    """Judge anyone's answer to a problem, whatever its order and its sign of compression, as they are told.
+
+    Displacements alone, forces alone or both: what is missing is recovered from the rest and named in `recovered` and
+    in the notes. Friction alone may be missing only where displacements are given.
+
+    With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
+    slips. Another law's answer, such as that of the associated relaxation, is refused. No bound can be had, Coulomb's
+    law being no minimisation; instead the certificate says whether other answers exist, as far as that can be told.
+
+    Parameters
+    ----------
+    displacement : (n,) array [length], optional
+        Longer, if `dof_map` says where each unknown stands.
+    normal_force : (m,) array [force], optional
+        With the sign that `compression` says.
+    friction_force : (m, d-1) or flat array [force], optional
+        l_T, what the body does to the obstacle, along its own slip, whatever `compression` says.
+    tie_force : (k,) array [force], optional
+    tolerance : float
+        Largest figure that passes.
+    error_tolerance : float
+        Largest bound on the relative error that passes.
+    factorization : Condensation, optional
+        Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
+    compression : "positive" or "negative"
+        The sign of the given normal forces that means compression.
+    pressure_area : (m,) array [length^2, or length], optional
+        The area of each contact of the problem: the given contact forces are pressures and tractions.
+    dof_map, contact_map : (n,), (m,) integers or sequence of names, optional
+        The place of each unknown or contact of the problem in the given order; or the names in the given order, which
+        are looked up in the problem's `dof_names`, `contact_names`.
+
+    Raises
+    ------
+    InvalidProblem
+        Neither displacement nor normal force, wrong shapes or maps, or an indefinite stiffness. NaN is no error here:
+        it fails.
+    Unsupported
+        A body floats that is too large to factorise, or forces alone are given and it is.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> cq.certify(wall, displacement=[1e-3], normal_force=[142.5]).passed
+    True
+    >>> cq.certify(wall, normal_force=[-142.5], compression="negative").answer.displacement
+    array([0.001])
+    >>> wrong = cq.certify(wall, displacement=[1e-3], normal_force=[-142.5])
+    >>> wrong.failures[1]
+    'tension: contact 0 is held with a force of -142.5 (0.237 of the forces that meet there, tolerance 1e-09)'
+    >>> wrong.right.normal_force, wrong.contacts[0].figure
+    (array([142.5]), 'force')
+    """
+    refuse_other("certify", problem, ContactProblem)
+    parts = (displacement, normal_force, friction_force, tie_force)
+    given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)
+    found, completed = judge(problem, given, tolerance, error_tolerance, factorization)
+    known = {one.name: getattr(found, one.name) for one in fields(found)}
+    known["notes"] = (*found.notes, *given.notes, *completed.notes)
+    return JudgedAnswer(**known, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)

@@ -1,0 +1,203 @@
+"""The parts of an answer that were not given, from those that were.
+
+Forces from displacements. What equilibrium asks of the rows B = [E_N; E_T; A],
+
+    B'l = f - K u,
+
+in the least-squares sense, the unknowns in the energy scale; rows that depend on one another carry their resultant
+without tension where they can. What this cannot explain is left as lack of equilibrium, for the certificate to see.
+
+Displacements from forces. K u + A'nu = f - E_N'l_N - E_T'l_T, A u = b. What then still floats is shifted so that the
+contacts that push are closed, as little as that takes.
+
+Both ways multiply rounding: the forces of a stiff body are not known from the doubles of its displacement, nor is a
+displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
+way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
+and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.condensation import condense, unknown_scale
+from contactqp.errors import Unsupported
+from contactqp.extended import extend, extended_rows
+from contactqp.factorization import Array
+from contactqp.iteration import iterated
+from contactqp.oracle.foreign.balancing_forces import balancing_forces
+from contactqp.oracle.foreign.foreign_answer import GivenAnswer
+from contactqp.oracle.foreign.lawful_share import lawful_share
+from contactqp.polishing import answer_on
+from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import free_motions, saddle_point
+from contactqp.violations import Answer, lengths_that_meet
+
+# A gap of this part of its lengths is none, and a force of this part of the largest, in what somebody gives.
+TOUCHING, PUSHING = 1e-6, 1e-12
+NO_CONTACTS = np.zeros(0, dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """A complete answer, and what of it was recovered."""
+
+    answer: Answer
+    recovered: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...]:
+    """The parts that the problem has and that were not given."""
+    wanted = {
+        "displacement": True,
+        "normal_force": problem.contacts > 0,
+        "friction_force": problem.slip_origin is not None,
+        "tie_force": problem.ties > 0,
+    }
+    return tuple(name for name, has in wanted.items() if has and getattr(given, name) is None)
+
+
+def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
+    """Complete answers, the plain way first.
+
+    Raises
+    ------
+    Unsupported
+        Forces alone were given and the body is too large to factorise.
+    """
+    missing = missing_parts(problem, given)
+    if not missing:
+        yield Recovery(given.filled(problem), ())
+    elif not given.finite():
+        yield Recovery(given.filled(problem), (), ("nothing was recovered: the given values are not finite",))
+    elif "displacement" in missing:
+        for known, how in _displaced(problem, given, missing):
+            yield Recovery(known, missing, (f"recovered from the forces: {_words(missing)} ({how})",))
+    else:
+        for known, how in _pressed(problem, given, missing):
+            yield Recovery(known, missing, (f"recovered from the displacement: {_words(missing)} ({how})",))
+
+
+def _words(names: tuple[str, ...]) -> str:
+    return ", ".join(names)
+
+
+def _pressed(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
+    """Forces from a displacement."""
+    known = given.filled(problem)
+    rows = extended_rows(problem)
+    residual = extend(problem.load) - rows.stiffness @ extend(known.displacement)
+    residual = residual - rows.contact_force(extend(known.normal_force), extend(known.tie_force))
+    residual = residual - rows.friction_force(known.friction_force)
+    everything = _Unknowns(problem, missing, np.arange(problem.contacts))
+    pulls = np.arange(everything.rows.shape[0]) >= everything.normals
+    found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem))
+    how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
+    yield everything.filled(known, found), how
+    if shared and problem.frictional and {"normal_force", "friction_force"} <= set(missing):
+        lawful = lawful_share(problem, known, residual.double(), "tie_force" in missing)
+        if lawful is not None:
+            yield lawful, "by equilibrium, shared within the law among rows that depend on one another"
+    if iterated(problem):
+        return
+    gap = problem.gap - problem.normal @ known.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, known.displacement)
+    touching = _Unknowns(problem, missing, np.flatnonzero(gap <= TOUCHING * length))
+    load = (extend(problem.load) - rows.contact_force(extend(known.normal_force), extend(known.tie_force))).double()
+    load = load - rows.friction_force(known.friction_force).double()
+    values = touching.rows @ known.displacement
+    _, held = _held(problem, load, touching.rows, values)
+    yield touching.filled(known, held), "as what holds the touching contacts where they are"
+
+
+class _Unknowns:
+    """The rows whose forces are missing, normal ones first, and where these forces go."""
+
+    def __init__(self, problem: ContactProblem, missing: tuple[str, ...], contacts: NDArray[np.intp]) -> None:
+        self._problem, self._missing, self._contacts = problem, missing, contacts
+        blocks = []
+        self.normals = len(contacts) if "normal_force" in missing else 0
+        if self.normals:
+            blocks.append(problem.normal[contacts])
+        if "friction_force" in missing and problem.tangent is not None and problem.slip_origin is not None:
+            width = problem.slip_origin.shape[1]
+            blocks.append(problem.tangent[(width * contacts[:, None] + np.arange(width)).ravel()])
+        if "tie_force" in missing:
+            blocks.append(problem.tie)
+        none = sp.csr_matrix((0, problem.dimension))
+        self.rows = sp.csr_matrix(sp.vstack([sp.csr_matrix(block) for block in blocks])) if blocks else none
+
+    def filled(self, known: Answer, found: Vector) -> Answer:
+        """The known answer with the forces of these rows."""
+        normal, friction, tie = known.normal_force, known.friction_force, known.tie_force
+        if "normal_force" in self._missing:
+            normal = np.zeros(self._problem.contacts)
+            normal[self._contacts] = found[: self.normals]
+        rest = found[self.normals :]
+        if "friction_force" in self._missing and friction is not None:
+            chosen = friction[self._contacts]
+            count = chosen.size
+            friction = np.zeros_like(friction)
+            friction[self._contacts] = rest[:count].reshape(chosen.shape)
+            rest = rest[count:]
+        return Answer(known.displacement, normal, friction, rest if "tie_force" in self._missing else tie)
+
+
+def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
+    """A displacement, and tie forces, from contact forces."""
+    if iterated(problem):
+        raise Unsupported(
+            "certify: forces alone take a factorisation of the stiffness, and the body is too large for one; expected "
+            "displacement too"
+        )
+    known = given.filled(problem)
+    rows = extended_rows(problem)
+    nothing = extend(np.zeros(problem.ties))
+    rubbed = extend(problem.load) - rows.friction_force(known.friction_force)
+    load = (rubbed - rows.contact_force(extend(known.normal_force), nothing)).double()
+    push = known.normal_force > PUSHING * np.max(abs(known.normal_force), initial=0.0)
+    closed = np.flatnonzero(push)
+    u, tie = _held(problem, load, problem.tie, problem.tie_value, closed)
+    yield _completed(known, u, tie, missing), "the bodies' response"
+    if closed.size:
+        held = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
+        values = np.concatenate([problem.tie_value, problem.gap[closed]])
+        u, forces = _held(problem, rubbed.double(), held, values)
+        tie = forces[: problem.ties]
+        yield _completed(known, u, tie, missing), "the bodies' response, the pushing contacts held closed"
+
+
+def _completed(known: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) -> Answer:
+    return Answer(u, known.normal_force, known.friction_force, tie if "tie_force" in missing else known.tie_force)
+
+
+def _held(
+    problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: NDArray[np.intp] = NO_CONTACTS
+) -> tuple[Vector, Vector]:
+    """u and the forces of rows that are held at values: K u + B'l = load, B u = values.
+
+    What floats all the same is shifted as little as it takes to close the contacts that push.
+    """
+    system = ContactProblem(
+        stiffness=problem.stiffness,
+        load=load,
+        normal=sp.csr_matrix((0, problem.dimension)),
+        gap=[],
+        tie=sp.csr_matrix(rows),
+        tie_value=values,
+    )
+    way = condense(system)
+    found = answer_on(system, way, NO_CONTACTS)
+    u = found.displacement
+    free = free_motions(way, saddle_point(way, NO_CONTACTS))
+    if free.shape[1] and pushing.size:
+        ahead = extend(problem.gap) - extended_rows(problem).normal @ u
+        shift, *_ = np.linalg.lstsq(problem.normal[pushing] @ free, ahead.double()[pushing], rcond=1e-12)
+        u = u + free @ shift
+    return u.double(), found.tie_force.double()

@@ -1,0 +1,243 @@
+"""A problem whose exact answer is known, in rational numbers, and the same in doubles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.oracle.gallery.algebra import ZERO, Numbers, Rows, times
+from contactqp.problem import ContactProblem, Vector
+
+# Up to this size a stiffness is a dense array.
+DENSE = 128
+
+
+@dataclass(frozen=True)
+class ExactProblem:
+    """The data of a contact problem as rational numbers, under the names of `ContactProblem`."""
+
+    stiffness: Rows
+    load: Numbers
+    normal: Rows
+    gap: Numbers
+    tangent: Rows = ()
+    friction: Numbers = ()  # (m,), empty without friction
+    slip_origin: Numbers = ()  # ((d-1) m,), empty without friction
+    tie: Rows = ()
+    tie_value: Numbers = ()
+
+    @property
+    def unknowns(self) -> int:
+        return len(self.stiffness)
+
+    @property
+    def contacts(self) -> int:
+        return len(self.normal)
+
+    @property
+    def directions(self) -> int:
+        """Directions of slip a contact: 0, 1 or 2."""
+        return len(self.tangent) // len(self.normal) if self.normal else 0
+
+    def floats(self) -> dict[str, Any]:
+        """The arguments of `ContactProblem`, every number rounded to the nearest double."""
+        n = self.unknowns
+        stiffness = _matrix(self.stiffness, n)
+        data: dict[str, Any] = dict(
+            stiffness=stiffness if n > DENSE else stiffness.toarray(),
+            load=_vector(self.load),
+            normal=_matrix(self.normal, n),
+            gap=_vector(self.gap),
+        )
+        if self.tangent:
+            data |= dict(
+                tangent=_matrix(self.tangent, n),
+                friction=_vector(self.friction),
+                slip_origin=_vector(self.slip_origin),
+            )
+        if self.tie:
+            data |= dict(tie=_matrix(self.tie, n), tie_value=_vector(self.tie_value))
+        return data
+
+    def rounded(self) -> tuple[str, ...]:
+        """The names of the data that are not all doubles: their floats are the nearest ones."""
+        found = []
+        for each in fields(self):
+            value: Any = getattr(self, each.name)
+            flat = [x for row in value for x in (row.values() if isinstance(row, Mapping) else (row,))]
+            if any(Fraction(float(x)) != x for x in flat):
+                found.append(each.name)
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class ExactAnswer:
+    """The answer as rational numbers: K u + E_N'l_N + E_T'l_T + A'nu = f, l_N positive in compression."""
+
+    displacement: Numbers  # (n,)
+    normal_force: Numbers  # (m,)
+    friction_force: tuple[Numbers, ...]  # (m, d-1), empty without friction
+    tie_force: Numbers  # (k,)
+    gap: Numbers  # (m,) g - E_N u
+    slip: tuple[Numbers, ...]  # (m, d-1) E_T u - slip_origin, empty without friction
+    contact_status: tuple[str, ...]  # (m,) of open, closed, grazing, stick, slip
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a gallery problem is, once it is made."""
+
+    data: ExactProblem
+    exact: ExactAnswer
+    description: str
+    source: str
+    formula: str  # how the answer comes about
+    unique_displacement: bool  # proven to be the only one
+    unique_forces: bool  # proven to be the only ones
+    rounding: (
+        Fraction  # largest relative change of the answer where the data were rounded to doubles; 0: they are doubles
+    )
+    names: Mapping[str, Any]  # dof_names, contact_names, units
+
+
+class GalleryProblem:
+    """A contact problem with its exact answer, made when first asked for.
+
+    Attributes
+    ----------
+    name, kind, difficulty : str
+        The name gives the problem back: `contactqp.testing.problem(name)`.
+    problem : ContactProblem
+    displacement, normal_force, friction_force, tie_force, gap
+        The exact answer rounded to doubles, in the signs of `ContactProblem`: (n,), (m,) positive in compression,
+        (m, d-1) or None without friction, (k,), (m,) positive when open. With `unique_forces` false the forces are
+        one right answer among others.
+    exact : ExactAnswer
+        The same as Fractions, with slip and contact status.
+    data : ExactProblem
+        The problem as Fractions.
+    unique_displacement, unique_forces : bool
+        Whether the answer is proven to be the only one.
+    rounding : Fraction
+        0 where all data are doubles; otherwise the largest relative change of the answer by rounding them.
+    description, formula, source : str
+    """
+
+    def __init__(self, name: str, kind: str, difficulty: str, build: Callable[[], Contents]) -> None:
+        self.name, self.kind, self.difficulty, self._build = name, kind, difficulty, build
+
+    @property
+    def __name__(self) -> str:
+        """pytest names the parameters of a test by this."""
+        return self.name
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __repr__(self) -> str:
+        return f"GalleryProblem({self.name!r})"
+
+    @cached_property
+    def _contents(self) -> Contents:
+        return self._build()
+
+    @property
+    def data(self) -> ExactProblem:
+        return self._contents.data
+
+    @property
+    def exact(self) -> ExactAnswer:
+        return self._contents.exact
+
+    @property
+    def description(self) -> str:
+        return self._contents.description
+
+    @property
+    def formula(self) -> str:
+        return self._contents.formula
+
+    @property
+    def source(self) -> str:
+        return self._contents.source
+
+    @property
+    def unique_displacement(self) -> bool:
+        return self._contents.unique_displacement
+
+    @property
+    def unique_forces(self) -> bool:
+        return self._contents.unique_forces
+
+    @property
+    def rounding(self) -> Fraction:
+        return self._contents.rounding
+
+    @cached_property
+    def problem(self) -> ContactProblem:
+        return ContactProblem(**self.data.floats(), **self._contents.names)
+
+    @cached_property
+    def displacement(self) -> Vector:
+        return _vector(self.exact.displacement)
+
+    @cached_property
+    def normal_force(self) -> Vector:
+        return _vector(self.exact.normal_force)
+
+    @cached_property
+    def friction_force(self) -> NDArray[np.float64] | None:
+        if not self.data.tangent:
+            return None
+        return _frozen(np.array([[float(x) for x in row] for row in self.exact.friction_force]))
+
+    @cached_property
+    def tie_force(self) -> Vector:
+        return _vector(self.exact.tie_force)
+
+    @cached_property
+    def gap(self) -> Vector:
+        return _vector(self.exact.gap)
+
+
+def exact_answer(
+    data: ExactProblem,
+    displacement: Numbers,
+    normal_force: Numbers,
+    friction_force: Sequence[Numbers] = (),
+    tie_force: Numbers = (),
+) -> ExactAnswer:
+    """An answer with its gaps, slips and states."""
+    gap = tuple(g - x for g, x in zip(data.gap, times(data.normal, displacement), strict=True))
+    width = data.directions
+    slid = tuple(x - o for x, o in zip(times(data.tangent, displacement), data.slip_origin, strict=True))
+    slip = tuple(slid[i * width : (i + 1) * width] for i in range(len(gap))) if width else ()
+    status = []
+    for i, (opening, force) in enumerate(zip(gap, normal_force, strict=True)):
+        rough = width and data.friction[i] > 0
+        closed = ("slip" if any(slip[i]) else "stick") if rough else "closed"
+        status.append("open" if opening > 0 else closed if force > 0 else "grazing")
+    return ExactAnswer(displacement, normal_force, tuple(friction_force), tie_force, gap, slip, tuple(status))
+
+
+def _vector(values: Sequence[Fraction]) -> Vector:
+    return _frozen(np.array([float(x) for x in values], dtype=float))
+
+
+def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Problems are kept and shared by tests, none of which must change them for the others."""
+    values.setflags(write=False)
+    return values
+
+
+def _matrix(rows: Rows, n: int) -> Any:
+    entries = [(i, j, float(x)) for i, row in enumerate(rows) for j, x in row.items() if x != ZERO]
+    i, j, values = zip(*entries, strict=True) if entries else ((), (), ())
+    return sp.csr_matrix((np.array(values, dtype=float), (i, j)), shape=(len(rows), n))

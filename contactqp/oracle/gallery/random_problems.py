@@ -1,0 +1,205 @@
+"""Random gallery problems without friction: the answer is chosen, then the load and the gaps that it belongs to.
+
+With integers for K, E, A and small dyadic fractions for u*, l* and the gaps, f = K u* + E'l* + A'nu* and
+g = E u* + gap* are doubles, and (u*, l*, nu*) satisfies all conditions exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+from contactqp.oracle.gallery.algebra import Numbers, Row, Rows, clean, plus, times, transposed_times
+from contactqp.oracle.gallery.draw import Draw, Springs, lattice
+from contactqp.oracle.gallery.problem import Contents, ExactProblem, exact_answer
+from contactqp.oracle.gallery.statement import with_uniqueness
+
+# Columns and rows of the lattice; the nodes of its lowest row are the contacts.
+SIZES = {"easy": (2, 2), "moderate": (5, 3), "hard": (12, 4)}
+LARGE = {"easy": 12, "moderate": 20, "hard": 30}  # nodes along a side of the membrane
+CONTRAST = {"easy": 20, "moderate": 30, "hard": 40}  # powers of two
+FLOORS = ((0, -1), (3, -4), (-3, -4), (1, -2))  # what the obstacle's rows may be: rows need not be of length one
+BY_CONSTRUCTION = "f = K u* + E'l* + A'nu*, g = E u* + gap* for a chosen answer"
+
+
+def well_posed(draw: Draw, difficulty: str) -> Contents:
+    """A lattice held from above over a floor that some of its nodes touch."""
+    columns, _ = SIZES[difficulty]
+    states = _states(draw, columns, closed=(columns + 1) // 2)
+    text = "A lattice of springs, held at its upper nodes, over a floor; the closed rows are independent."
+    return _on_floor(draw, difficulty, states, text)
+
+
+def degenerate(draw: Draw, difficulty: str) -> Contents:
+    """The same with contacts that graze."""
+    columns, _ = SIZES[difficulty]
+    grazing = max(1, columns // 3)
+    states = _states(draw, columns, closed=(columns - grazing + 1) // 2, grazing=grazing)
+    text = f"A lattice of springs over a floor; {grazing} of its contacts graze: gap and force are both exactly zero."
+    return _on_floor(draw, difficulty, states, text)
+
+
+def redundant(draw: Draw, difficulty: str) -> Contents:
+    """The same with contacts that say again what others say."""
+    columns, _ = SIZES[difficulty]
+    states = _states(draw, columns, closed=max(1, columns // 2))
+    text = "A lattice of springs over a floor; closed rows are repeated, scaled and added up: forces are not unique."
+    # Of easy problems more rows are closed than there are unknowns.
+    return _on_floor(draw, difficulty, states, text, repeats=10 - columns if difficulty == "easy" else columns)
+
+
+def stiff(draw: Draw, difficulty: str) -> Contents:
+    """The same with springs some of which are very stiff.
+
+    Doubles hold the answer to about 1e-9; plain elimination in doubles loses more the stiffer they are.
+    """
+    columns, _ = SIZES[difficulty]
+    power = CONTRAST[difficulty]
+    text = (
+        f"A lattice of springs over a floor; stiffnesses differ by up to 2^{power}, stiff springs are hardly strained."
+    )
+    return _on_floor(draw, difficulty, _states(draw, columns, closed=(columns + 1) // 2), text, contrast=power)
+
+
+def tied(draw: Draw, difficulty: str) -> Contents:
+    """The same with multi-point constraints between nodes above the floor."""
+    columns, rows = SIZES[difficulty]
+    nodes = draw.some(range(columns, columns * rows), max(1, columns // 2))
+    ties = []
+    for node in nodes:
+        other = 2 * draw.integer(0, node - 1)
+        factor = draw.among((-3, -2, -1, 1, 2, 3))
+        ties.append({2 * node + draw.integer(0, 1): draw.among((1, 2)), other: factor})
+    text = f"A lattice of springs over a floor; constraints A u = b, {len(ties)} in number, between its unknowns."
+    return _on_floor(draw, difficulty, _states(draw, columns, closed=(columns + 1) // 2), text, ties=clean(ties))
+
+
+def floating(draw: Draw, difficulty: str) -> Contents:
+    """Two lattices that nothing holds but a floor, a wall and each other."""
+    columns, rows = {"easy": (2, 1), "moderate": (3, 2), "hard": (6, 3)}[difficulty]
+    each = columns * rows
+    springs = Springs(4 * each)
+    for first in (0, each):
+        lattice(springs, columns, rows, lambda: draw.integer(1, 16), first)
+    top, bottom, upper = each - columns, 0, each
+    normal = [{2 * (bottom + i) + 1: -1} for i in range(columns)]
+    normal += [{2 * (top + i) + 1: 1, 2 * (upper + i) + 1: -1} for i in range(columns)]
+    walls = [{2 * bottom: -1}, {2 * upper: -1}]
+    # The ends of each joint and both walls push: three conditions a body.
+    states = _ends_closed(draw, columns) + _ends_closed(draw, columns) + ["closed"] * 2
+    u = _displacement(draw, 4 * each)
+    text = "Two bodies, one on the other, lean against a wall on a floor; no spring holds them and K is singular."
+    return _with_answer(draw, difficulty, springs.rows(), clean(normal + walls), states, u, text)
+
+
+def large(draw: Draw, difficulty: str) -> Contents:
+    """A membrane on soft springs over an obstacle, every node a contact."""
+    side = LARGE[difficulty]
+    springs = Springs(side * side)
+    for j in range(side):
+        for i in range(side):
+            here = j * side + i
+            springs.add(1 + 16 * ((i in (0, side - 1)) + (j in (0, side - 1))), {here: 1})
+            for there in ([here + 1] if i + 1 < side else []) + ([here + side] if j + 1 < side else []):
+                springs.add(draw.integer(4, 16), {here: 1, there: -1})
+    centre, radius = (side // 2 + draw.integer(-1, 1), side // 2 + draw.integer(-1, 1)), side // 3
+    states = []
+    for here in range(side * side):
+        distance = (here % side - centre[0]) ** 2 + (here // side - centre[1]) ** 2
+        on_edge = distance == radius**2
+        states.append("grazing" if on_edge else "closed" if distance < radius**2 else "open")
+    u = tuple(Fraction(-draw.integer(0, 64), 64) for _ in range(side * side))
+    normal = clean({here: -1} for here in range(side * side))
+    text = (
+        f"A membrane of {side} x {side} nodes, each of them a contact with an uneven obstacle, pressed on a disc of it."
+    )
+    return _with_answer(draw, difficulty, springs.rows(), normal, states, u, text)
+
+
+def _on_floor(
+    draw: Draw,
+    difficulty: str,
+    states: Sequence[str],
+    text: str,
+    repeats: int = 0,
+    contrast: int = 0,
+    ties: Rows = (),
+) -> Contents:
+    columns, rows = SIZES[difficulty]
+    n = 2 * columns * rows
+    springs = Springs(n)
+    weight = 2**contrast
+    lattice(springs, columns, rows, lambda: draw.integer(1, 16) * (draw.among((1, weight)) if contrast else 1))
+    for i in range(n - 2 * columns, n):
+        springs.add(draw.integer(1, 16), {i: 1})
+    floors = [(0, -1) if difficulty == "easy" else draw.among(FLOORS) for _ in range(columns)]
+    normal: list[Row] = list(clean({2 * i: x, 2 * i + 1: z} for i, (x, z) in enumerate(floors)))
+    states = list(states)
+    closed = [i for i, state in enumerate(states) if state == "closed"]
+    for k in range(repeats):
+        row = normal[closed[k % len(closed)]]
+        other = normal[draw.among(closed)] if k % 2 else {}
+        factor = draw.among((Fraction(1), Fraction(2), Fraction(1, 2)))
+        normal.append({j: factor * (row.get(j, Fraction(0)) + other.get(j, Fraction(0))) for j in {*row, *other}})
+        states.append("closed")
+    u = _displacement(draw, n) if not contrast else _nearly_rigid(draw, columns, rows, contrast)
+    return _with_answer(draw, difficulty, springs.rows(), clean(normal), states, u, text, ties)
+
+
+def _with_answer(
+    draw: Draw,
+    difficulty: str,
+    stiffness: Rows,
+    normal: Rows,
+    states: Sequence[str],
+    u: Numbers,
+    text: str,
+    ties: Rows = (),
+) -> Contents:
+    """Forces and gaps for the states; on hard problems some are a few millionths of the others."""
+    n = len(stiffness)
+    force, gap = [], []
+    for state in states:
+        small = difficulty == "hard" and draw.integer(0, 7) == 0
+        size = Fraction(draw.integer(1, 64), 2**20 if small else 4)
+        force.append(size if state == "closed" else Fraction(0))
+        gap.append(size / 16 if state == "open" else Fraction(0))
+    tie_force = tuple(Fraction(draw.integer(-32, 32), 4) for _ in ties)
+    load = plus(times(stiffness, u), transposed_times(normal, force, n), transposed_times(ties, tie_force, n))
+    data = ExactProblem(stiffness, load, normal, plus(times(normal, u), gap), tie=ties, tie_value=times(ties, u))
+    answer = exact_answer(data, u, tuple(force), tie_force=tie_force)
+    return with_uniqueness(data, answer, text, "made for this gallery", BY_CONSTRUCTION, {})
+
+
+def _states(draw: Draw, contacts: int, closed: int, grazing: int = 0) -> list[str]:
+    """`closed` contacts closed and `grazing` ones grazing, at random places; the others open."""
+    touching = draw.some(range(contacts), closed + grazing)
+    graze = draw.some(touching, grazing)
+    return ["grazing" if i in graze else "closed" if i in touching else "open" for i in range(contacts)]
+
+
+def _ends_closed(draw: Draw, contacts: int) -> list[str]:
+    inner = [draw.among(("closed", "open")) for _ in range(contacts - 2)]
+    return ["closed", *inner, "closed"]
+
+
+def _displacement(draw: Draw, n: int) -> Numbers:
+    return tuple(Fraction(draw.integer(-64, 64), 16) for _ in range(n))
+
+
+def _nearly_rigid(draw: Draw, columns: int, rows: int, contrast: int) -> Numbers:
+    """A small rigid motion and 2^-contrast of strain.
+
+    The motion, rounded to doubles, strains a stiff spring by 2^contrast eps times its size: that is kept beneath 2^-28,
+    so that doubles near the answer are nearly an answer.
+    """
+    unit = Fraction(1, 2 ** (contrast - 19))
+    right, up, turn = (draw.integer(-64, 64) * unit, draw.integer(-64, 64) * unit, draw.integer(1, 8) * unit)
+    u: list[Fraction] = []
+    for j in range(rows):
+        for i in range(columns):
+            u += [
+                right - turn * j + Fraction(draw.integer(-8, 8), 2**contrast),
+                up + turn * i + Fraction(draw.integer(-8, 8), 2**contrast),
+            ]
+    return tuple(u)
