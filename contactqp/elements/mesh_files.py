@@ -122,7 +122,11 @@ def _cells_of_meshio(mesh: Any) -> Cells:
         if block.type not in MESHIO_KINDS:
             known = ", ".join(MESHIO_KINDS)
             raise InvalidProblem(f"mesh: expected cells of {known}, got {block.type}")
-        cells.append((MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)))
+        kind, nodes = MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)
+        width = 1 if kind == "node" else len(REFERENCES[kind].nodes)
+        if nodes.ndim != 2 or nodes.shape[1] != width:  # what is left of a file that is cut off
+            raise InvalidProblem(f"mesh: expected {width} nodes a {kind}, got nodes of shape {nodes.shape}")
+        cells.append((kind, nodes))
     groups: dict[str, list[Index]] = {}
     for name, members in mesh.cell_sets.items():
         if not name.startswith("gmsh:"):

@@ -157,6 +157,14 @@ def test_every_kind_survives_a_file(kind, suffix, tmp_path):
         np.testing.assert_array_equal(again.nodes("left"), mesh.nodes("left"))
 
 
+def test_cells_without_their_nodes_are_refused():
+    meshio = pytest.importorskip("meshio")
+    mesh = meshio.Mesh(np.zeros((4, 3)), [])
+    mesh.cells = [meshio.CellBlock("quad", np.zeros((2, 0), dtype=int))]
+    with pytest.raises(InvalidProblem, match=r"expected 4 nodes a quad4, got nodes of shape \(2, 0\)"):
+        mesh_from_meshio(mesh)
+
+
 def test_cells_that_are_not_offered_are_refused():
     meshio = pytest.importorskip("meshio")
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], dtype=float)
