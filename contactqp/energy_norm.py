@@ -64,7 +64,7 @@ def force_norm(
         if operator.smallest_pivot >= REGULAR:
             square, size = operator.squared_norm(d)
             rounding = PIVOTS_FLATTER * condensation.lost_digits / operator.smallest_pivot * size
-            if rounding <= FEW_DIGITS * square:
+            if rounding <= FEW_DIGITS * square and square > 0:  # squares of very small forces are zero
                 return float(np.sqrt(square)), float(rounding / np.sqrt(square))
     load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
     u, error = response(problem, condensation, load, tied)

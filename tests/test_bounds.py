@@ -5,6 +5,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.condensation import condense
+from contactqp.energy_norm import force_norm
+from contactqp.extended import extend
 
 CHAIN = 100.0 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -100,3 +102,12 @@ def test_a_floating_body_is_found_behind_a_stiffness_that_rounding_hides():
     problem = cq.ContactProblem(K, load, rows, [1.0, 0.25])
     assert condense(problem).rigid.count == 1
     assert cq.solve(problem).normal_force == pytest.approx([0.0, 2.0], rel=1e-13)
+
+
+@pytest.mark.parametrize("force", [1e-320, 1e-200])
+def test_forces_whose_squares_are_zero_have_a_norm(force):
+    """No division of nothing by nothing; a warning would fail here."""
+    problem = cq.ContactProblem(stiffness=[[3.0, 0.0], [0.0, 5.0]], load=[6.0, 0.0], normal=[[0.0, 1.0]], gap=[0.5])
+    norm, rounding = force_norm(problem, condense(problem), extend(np.array([force])))
+    assert 0 <= norm < 1e-160
+    assert 0 <= rounding < 1e-160
