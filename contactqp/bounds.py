@@ -148,13 +148,19 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     distance = sum(energy_norm(problem, pair.to_middle)) + pair.radius
     error, scale = _force_error(problem, answer, condensation, pair, known)
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
+    # Where nothing is elastic every displacement and every force has the energy norm zero.
+    nothing_elastic = not np.any(problem.diagonal)
     relative = None
     if force_bound is not None and scale > 0:
         relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(scale, size)
     return replace(
         known,
-        energy_error=_relative(distance, energy_scale, pair.radius + uncertain, rounding + pair.undecided),
-        force_error=error,
+        energy_error=(
+            0.0
+            if nothing_elastic
+            else _relative(distance, energy_scale, pair.radius + uncertain, rounding + pair.undecided)
+        ),
+        force_error=0.0 if nothing_elastic else error,
         force_scale=scale,
         force_bound=force_bound,
         relative_force_bound=relative,

@@ -31,6 +31,10 @@ from contactqp.violations import (
     violations,
 )
 
+# Lengths that are smaller than this part of the tolerance times the largest of their body are what the solver of an
+# answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
+ROUNDING_OF_ANSWERS = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -139,7 +143,7 @@ def certify(
         return _not_finite(problem, answer, tolerance, error_tolerance)
     with problem.lock:
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
-        found = violations(problem, answer, left)
+        found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance)
         others = uniqueness(problem, answer, found, condensation, tolerance)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)

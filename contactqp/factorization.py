@@ -37,9 +37,9 @@ MINIMUM_DEGREE = "MMD_AT_PLUS_A"
 # Entries that an incomplete factorisation drops where it meets them, beside a diagonal of one.
 DROPPED = 1e-3
 # Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
-# alternate, well below half an eps of |z|'|K||z|.
+# alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
 RIGID_FORCE = 32 * np.finfo(float).eps
-RIGID_ENERGY = 0.5 * np.finfo(float).eps
+RIGID_ENERGY = np.finfo(float).eps
 
 
 class Factorization(Protocol):

@@ -104,12 +104,15 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     )
 
 
-def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Violations:
-    """Every figure of an answer with these residuals."""
+def violations(
+    problem: ContactProblem, answer: Answer, left: Residuals, rounding: float = ROUNDING_OF_LENGTH
+) -> Violations:
+    """Every figure of an answer with these residuals; `rounding` as in `lengths_that_meet`."""
     residual, gap, tie_error = left.force.double(), left.gap.double(), abs(left.tie.double())
     F = forces_that_meet(problem, answer)
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    gap_measure, tangential = ratio(abs(gap), length), tangential_lengths(problem, answer.displacement)
+    u = answer.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, u, rounding)
+    gap_measure, tangential = ratio(abs(gap), length), tangential_lengths(problem, u, rounding)
     push = force_measure(problem.normal, answer.normal_force, F)
     cone, direction, slip_measure = _friction(problem, answer, F, tangential)
     return Violations(
@@ -120,7 +123,7 @@ def violations(problem: ContactProblem, answer: Answer, left: Residuals) -> Viol
         complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, answer.displacement)),
+        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, u, rounding)),
         slip_measure=slip_measure,
         lengths=length,
         tangential_lengths=tangential,
@@ -152,26 +155,28 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
-def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
+def lengths_that_meet(
+    problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH
+) -> Vector:
     """L_i = (|E||u| + |g|)_i, infinite where that is zero [length].
 
-    It is zero where it is no more than the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies
-    that the row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
+    It is zero where it is no more than `rounding` |E_i D| max_j |u_j / D_j| of the displacements of the bodies that the
+    row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
     measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
     """
     length = abs(rows) @ abs(displacement) + abs(limit)
-    rounding = ROUNDING_OF_LENGTH * np.sqrt(own_compliance(problem, rows))
+    least = rounding * np.sqrt(own_compliance(problem, rows))
     size = np.sqrt(problem.diagonal) * abs(displacement)
-    if np.any(length <= rounding * np.max(size, initial=0.0)):
-        length = np.where(length <= rounding * _largest_of_bodies(problem, rows, size), np.inf, length)
+    if np.any(length <= least * np.max(size, initial=0.0)):
+        length = np.where(length <= least * _largest_of_bodies(problem, rows, size), np.inf, length)
     return np.asarray(length)
 
 
-def tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
+def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH) -> Vector:
     """|L| (m,) of the tangential rows of each contact [length]; a row at rest adds none where another one moves."""
     if problem.tangent is None or problem.slip_origin is None:
         return np.full(problem.contacts, np.inf)
-    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement, rounding)
     meeting = meeting.reshape(problem.slip_origin.shape)
     finite = np.where(np.isfinite(meeting), meeting, 0.0)
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)

@@ -344,3 +344,47 @@ def test_a_support_held_as_a_row_may_move_by_rounding() -> None:
     assert cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed
     moved = solution.displacement + np.array([1e-9, 0.0])
     assert not cq.certify(problem, moved, solution.normal_force, tie_force=solution.tie_force).passed
+
+
+def _bar_on_a_floor(friction: float = 0.3) -> cq.ContactProblem:
+    """Two nodes on springs, the second on a floor that it touches (g = 0) and where it sticks."""
+    return cq.ContactProblem(
+        stiffness=np.diag([10.0, 10.0, 1000.0, 1000.0]) + 5.0 * np.outer([1, 1, -1, -1], [1, 1, -1, -1]),
+        load=[1.0, 0.0, -0.5, -3.0],
+        normal=[[0.0, 0.0, 0.0, -1.0]],
+        gap=[0.0],
+        tangent=[[0.0, 0.0, 1.0, 0.0]],
+        friction=friction,
+    )
+
+
+@pytest.mark.parametrize(("tolerance", "noise"), [(1e-9, 1e-12), (1e-6, 1e-9)])
+@pytest.mark.parametrize("where", [2, 3])
+def test_what_a_solver_leaves_of_zero_is_no_slip_and_no_penetration(where: int, tolerance: float, noise: float) -> None:
+    """A contact whose lengths are all zero has none to be measured by: the largest of its body stands in for them."""
+    problem = _bar_on_a_floor()
+    right = cq.solve(problem)
+    assert right.contact_status[0] == "stick"
+    given = (right.normal_force, right.friction_force, right.tie_force)
+    sizes = np.sqrt(problem.diagonal) * abs(right.displacement)
+    forgiven = noise * np.max(sizes) / np.sqrt(problem.diagonal[where])
+    for part, passes in ((0.5, True), (2.0, False)):
+        u = right.displacement.copy()
+        u[where] = -part * forgiven
+        judged = cq.certify(problem, u, *given, tolerance=tolerance)
+        figures = ("slip_direction", "penetration", "natural_map")
+        assert all(getattr(judged, name) <= 4 * tolerance for name in figures) is passes, (part, judged)
+
+
+def test_where_nothing_is_elastic_equilibrium_and_gaps_decide() -> None:
+    """A rigid table on four legs: any share of the load that balances is right, and no energy bounds anything."""
+    legs = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+    rows = [[-1.0, -y, x] for x, y in legs]
+    table = cq.ContactProblem(np.zeros((3, 3)), [-8.0, -2.0, 1.0], rows, np.zeros(4))
+    share = np.array([2 + x / 4 + y / 2 for x, y in legs])
+    assert cq.certify(table, np.zeros(3), share).passed
+    assert cq.solve(table).certificate.passed
+    tilted = cq.certify(table, [0.0, 1e-6, 0.0], share)
+    assert tilted.penetration > 1e-9
+    assert not tilted.passed
+    assert not cq.certify(table, np.zeros(3), [*share[:3], share[3] + 1e-6]).passed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
@@ -249,6 +249,8 @@ def test_frictionless_tangential_rows_are_carried() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 10_000), rigid=st.integers(0, 3))
+@example(seed=2006, rigid=3)  # products of rounded factors: energies of rigid motions near an eps of their sizes
+@example(seed=3168, rigid=3)
 def test_random_problems_are_solved_and_proven(seed: int, rigid: int) -> None:
     solution = cq.solve(seeded_problem(seed, n=10, m=8, rigid=rigid))
     assert solution.certificate.passed
