@@ -13,13 +13,19 @@ from contactqp.oracle.exact.definite import SAFE
 from contactqp.oracle.exact.enclosure import Enclosure, enclose
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
 from contactqp.oracle.exact.fixed_point import Fixed, FixedMatrix, fixed
+from contactqp.oracle.exact.free_motions import carried, hold
 from contactqp.oracle.exact.rational_answer import Asked
 from contactqp.oracle.exact.refinement import refine
+from contactqp.solution import FreeMotion
+from contactqp.solving import solve
 
 REGULAR = "the system of this contact set is regular: these are its only displacements and forces"
 STRICT = "every normal force of the set and every gap outside of it is strictly positive"
-MINIMUM = "the stiffness is positive definite: the equilibrium is the only one, and the minimum"
-LOCAL = "the stiffness is positive definite against the contacts that push: the equilibrium is a strict local minimum"
+MINIMUM = "the stiffness is positive definite within the ties: the equilibrium is the only one, and the minimum"
+BUT_FOR_MOTIONS = "the stiffness is positive definite once free motions are held: no other equilibrium but for these"
+LOCAL = (
+    "the stiffness is positive definite against ties and contacts that push: the equilibrium is a strict local minimum"
+)
 FLOATS_THAT_FLOAT = (
     "the floats of the stiffness are not proven to be positive definite, as a body that floats on its contacts has "
     "them: that no other equilibrium lies far away is not proven"
@@ -44,13 +50,20 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
     if problem.frictional:
         raise Unsupported(f"exact: friction with {problem.dimension} unknowns, too many for rational numbers")
     try:
-        refined = refine(problem, asked.method, **asked.options)
+        first = solve(problem, asked.method, **asked.options)
+        held = hold(problem, first) if first.free_motions else None
+        if held is None:
+            refined = refine(problem, asked.method, first=first, **asked.options)
+        else:
+            refined = refine(held.problem, asked.method, **asked.options)
     except NoEquilibrium as error:
         raise NoEquilibrium(f"{error} (found in floats, not proven)") from None
-    return _answer(asked, enclose(refined))
+    found = enclose(refined)
+    notes = () if held is None else (carried(held, refined, found.tie_force),)
+    return _answer(asked, found, first.free_motions, notes)
 
 
-def _answer(asked: Asked, found: Enclosure) -> ExactSolution:
+def _answer(asked: Asked, found: Enclosure, motions: tuple[FreeMotion, ...], notes: tuple[str, ...]) -> ExactSolution:
     problem, refined = asked.problem, found.refined
     push, ranges = refined.normal_force.fractions(), np.empty((problem.contacts, 2), dtype=object)
     ranges[:, 0], ranges[:, 1] = push, push
@@ -66,7 +79,7 @@ def _answer(asked: Asked, found: Enclosure) -> ExactSolution:
         displacement=refined.displacement.fractions(),
         normal_force=push,
         friction_force=None if rubs is None else fixed(none).fractions().reshape(rubs),
-        tie_force=refined.tie_force.fractions(),
+        tie_force=refined.tie_force.fractions()[: problem.ties],
         gap=gap,
         slip=slip,
         contact_status=tuple("closed" if yes else "open" for yes in closed),
@@ -75,21 +88,21 @@ def _answer(asked: Asked, found: Enclosure) -> ExactSolution:
             found.displacement,
             found.normal_force,
             None if rubs is None else none,
-            found.tie_force,
+            found.tie_force[: problem.ties],
             found.gap,
             slip_radius,
         ),
         unique_forces=True,
         force_range=ranges,
-        free_motions=(),
+        free_motions=motions,
         energy=None,
         equilibria=None,
         uniqueness=(),
         events=(),
         data=asked.source,
         way=f"iterative refinement in {refined.rounds} rounds, and bounds of what is left",
-        proof=(REGULAR, STRICT, MINIMUM if found.definite else LOCAL),
-        notes=() if found.definite else (FLOATS_THAT_FLOAT,),
+        proof=(REGULAR, STRICT, LOCAL if not found.definite else BUT_FOR_MOTIONS if motions else MINIMUM),
+        notes=notes if found.definite else (*notes, FLOATS_THAT_FLOAT),
         method=asked.method,
         seconds=time.perf_counter() - asked.started,
     )

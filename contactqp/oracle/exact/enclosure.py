@@ -26,6 +26,20 @@ from contactqp.oracle.exact.definite import EPS, SAFE, largest_row_sum, least_ei
 from contactqp.oracle.exact.exact_solution import Floats
 from contactqp.oracle.exact.fixed_point import Fixed
 from contactqp.oracle.exact.refinement import Refined
+from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Of the scaled system of a contact set: a, h, s and t of the module, all proven."""
+
+    scale: Floats  # (n,) of the unknowns
+    length: Floats  # (k + c,) of the ties' and contacts' rows
+    a: float
+    h: float
+    s: float
+    t: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +51,36 @@ class Enclosure:
     normal_force: Floats  # (m,)
     tie_force: Floats  # (k,)
     gap: Floats  # (m,)
-    definite: bool  # the stiffness alone is positive definite: this is the only equilibrium, and the minimum
+    definite: bool  # the stiffness is positive definite within the ties: the only equilibrium, and the minimum
+
+
+def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
+    """The proof that the system of closed contacts (c,) has one solution, and by how much.
+
+    Raises
+    ------
+    NotCertified
+        It was not found.
+    """
+    K, scale = _scaled(problem)
+    B, length = _rows(sp.vstack([problem.tie, problem.normal[closed]]), scale)
+    held, pushed = sp.csc_matrix(B.T @ B), sp.csc_matrix(B @ B.T)
+    h, t = largest_row_sum(K) + largest_row_sum(abs(B).T @ abs(B)), largest_row_sum(abs(B) @ abs(B).T)
+    a = least_eigenvalue(K + held, _terms(B) * EPS * h)
+    s = least_eigenvalue(pushed, _terms(B) * EPS * t)
+    if a is None or s is None:
+        what = "the stiffness, with the contacts that push," if a is None else "the rows of the contacts that push"
+        why = "is not proven to be positive definite" if a is None else "are not proven to be independent"
+        raise NotCertified(f"exact: {what} {why}: forces or motions may not be unique", solution)
+    return Bounds(scale, length, a, h, s, t)
+
+
+def is_convex(problem: ContactProblem) -> bool:
+    """Whether the stiffness is proven to be positive definite on the motions that the ties leave."""
+    K, scale = _scaled(problem)
+    B, _ = _rows(sp.csr_matrix(problem.tie), scale)
+    h = largest_row_sum(K) + largest_row_sum(abs(B).T @ abs(B))
+    return least_eigenvalue(sp.csc_matrix(K + B.T @ B), _terms(B) * EPS * h) is not None
 
 
 def enclose(refined: Refined) -> Enclosure:
@@ -50,21 +93,8 @@ def enclose(refined: Refined) -> Enclosure:
         ill-conditioned), or a force or a gap is not proven to be positive (a contact that just touches).
     """
     problem, closed = refined.problem, refined.closed
-    scale = _power_of_two(problem.diagonal)
-    D = sp.diags(scale)
-    rows = sp.csr_matrix(sp.vstack([problem.tie, problem.normal[closed]]))
-    length = _power_of_two(np.asarray(rows.multiply(rows) @ scale**2).ravel())
-    K = sp.csc_matrix(D @ sp.csc_matrix(problem.stiffness) @ D)
-    B = sp.csr_matrix(sp.diags(length) @ rows @ D)
-    held, pushed = sp.csc_matrix(B.T @ B), sp.csc_matrix(B @ B.T)
-    terms = float(np.max(np.diff(B.indptr), initial=0)) + float(np.max(np.diff(B.tocsc().indptr), initial=0)) + 4
-    h, t = largest_row_sum(K) + largest_row_sum(abs(B).T @ abs(B)), largest_row_sum(abs(B) @ abs(B).T)
-    a = least_eigenvalue(K + held, terms * EPS * h)
-    s = least_eigenvalue(pushed, terms * EPS * t)
-    if a is None or s is None:
-        what = "the stiffness, with the contacts that push," if a is None else "the rows of the contacts that push"
-        why = "is not proven to be positive definite" if a is None else "are not proven to be independent"
-        raise NotCertified(f"exact: {what} {why}: forces or motions may not be unique", refined.first)
+    bounds = regular(problem, closed, refined.first)
+    scale, length, a, h, s, t = bounds.scale, bounds.length, bounds.a, bounds.h, bounds.s, bounds.t
     r1 = _norm(refined.imbalance, scale)
     ties, contacts = length[: problem.ties], length[problem.ties :]
     r2 = float(np.hypot(_norm(refined.tie_error, ties), _norm(refined.gap[closed], contacts)))
@@ -73,12 +103,46 @@ def enclose(refined: Refined) -> Enclosure:
     motion = (r + np.sqrt(t) * forces) / a * SAFE
     push, gap = np.zeros(problem.contacts), np.zeros(problem.contacts)
     push[closed] = contacts * forces * SAFE
-    reach = np.sqrt(np.asarray(problem.normal.multiply(problem.normal) @ scale**2).ravel())
+    largest = _largest(problem.normal, scale)
+    reach = largest * np.sqrt(_squares(problem.normal, scale, largest))
     gap[:] = reach * motion * SAFE
     gap[closed] = 0.0
     _refuse_undecided(refined, push, gap)
-    definite = least_eigenvalue(K, EPS * h) is not None
-    return Enclosure(refined, scale * motion * SAFE, push, ties * forces * SAFE, gap, definite)
+    return Enclosure(refined, scale * motion * SAFE, push, ties * forces * SAFE, gap, is_convex(problem))
+
+
+def _scaled(problem: ContactProblem) -> tuple[Any, Floats]:
+    """D K D with about ones on the diagonal, and the diagonal of D (n,)."""
+    scale = _power_of_two(problem.diagonal)
+    D = sp.diags(scale)
+    return sp.csc_matrix(D @ sp.csc_matrix(problem.stiffness) @ D), scale
+
+
+def _rows(rows: Any, scale: Floats) -> tuple[Any, Floats]:
+    """Rows times D, made about one long, and what by."""
+    rows = sp.csr_matrix(rows)
+    largest = _largest(rows, scale)
+    length = _power_of_two(_squares(rows, scale, largest)) / largest
+    return sp.csr_matrix(sp.diags(length) @ rows @ sp.diags(scale)), length
+
+
+def _largest(rows: Any, scale: Floats) -> Floats:
+    """About the largest entry of each row times D, a power of two: squares of what is left are within doubles."""
+    entries = sp.csr_matrix(abs(sp.csr_matrix(rows)) @ sp.diags(scale))
+    most = entries.max(axis=1).toarray().ravel() if entries.shape[0] and entries.shape[1] else np.ones(rows.shape[0])
+    return np.asarray(np.exp2(np.round(np.log2(np.where(most > 0, most, 1.0)))))
+
+
+def _squares(rows: Any, scale: Floats, largest: Floats) -> Floats:
+    """Sums of squares of the rows of diag(largest)^-1 E D."""
+    entries = sp.diags(1 / largest) @ sp.csr_matrix(rows) @ sp.diags(scale)
+    return np.asarray(entries.multiply(entries).sum(axis=1)).ravel()
+
+
+def _terms(B: Any) -> float:
+    """Terms of the sums that make B'B and BB', and some for forming them."""
+    down, across = np.diff(sp.csc_matrix(B).indptr), np.diff(B.indptr)
+    return float(np.max(across, initial=0)) + float(np.max(down, initial=0)) + 4
 
 
 def _power_of_two(squares: Any) -> Floats:

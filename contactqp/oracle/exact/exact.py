@@ -36,6 +36,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
 
     Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
     that is proven to hold the exact one (`contactqp.oracle.exact.enclosure`, `contactqp.oracle.exact.enclosed_scene`).
+    Bodies that float freely are then held where floats rest them (`contactqp.oracle.exact.free_motions`); a note says
+    where, and what the holding carries.
 
     Parameters
     ----------
@@ -105,17 +107,26 @@ def _asked(problem: ContactProblem, source: str, method: str, options: dict[str,
 def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
     from contactqp.oracle.exact.enclosed_answer import prove_by_enclosure
     from contactqp.oracle.exact.exact_problem import of_floats
-    from contactqp.oracle.exact.rational_answer import prove
+    from contactqp.oracle.exact.rational_answer import Indefinite, prove
 
     size = asked.problem.dimension + asked.problem.contacts + asked.problem.ties
     small = size <= (RATIONAL_WITH_FRICTION if asked.problem.frictional else RATIONAL)
-    if enclose or (enclose is None and not small):
+    enclosed_first = enclose or (enclose is None and not small)
+    if enclosed_first:
         try:
             return prove_by_enclosure(asked)
         except (NotCertified, NotConverged):
             if enclose or size > RATIONAL_AT_LAST:
                 raise
-    return prove(of_floats(asked.problem), asked)
+    try:
+        return prove(of_floats(asked.problem), asked)
+    except Indefinite as indefinite:
+        if enclosed_first or enclose is not None:
+            raise
+        try:  # as a strict local minimum
+            return prove_by_enclosure(asked)
+        except (NotCertified, NotConverged):
+            raise indefinite from None
 
 
 def _of_scene(

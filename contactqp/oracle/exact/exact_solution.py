@@ -49,7 +49,8 @@ class ExactSolution:
     """
 
     problem: ContactProblem = field(repr=False)
-    displacement: Fractions  # (n,) u [length]; least norm where motions are free
+    # (n,) u [length]; where motions are free the one of least norm, or, enclosed, where floats have it (see the notes)
+    displacement: Fractions
     normal_force: Fractions  # (m,) l_N [force], positive in compression
     friction_force: Fractions | None  # (m, d-1) l_T [force], what the body does to the obstacle
     tie_force: Fractions  # (k,) nu [force]

@@ -47,6 +47,10 @@ PROVEN_PATH = "all of these at both ends of every piece of the load path, and th
 PROVEN_MINIMUM = "the stiffness is positive semidefinite: the equilibrium is the minimum"
 
 
+class Indefinite(Unsupported):
+    """Rounding has made the stiffness indefinite."""
+
+
 @dataclass(frozen=True, eq=False)
 class Asked:
     """A problem in floats, whose exact answer is asked for, and by what the contact set is proposed."""
@@ -93,7 +97,7 @@ def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
         several = None if found.continuum else found.equilibria
         return solution_of(data, found.settled, asked, solution, several, findings)
     if not is_semidefinite(data.K):
-        raise Unsupported(
+        raise Indefinite(
             f"exact: the stiffness is not positive semidefinite as it stands ({asked.source}): rounding has made it "
             "indefinite, as it does with bodies that float; give rational numbers"
         )

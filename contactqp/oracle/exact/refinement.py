@@ -54,7 +54,14 @@ class Refined:
     first: Solution  # in doubles
 
 
-def refine(problem: ContactProblem, method: str = "active-set", digits: int = 40, **options: Any) -> Refined:
+def refine(
+    problem: ContactProblem,
+    method: str = "active-set",
+    digits: int = 40,
+    *,
+    first: Solution | None = None,
+    **options: Any,
+) -> Refined:
     """Solve a frictionless problem to many more digits than doubles have.
 
     Parameters
@@ -65,6 +72,8 @@ def refine(problem: ContactProblem, method: str = "active-set", digits: int = 40
         As in `contactqp.solve`: what solves the magnified problems.
     digits : int
         Residuals relative to the load and to the lengths of the problem, at most 90.
+    first : Solution, optional
+        In doubles, where it is known already.
 
     Raises
     ------
@@ -88,7 +97,8 @@ def refine(problem: ContactProblem, method: str = "active-set", digits: int = 40
         raise InvalidProblem(f"refine: digits: expected 1 to {MOST_DIGITS}, got {digits}")
     if problem.frictional:
         raise Unsupported("refine: Coulomb friction is no quadratic program")
-    first = solve(problem, method, **options)
+    if first is None:
+        first = solve(problem, method, **options)
     walk = _Walk(problem, first, method, options)
     goal = 2.0 ** (-digits * 3.3219)
     for round_ in range(MOST_ROUNDS):
