@@ -11,6 +11,7 @@ from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsuppo
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.exact.exact_solution import ExactSolution
 from contactqp.problem import ContactProblem
+from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
@@ -50,7 +51,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
         A name of `contactqp.methods()`: what proposes.
     enclose : bool, optional
         Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
-        300 unknowns and contacts, and up to 700 where an enclosure cannot decide what just touches.
+        300 unknowns and contacts. What just touches an enclosure cannot decide: then fractions of small denominators
+        are looked for and proven (`contactqp.oracle.exact.reconstruction`), at last in rational numbers up to 700.
     **options
         Of `contactqp.solve`.
 
@@ -115,7 +117,9 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
     if enclosed_first:
         try:
             return prove_by_enclosure(asked)
-        except (NotCertified, NotConverged):
+        except (NotCertified, NotConverged) as error:
+            if not enclose and (found := _reconstructed(asked, error)) is not None:
+                return found
             if enclose or size > RATIONAL_AT_LAST:
                 raise
     try:
@@ -127,6 +131,15 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
             return prove_by_enclosure(asked)
         except (NotCertified, NotConverged):
             raise indefinite from None
+
+
+def _reconstructed(asked: Asked, error: NotCertified | NotConverged) -> ExactSolution | None:
+    from contactqp.oracle.exact.reconstructed_answer import prove_by_reconstruction
+
+    first = error.solution
+    if not isinstance(error, NotCertified) or not isinstance(first, Solution) or first.free_motions:
+        return None
+    return prove_by_reconstruction(asked, first)
 
 
 def _of_scene(
