@@ -7,11 +7,14 @@ from dataclasses import replace
 from fractions import Fraction as F
 
 import pytest
-from flint import fmpq
+from flint import fmpq, fmpq_mat
 
 import contactqp as cq
+from contactqp.oracle.exact.combination import Combination, System, system_of
 from contactqp.oracle.exact.exact_path import follow
 from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
+from contactqp.oracle.exact.loose_rates import LooseRates
+from contactqp.oracle.exact.proof import RationalAnswer
 from contactqp.oracle.exact.rational import column, fractions, zeros
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
@@ -115,3 +118,69 @@ def test_a_piece_that_breaks_the_law_would_be_seen(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("contactqp.oracle.exact.exact_path._Walk._ahead", lambda *_: fmpq(1))
     with pytest.raises(ArithmeticError, match="cone"):
         follow(slider(), [column([0.0, -1.0]), column([1.0, -1.0])], ["pad"])
+
+
+def two_stops(friction: tuple[float, float]) -> RationalProblem:
+    """A node on springs that two stops of one place hold: who of them carries what is open."""
+    return of_floats(
+        cq.ContactProblem(
+            [[2.0, 0.0], [0.0, 3.0]],
+            [0.0, 0.0],
+            [[0.0, -1.0], [0.0, -1.0]],
+            [0.0, 0.0],
+            [[1.0, 0.0], [1.0, 0.0]],
+            list(friction),
+        )
+    )
+
+
+@pytest.mark.parametrize("friction", [(1.0, 1.0), (1.0, 0.25), (0.25, 1.0)])
+@pytest.mark.parametrize("push", [0.0, 0.125, 0.5, 2.0])
+def test_forces_that_are_open_in_rates_are_said_to_be(friction: tuple[float, float], push: float) -> None:
+    """One motion, several forces: no case of several equilibria."""
+    with pytest.raises(cq.Unsupported, match="contact forces are not unique in rates"):
+        follow(two_stops(friction), [column([push, -1.0])], ["one", "other"])
+
+
+def jammed() -> RationalProblem:
+    """A node between two walls that touch it, which only their friction can hold."""
+    return of_floats(
+        cq.ContactProblem(
+            [[1.0, 0.0], [0.0, 0.0]], [0.0, 1.0], [[1.0, 0.0], [-1.0, 0.0]], [0.0, 0.0], [[0.0, 1.0], [0.0, 1.0]], 0.5
+        )
+    )
+
+
+def test_a_solution_that_breaks_the_law_does_not_speak_for_the_others() -> None:
+    """Of a singular system one solution is computed, without any jamming: the law refuses it, and others hold."""
+    data = jammed()
+    system = system_of(data, Combination((0, 1), (0, 1)))
+    solved = system.solve()
+    assert solved is not None
+    motion, forces, only = solved
+    assert not only
+
+    def rooms(rate: RationalAnswer) -> list[fmpq]:
+        push, rub = rate.normal_force.entries(), rate.friction_force.entries()
+        return [x for N, T in zip(push, rub, strict=True) for x in (N, N / 2 - T, N / 2 + T)]
+
+    assert any(x < 0 for x in rooms(system.answer(motion, forces)))
+    loose = LooseRates(system, motion, forces, rooms)
+    assert not loose.empty
+    assert not loose.forces_known
+    # With forces below 3/4 nothing holds: 2 * 3/8 < 1.
+    bounded = LooseRates(system, motion, forces, lambda rate: [*rooms(rate), *_below(rate, system, motion, forces)])
+    assert bounded.empty
+    with pytest.raises(cq.Unsupported, match="contact forces are not unique"):
+        follow(data, [column([0.0, 1.0])], ["left", "right"])
+
+
+def _below(rate: RationalAnswer, system: System, motion: fmpq_mat, forces: fmpq_mat) -> list[fmpq]:
+    """3/4 - N, of which directions have -N only."""
+    start = system.answer(motion, forces)
+    constant = fmpq(3, 4) if rate.displacement == start.displacement and _same_load(rate, start) else fmpq(0)
+    return [constant - x for x in rate.normal_force.entries()]
+
+
+def _same_load(rate: RationalAnswer, start: RationalAnswer) -> bool:
+    return bool(sum(rate.friction_force.entries(), fmpq(0)) == sum(start.friction_force.entries(), fmpq(0)) != 0)

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from itertools import product
 
 from flint import fmpq, fmpq_mat
@@ -23,6 +24,7 @@ from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Uns
 from contactqp.oracle.exact.combination import Combination, system_of
 from contactqp.oracle.exact.exact_problem import RationalProblem
 from contactqp.oracle.exact.exact_solution import ExactEvent
+from contactqp.oracle.exact.loose_rates import LooseRates
 from contactqp.oracle.exact.proof import RationalAnswer, wrong
 from contactqp.oracle.exact.rational import fraction, is_zero, zeros
 
@@ -114,11 +116,16 @@ class _Walk:
             solved = system.solve()
             if solved is None:
                 continue
-            rate = system.answer(solved[0], solved[1])
-            if not self._goes_on(states, rate):
+            motion, forces, only = solved
+            if not only:
+                rates_left = LooseRates(system, motion, forces, partial(self._rooms, states))
+                if not rates_left.empty and not rates_left.forces_known:
+                    raise Unsupported(f"exact: {at}: contact forces are not unique in rates")
+                if not rates_left.empty:
+                    loose.append(states)
                 continue
-            if not solved[2]:
-                loose.append(states)
+            rate = system.answer(motion, forces)
+            if any(room < 0 for room in self._rooms(states, rate)):
                 continue
             known = next((i for i, (_, other) in enumerate(found) if _same(rate, other)), None)
             if known is None:
@@ -126,7 +133,7 @@ class _Walk:
             elif states.count(STICK) > found[known][0].count(STICK):
                 found[known] = states, rate  # what does not slip is called stuck
         if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
-            raise Unsupported(f"exact: {at}: contact forces or motions are not unique in rates")
+            raise Unsupported(f"exact: {at}: motions are not unique in rates")
         if not found:
             raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
         if len(found) > 1:
@@ -170,28 +177,26 @@ class _Walk:
             raise Unsupported(f"exact: {at}: {count} ways to go on are too many to try in rational numbers")
         return product(*choices)
 
-    def _goes_on(self, states: States, rate: RationalAnswer) -> bool:
-        """The law in rates at contacts that are at a limit."""
+    def _rooms(self, states: States, rate: RationalAnswer) -> list[fmpq]:
+        """The law in rates at contacts that are at a limit: linear in the rates, none of it negative where it holds."""
         gaps = (-1 * self.data.E * rate.displacement).entries()
         slips = (self.data.T * rate.displacement).entries()
         now = self.data.gap(self.answer.displacement).entries()
+        rooms = list[fmpq]()
         for i, state in enumerate(states):
             mu, push = self.data.friction[i], self.answer.normal_force[i, 0]
             more, rub = rate.normal_force[i, 0], rate.friction_force[i, 0]
             if state == OPEN:
-                holds = now[i] > 0 or gaps[i] >= 0
-            elif push == 0:
-                holds = more >= 0 and (state != STICK or abs(rub) <= mu * more)
-                holds = holds and SIGN.get(state, 0) * slips[i] >= 0
-            elif state in SIGN:
-                holds = SIGN[state] * slips[i] >= 0
-            else:
-                edge = self.answer.friction_force[i, 0]
-                at_edge = state == STICK and abs(edge) == mu * push
-                holds = not at_edge or (rub if edge > 0 else -rub) <= mu * more
-            if not holds:
-                return False
-        return True
+                rooms += [gaps[i]] if now[i] <= 0 else []
+                continue
+            if state in SIGN:
+                rooms.append(SIGN[state] * slips[i])
+            edge = self.answer.friction_force[i, 0]
+            if push == 0:
+                rooms += [more, *((mu * more - rub, mu * more + rub) if state == STICK else ())]
+            elif state == STICK and abs(edge) == mu * push:
+                rooms.append(mu * more - (rub if edge > 0 else -rub))
+        return rooms
 
     def _ahead(self, rate: RationalAnswer) -> fmpq:
         """How far the next limit is, as a part of the leg, or 1."""
