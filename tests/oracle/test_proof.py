@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from flint import fmpq
 
 import contactqp as cq
@@ -202,3 +203,10 @@ def test_the_least_member_of_a_family() -> None:
     assert Family(start, ways, column([5.0]), matrix([[1.0]])).least().entries() == [1]
     with pytest.raises(NoSolution):
         Family(start, ways, column([-1.0, -1.0]), matrix([[1.0], [-1.0]])).least()
+
+
+def test_rational_numbers_of_thousands_of_unknowns_are_refused_at_once() -> None:
+    chain = sp.diags([-np.ones(1999), 3 * np.ones(2000), -np.ones(1999)], [-1, 0, 1]).tocsr()
+    problem = cq.ContactProblem(chain, np.ones(2000), sp.identity(2000, format="csr")[::100], np.ones(20))
+    with pytest.raises(cq.Unsupported, match="2020 unknowns, contacts and ties, too many for rational numbers"):
+        cq.exact(problem, enclose=False)

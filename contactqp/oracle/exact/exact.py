@@ -23,7 +23,7 @@ CASE = "the case's own numbers"
 BODY = "the floats of the assembled bodies as they stand"
 # Unknowns, contacts and ties whose rational numbers take a second, and some ten seconds.
 RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
-# The numbers of a case are short, but matrices of them are dense.
+# Whatever is asked for: matrices of rational numbers are dense.
 MOST_OF_A_CASE = 1500
 
 
@@ -122,6 +122,11 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
                 return found
             if enclose or size > RATIONAL_AT_LAST:
                 raise
+    if size > MOST_OF_A_CASE:
+        raise Unsupported(
+            f"exact: {size} unknowns, contacts and ties, too many for rational numbers (at most {MOST_OF_A_CASE}); "
+            "enclose=True encloses them"
+        )
     try:
         return prove(of_floats(asked.problem), asked)
     except Indefinite as indefinite:
