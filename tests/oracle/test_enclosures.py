@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from fractions import Fraction as F
 
@@ -227,6 +228,31 @@ def test_the_least_eigenvalue_is_never_overestimated(seed: int) -> None:
     assert 0.05 * truth < bound < truth
     assert least_eigenvalue(sp.csc_matrix(matrix - 1.01 * truth * np.eye(size))) is None
     assert least_eigenvalue(sp.csc_matrix(matrix), uncertainty=truth) is None
+
+
+@pytest.mark.parametrize("size", [3, 60, 2000])
+def test_the_least_eigenvalue_of_a_chain_sparse_or_dense(size: int) -> None:
+    """Three unknowns are dense, more are not: 2 - 2 cos(pi / (n + 1))."""
+    ends = -np.ones(size - 1)
+    chain = sp.csc_matrix(sp.diags([ends, 2 * np.ones(size), ends], [-1, 0, 1]))
+    truth = 2 - 2 * np.cos(np.pi / (size + 1))
+    bound = least_eigenvalue(chain)
+    assert bound is not None
+    assert 0.05 * truth < bound < truth
+    less = sp.csc_matrix(chain - 1.001 * truth * sp.identity(size))
+    assert least_eigenvalue(less) is None
+
+
+def test_dense_matrices_of_thousands_are_proven_within_seconds() -> None:
+    """Products of dense factors are made by BLAS, not entry by entry."""
+    rng = np.random.default_rng(2)
+    basis = rng.standard_normal((1500, 1500))
+    matrix = sp.csc_matrix(basis @ basis.T / 1500 + np.eye(1500))
+    started = time.perf_counter()
+    bound = least_eigenvalue(matrix)
+    assert time.perf_counter() - started < 10
+    assert bound is not None
+    assert 0.4 < bound <= np.linalg.eigvalsh(matrix.toarray())[0]
 
 
 def test_a_singular_matrix_is_not_proven_definite() -> None:
