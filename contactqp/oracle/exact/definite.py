@@ -2,8 +2,8 @@
 
 A factorisation P (M - s I) P' = L D L' + R with D > 0 proves  lambda_min(M) >= s - |R|,  whatever rounding there was on
 the way to it, once R is bounded: its entries are computed, and what rounding may have added to them is bounded by the
-same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in the
-spirit of Rump (2006), BIT 46, 433, a posteriori.
+same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in
+the spirit of Rump (2006), BIT 46, 433, a posteriori.
 """
 
 from __future__ import annotations
