@@ -250,3 +250,26 @@ def test_a_ball_does_not_compute_with_what_may_be_rounded() -> None:
     assert not ball - ball < 0
     with pytest.raises(TypeError):
         float(ball)  # type: ignore[arg-type]
+
+
+def test_a_printed_matrix_that_is_not_symmetric_is_symmetrised_and_said_to_be(tmp_path: pathlib.Path) -> None:
+    """An exact answer to another matrix than floats solve would agree with nothing, and is no minimum of an energy."""
+    case = """
+        title = "printed"
+        units = { length = "m", force = "N" }
+        axes = ["x", "z"]
+        nodes = [{ name = "A", at = ["0 m", "%s"] }]
+        matrices = [{ name = "K", unknowns = ["A.x", "A.z"], unit = "N/m", rows = [[6, 5], [5.000001, 6]] }]
+        obstacles = [{ name = "floor", point = ["0 m", "0 m"], normal = [0, 1] }]
+        contacts = [{ name = "corner", node = "A", obstacle = "floor" }]
+        loads = [{ name = "press", unknown = "A.z", value = "-1 N" }]
+    """
+    file = tmp_path / "printed.toml"
+    file.write_text(case % "1 m")
+    answer = cq.exact(cq.load_scene(file))
+    mean = F(50000005, 10**7)
+    determinant = 36 - mean**2
+    assert answer.displacement.tolist() == [mean / determinant, -6 / determinant]
+    assert any("asymmetric as given, by 1.67e-07" in note for note in answer.notes)
+    file.write_text((case % "1 m").replace("5.000001", "5"))
+    assert cq.exact(cq.load_scene(file)).notes == ()

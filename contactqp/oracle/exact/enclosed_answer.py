@@ -14,7 +14,7 @@ from contactqp.oracle.exact.enclosure import Enclosure, enclose
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
 from contactqp.oracle.exact.fixed_point import Fixed, FixedMatrix, fixed
 from contactqp.oracle.exact.free_motions import carried, hold
-from contactqp.oracle.exact.rational_answer import Asked
+from contactqp.oracle.exact.rational_answer import Asked, symmetrised
 from contactqp.oracle.exact.refinement import refine
 from contactqp.solution import FreeMotion
 from contactqp.solving import solve
@@ -59,7 +59,8 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
     except NoEquilibrium as error:
         raise NoEquilibrium(f"{error} (found in floats, not proven)") from None
     found = enclose(refined)
-    notes = () if held is None else (carried(held, refined, found.tie_force),)
+    notes = symmetrised(problem)
+    notes += () if held is None else (carried(held, refined, found.tie_force),)
     return _answer(asked, found, first.free_motions, notes)
 
 

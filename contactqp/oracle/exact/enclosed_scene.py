@@ -21,7 +21,7 @@ from contactqp.elements.exact import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
 from contactqp.oracle.exact.ball import midpoint, radius, root, to_arb
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts
-from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal
+from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
 from contactqp.solution import Solution
 
@@ -118,6 +118,10 @@ def _balls(exact: ExactProblem) -> Balls:
     for (i, j), entry in exact.stiffness.items():
         if i in place and j in place:
             K[place[i]][place[j]] = to_arb(entry)
+    K = [
+        [(x + y) / 2 for x, y in zip(row, column, strict=True)]
+        for row, column in zip(K, zip(*K, strict=True), strict=True)
+    ]
     rubs = any(contact.friction for contact in exact.contacts)
     contacts = exact.contacts if rubs else ()
     return Balls(
@@ -254,7 +258,7 @@ def _answer(asked: Asked, solution: Solution, found: Enclosed, states: tuple[str
             "every gap and every normal force is strictly positive where it is not zero by that system",
             *last,
         ),
-        notes=(),
+        notes=symmetrised(problem),
         method=asked.method,
         seconds=time.perf_counter() - asked.started,
     )

@@ -80,7 +80,7 @@ def of_floats(problem: ContactProblem) -> RationalProblem:
 
 
 def of_scene(exact: ExactProblem) -> RationalProblem:
-    """A scene's numbers on its free unknowns, all of them Fractions (`exact.rational`).
+    """A scene's numbers on its free unknowns, all of them Fractions (`exact.rational`); K is symmetrised.
 
     As in the problem of floats, there are tangential rows only where there is friction.
     """
@@ -91,6 +91,7 @@ def of_scene(exact: ExactProblem) -> RationalProblem:
     for (i, j), entry in exact.stiffness.items():
         if i in place and j in place:
             K[place[i], place[j]] = from_fraction(_exact(entry))
+    K = (K + K.transpose()) / 2
     rubs = any(contact.friction for contact in exact.contacts)
     tangents = [row for contact in exact.contacts for row in contact.tangent] if rubs else []
     origins = [x for contact in exact.contacts for x in contact.slip_origin] if rubs else []

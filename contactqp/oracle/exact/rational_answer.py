@@ -37,6 +37,8 @@ from contactqp.uniqueness import SEVERAL
 MOST_PIVOTS = 400
 # Floats and exact answer of the same numbers agree to this part of the largest where the numbers are well-posed.
 AGREE = 1e-6
+# An asymmetry of assembled matrices that nobody wrote down.
+ROUNDED = 1e-14
 PROVEN = (
     "equilibrium at every unknown",
     "every tie",
@@ -172,10 +174,17 @@ def solution_of(
         data=asked.source,
         way=settled.way,
         proof=PROVEN + ((PROVEN_FRICTION,) if data.frictional else minimum),
-        notes=_notes(answer.displacement, solution),
+        notes=symmetrised(problem) + _notes(answer.displacement, solution),
         method=asked.method,
         seconds=time.perf_counter() - asked.started,
     )
+
+
+def symmetrised(problem: ContactProblem) -> tuple[str, ...]:
+    """A note where the stiffness was given with an asymmetry that is no rounding."""
+    if problem.asymmetry <= ROUNDED:
+        return ()
+    return (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)
 
 
 def _notes(u: fmpq_mat, solution: Solution | None) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from contactqp.oracle.exact.enclosed_answer import FLOATS_THAT_FLOAT, LOCAL, MIN
 from contactqp.oracle.exact.enclosure import is_convex, regular
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.fixed_point import fixed
-from contactqp.oracle.exact.rational_answer import PROVEN, Asked
+from contactqp.oracle.exact.rational_answer import PROVEN, Asked, symmetrised
 from contactqp.oracle.exact.reconstruction import DIGITS, Reconstructed, reconstruct
 from contactqp.oracle.exact.refinement import refine
 from contactqp.solution import Solution
@@ -71,7 +71,7 @@ def _answer(asked: Asked, found: Reconstructed, gap: Fractions, convex: bool) ->
         data=asked.source,
         way="iterative refinement, and the fractions nearest to it",
         proof=(*PROVEN, ONLY, MINIMUM if convex else LOCAL),
-        notes=() if convex else (FLOATS_THAT_FLOAT,),
+        notes=symmetrised(problem) + (() if convex else (FLOATS_THAT_FLOAT,)),
         method=asked.method,
         seconds=time.perf_counter() - asked.started,
     )
