@@ -3,7 +3,7 @@
 A hypothesis is tested against the problem and the right answer: undone, the answer must be right, or nearer to right by
 two digits; or it must be the right answer to the other question that is named. The families are asked in turn, those
 that take no solution first, and the first that explains the answer is believed: within it the best explanation, and
-any other that is as good.
+any other that is as good. Where none does but a factor without a name, a sign or a unit may hide another mistake.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from contactqp.oracle.diagnosis.other_questions import other_questions, too_larg
 from contactqp.oracle.diagnosis.precision import inexact, printed
 from contactqp.oracle.diagnosis.scales import scales
 from contactqp.oracle.diagnosis.shares import shares
+from contactqp.oracle.diagnosis.shifted import shifted
 from contactqp.oracle.diagnosis.symptoms import symptoms, unit_of
+from contactqp.oracle.diagnosis.two_mistakes import two_mistakes
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import JudgedContact
 from contactqp.oracle.foreign.recovery import missing_parts
@@ -35,7 +37,7 @@ Family = Callable[[Evidence], Iterator[Explanation]]
 GROUPS: tuple[tuple[Family, ...], ...] = (
     (printed,),
     (scales, orders),
-    (laws, other_questions, duplicates, one_value),
+    (one_value, shifted, laws, other_questions, duplicates),
     (shares,),
     (inexact,),
 )
@@ -52,11 +54,21 @@ def diagnose(
         return violated
     recovered = bool(missing_parts(problem, given))
     evidence = Evidence(problem, given, answer, certificate, right, recovered)
+    found = _explained(evidence)
+    if all(one.finding.kind == "scaled" for one in found):
+        found = two_mistakes(evidence, _explained) or found
+    if found:
+        return (*_best(found), *violated, *_others(right))
+    return (*violated, *_not_examined(problem), *_others(right))
+
+
+def _explained(evidence: Evidence) -> list[Explanation]:
+    """What the first group of families that explains the answer says."""
     for group in GROUPS:
         found = [one for family in group for one in family(evidence) if one.left <= LEFT]
         if found:
-            return (*_best(found), *violated, *_others(right))
-    return (*violated, *_not_examined(problem), *_others(right))
+            return found
+    return []
 
 
 def _others(right: Solution | None) -> Iterator[Finding]:
@@ -70,9 +82,13 @@ def _others(right: Solution | None) -> Iterator[Finding]:
 
 
 def _best(found: list[Explanation]) -> list[Finding]:
+    """The best explanation and those that are as good, one of a kind."""
     least = min(one.left for one in found)
-    kept = [one for one in found if one.left <= max(AS_GOOD * least, NOTHING_LEFT)]
-    return [one.finding for one in kept]
+    kept: dict[str, Explanation] = {}
+    for one in found:
+        if one.left <= max(AS_GOOD * least, NOTHING_LEFT):
+            kept.setdefault(one.finding.kind, one)
+    return [finding for one in kept.values() for finding in (one.finding, *one.beside)]
 
 
 def _not_examined(problem: ContactProblem) -> Iterator[Finding]:
@@ -94,7 +110,12 @@ def paragraph(
     """The findings as one paragraph; without a cause the right values of the worst contact stand with them."""
     if certificate.passed:
         return "nothing is wrong with this answer"
-    causes = [one.text for one in findings if one.cause]
+    causes: list[str] = []
+    for one in findings:
+        if one.together and causes:
+            causes[-1] += f", and {one.text}"
+        elif one.cause:
+            causes.append(one.text)
     said = [*causes[:1], *(f"or, the same numbers: {text}" for text in causes[1:3])]
     if not causes:
         said = [one.text for one in findings if one.kind != "several"] or list(certificate.failures)

@@ -37,6 +37,7 @@ class Explanation:
 
     finding: Finding
     left: float
+    beside: tuple[Finding, ...] = ()  # other causes that are needed too
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,8 @@ CAUSES = {
     "permuted-unknowns": "unknowns in another order",
     "tangent-order": "tangential directions in another order",
     "tangent-sign": "one tangential direction of the opposite sign",
+    "tangent-turned": "tangential directions turned by an angle",
+    "components": "normal and tangential forces in another order",
     "single-precision": "numbers of single precision",
     "printed-digits": "numbers as printed",
     "inexact": "right to a few digits",
@@ -35,6 +37,9 @@ CAUSES = {
     "regularised": "something was added to the diagonal of the stiffness",
     "gap-ignored": "no initial gaps",
     "gap-sign": "initial gaps of the opposite sign",
+    "gap-unit": "initial gaps in another unit",
+    "gap-offset": "every gap is off by the same",
+    "shifted": "every displacement is off by the same",
     "overlap-ignored": "initial overlaps taken as closed gaps",
     "ties-ignored": "no ties",
     "tie-value-ignored": "tie values of zero",
@@ -77,6 +82,7 @@ class Finding:
     kind: str
     text: str
     cause: bool = False
+    together: bool = False  # with the cause before it, not instead of it
 
     def __str__(self) -> str:
         return self.text

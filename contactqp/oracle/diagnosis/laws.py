@@ -80,6 +80,8 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     also = ", of springs that also pull" if np.any(pulls) else ""
     where = "everywhere" if np.sum(sprung) > 1 else f"at {problem.contact_name(int(np.flatnonzero(sprung)[0]))}"
     text = f"{what} {where} {size}{unit_of(length)}{rule}: looks like a penalty of {beta}{also}"
+    if np.sum(sprung) == 1 and not np.any(pulls):
+        text += ", or like a gap that is larger by as much"
     one_stiffness = (spread <= ONE_VALUE and np.sum(sprung) > 1) or _few(stiffness)
     # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
     noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.problem import Vector
+from contactqp.solution import Solution
 
 # Orders that are written out.
 WRITTEN = 12
@@ -32,8 +34,10 @@ def orders(evidence: Evidence) -> Iterator[Explanation]:
         left = evidence.apart(undone, evidence.right)
         if evidence.explains(left):
             then = evidence.then(undone, left)
-            for _, kind, said in found:
-                yield Explanation(Finding(kind, f"{said}: {then} in the problem's order", True), left)
+            *others, last = [Finding(kind, said, True, i > 0) for i, (_, kind, said) in enumerate(found)]
+            last = replace(last, text=f"{last.text}: {then} in the problem's order")
+            first, *beside = [*others, last]
+            yield Explanation(first, left, tuple(beside))
             return
     if not evidence.shared:
         yield from _of_directions(evidence)
@@ -120,7 +124,10 @@ def _regular_orders(n: int) -> Iterator[tuple[NDArray[np.intp], str]]:
 
 def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
     mine, right = evidence.given.friction_force, evidence.right
-    if mine is None or right is None or mine.shape[1] < 2:
+    if mine is None or right is None:
+        return
+    yield from _of_components(evidence, mine, right)
+    if mine.shape[1] < 2:
         return
     flat = mine.ravel()
     tried = (
@@ -137,3 +144,46 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
         if evidence.explains(left):
             yield Explanation(Finding(kind, f"{said}: undone, {evidence.then(undone, left)}", True), left)
             return
+    yield from _of_angle(evidence, mine, right)
+
+
+def _of_components(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
+    """Normal and tangential forces that stand in each other's place."""
+    normal = evidence.given.normal_force
+    if normal is None:
+        return
+    table = np.column_stack([normal, mine])
+    words = ("the normal force", "the first friction force", "the second friction force")
+    for order in permutations(range(table.shape[1])):
+        if order[0] == 0:
+            continue
+        for sign in (1.0, -1.0):
+            undone = evidence.with_parts(
+                normal_force=sign * table[:, order[0]], friction_force=table[:, list(order[1:])].copy()
+            )
+            left = evidence.apart(undone, right)
+            if evidence.explains(left):
+                turned = " with the opposite sign" if sign < 0 else ""
+                said = (
+                    f"the components of the contact forces are mixed up ({words[order[0]]} is the normal one{turned})"
+                )
+                text = f"{said}: undone, {evidence.then(undone, left)}"
+                yield Explanation(Finding("components", text, True), left)
+                return
+
+
+def _of_angle(evidence: Evidence, mine: NDArray[np.float64], right: Solution) -> Iterator[Explanation]:
+    """Tangential directions turned by one angle, and perhaps mirrored, at all of several contacts (Procrustes)."""
+    should = right.friction_force
+    if should is None or np.sum(np.linalg.norm(should, axis=1) > LEFT * np.max(np.linalg.norm(should, axis=1))) < 2:
+        return
+    left_vectors, _, right_vectors = np.linalg.svd(mine.T @ should)
+    turn = left_vectors @ right_vectors
+    undone = evidence.with_parts(friction_force=mine @ turn)
+    left = evidence.apart(undone, right)
+    if evidence.explains(left):
+        mirrored = np.linalg.det(turn) < 0
+        angle = float(np.degrees(np.arctan2(turn[0, 1], turn[0, 0])))
+        said = "mirrored and turned" if mirrored else f"turned by {abs(angle):.4g} degrees"
+        text = f"the tangential directions are {said}: undone, {evidence.then(undone, left)}"
+        yield Explanation(Finding("tangent-turned", text, True), left)

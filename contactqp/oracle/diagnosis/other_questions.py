@@ -12,12 +12,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.condensation import unknown_scale
 from contactqp.errors import ContactQPError
 from contactqp.iteration import iterated
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import NAMED
-from contactqp.problem import ContactProblem
+from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving import solve
 from contactqp.violations import Answer
@@ -53,7 +54,7 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
     if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
     for question in _questions(evidence):
-        if not _asked(problem, question):
+        if not _asked(problem, question) or unbalanced(evidence, question.problem.load):
             continue
         answer = _answered(problem, question)
         if answer is None:
@@ -61,6 +62,34 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
         left = evidence.apart(evidence.given, answer)
         if left <= LEFT and (evidence.explains(left) or evidence.right is None):
             yield Explanation(Finding(question.kind, question.text, True), left)
+
+
+def unbalanced(evidence: Evidence, load: Vector) -> bool:
+    """Whether a complete answer is too far from equilibrium with a load to be near any that balances it.
+
+    With D = 1/sqrt(K_jj), |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough
+    to be an explanation has D^-1 du and the forces within LEFT of theirs.
+    """
+    problem, given = evidence.problem, evidence.given
+    if evidence.recovered or given.displacement is None:
+        return False
+    D = unknown_scale(problem)
+    answer = given.filled(problem)
+    inner = problem.stiffness @ answer.displacement
+    r = D * (load - inner - problem.normal.T @ answer.normal_force - problem.tie.T @ answer.tie_force)
+    rows = np.asarray(abs(sp.csr_matrix(problem.stiffness)) @ D) * D
+    size = float(np.max(rows, initial=0.0)) * float(np.max(abs(answer.displacement) / D, initial=0.0))
+    parts = [(problem.normal, answer.normal_force), (problem.tie, answer.tie_force)]
+    if problem.tangent is not None and answer.friction_force is not None:
+        rubbing = answer.friction_force.ravel()
+        r = r - D * (problem.tangent.T @ rubbing)
+        parts.append((problem.tangent, rubbing))
+    largest = 0.0
+    for matrix, force in parts:
+        weight = np.sqrt(np.asarray(matrix.multiply(matrix) @ D**2).ravel())
+        largest = max(largest, float(np.max(weight * abs(force), initial=0.0)))
+    count = sum(int(np.max(np.diff(sp.csc_matrix(matrix).indptr), initial=0)) for matrix, _ in parts)
+    return float(np.max(abs(r), initial=0.0)) > 2 * LEFT * (size + count * largest)
 
 
 def _answered(problem: ContactProblem, question: Question) -> Answer | None:
@@ -99,6 +128,12 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
         yield Question("gap-ignored", "it is the right answer without the initial gaps", problem.replace(gap=0 * gap))
         text = "it is the right answer with the initial gaps of the opposite sign"
         yield Question("gap-sign", text, problem.replace(gap=-gap))
+        found = evidence.certificate.violations
+        pushes = found is not None and bool(np.any(found.force_measure > evidence.certificate.tolerance))
+        # Without any force large gaps are no contact at all.
+        for factor in (1e3, 1e-3) if pushes else ():
+            text = f"it is the right answer with the initial gaps {factor:g} times as large: in another unit?"
+            yield Question("gap-unit", text, problem.replace(gap=factor * gap))
     if np.any(gap < 0) and np.any(gap > 0):
         text = "it is the right answer without the initial overlaps: where bodies overlap the gap was taken as zero"
         yield Question("overlap-ignored", text, problem.replace(gap=np.maximum(gap, 0.0)))

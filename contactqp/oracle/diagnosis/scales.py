@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ CALLED = {
 }
 # Beside parts that are zero the rest is right to this part.
 REST = 1e-6
+RIGHT = "this answer is right"
 
 
 def factors(evidence: Evidence) -> dict[str, float] | None:
@@ -84,12 +86,19 @@ def scales(evidence: Evidence) -> Iterator[Explanation]:
         return
     yield from _of_load(evidence, meant)
     then = evidence.then(undone, left)
-    for exact in sorted({one for one in meant.values() if one != 1}, key=abs):
+    wrong = sorted({one for one in meant.values() if one != 1}, key=abs)
+    found: list[Finding] = []
+    for exact in wrong:
         parts = [name for name, one in meant.items() if one == exact]
         kind, _, guess = named[parts[0]]
         kind = f"{parts[0].split('_')[0]}-{kind}" if kind == "sign" and "normal_force" not in parts else kind
-        text = _text(evidence, parts, exact, guess, then)
-        yield Explanation(Finding(kind, text, True), left)
+        fault, undoing = _texts(evidence, parts, exact, guess, then)
+        text = f"{fault}: {undoing} {then}" if len(wrong) == 1 else fault
+        found.append(Finding(kind, text, True, bool(found)))
+    if len(found) > 1:
+        undoing = f"with {'both' if len(found) == 2 else 'all'} undone"
+        found[-1] = replace(found[-1], text=f"{found[-1].text}: {undoing} {then}")
+    yield Explanation(found[0], left, tuple(found[1:]))
 
 
 def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
@@ -102,20 +111,22 @@ def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanatio
         yield Explanation(Finding("load", text, True), 0.0)
 
 
-def _text(evidence: Evidence, parts: list[str], factor: float, guess: str, then: str) -> str:
+def _texts(evidence: Evidence, parts: list[str], factor: float, guess: str, then: str) -> tuple[str, str]:
+    """What is wrong, and how it is undone."""
     what = "everything" if len(parts) == len(evidence.given_parts) and len(parts) > 1 else _joined(parts)
     if factor == -1:
         has = "has" if what == "everything" else "have"
-        if parts == ["normal_force"] and then == "this answer is right":
+        if parts == ["normal_force"] and then == RIGHT:
             other = "negative" if evidence.given.compression == "positive" else "positive"
-            return f"all {what} {has} the opposite sign: with compression={other!r} {then}"
-        return f"{what if what == 'everything' else f'all {what}'} {has} the opposite sign: turned, {then}"
+            return f"all {what} {has} the opposite sign", f"with compression={other!r}"
+        return f"{what if what == 'everything' else f'all {what}'} {has} the opposite sign", "turned,"
     is_ = "is" if what == "everything" else "are"
     if what == "everything" and " instead of " in guess and "ring" not in guess:
         guess = "another unit, such as milli for one"
     turned = " and have the opposite sign" if factor < 0 else ""
     size = f"{abs(factor):.6g}"
-    return f"{what} {is_} {size} times the right values{turned} ({guess}?): divided by {size}, {then}"
+    undoing = f"divided by {'-' if factor < 0 else ''}{size},"
+    return f"{what} {is_} {size} times the right values{turned} ({guess}?)", undoing
 
 
 def _joined(parts: list[str]) -> str:
@@ -145,13 +156,13 @@ def _without_right(evidence: Evidence) -> Iterator[Explanation]:
         return
     turned = evidence.with_parts(normal_force=-force)
     if evidence.passes(turned):
-        text = _text(evidence, ["normal_force"], -1.0, "", "this answer is right")
-        yield Explanation(Finding("sign", text, True), 0.0)
+        text = _texts(evidence, ["normal_force"], -1.0, "", RIGHT)
+        yield Explanation(Finding("sign", f"{text[0]}: {text[1]} {RIGHT}", True), 0.0)
         return
     for power in (3, -3, 6, -6):
         scaled = evidence.with_parts(normal_force=force / 10.0**power)
         if evidence.passes(scaled):
             one = named_factor(10.0**power, False, evidence.problem.units.force)
-            text = _text(evidence, ["normal_force"], 10.0**power, one.guess if one else "", "this answer is right")
-            yield Explanation(Finding("unit", text, True), 0.0)
+            text = _texts(evidence, ["normal_force"], 10.0**power, one.guess if one else "", RIGHT)
+            yield Explanation(Finding("unit", f"{text[0]}: {text[1]} {RIGHT}", True), 0.0)
             return

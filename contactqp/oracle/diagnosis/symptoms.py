@@ -8,6 +8,7 @@ import numpy as np
 
 from contactqp.certificate import Certificate
 from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.foreign.judged_contacts import slips
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer, Violations
 
@@ -40,8 +41,9 @@ def symptoms(problem: ContactProblem, answer: Answer, certificate: Certificate) 
         yield Finding("balance", f"the forces on a body do not balance as a whole (by {part})")
     bounds = (certificate.energy_error or 0.0, certificate.force_error or 0.0)
     if max(bounds) > certificate.error_tolerance and certificate.failures:
-        text = f"the displacement is off by up to {bounds[0]:.2g} and the contact forces by up to {bounds[1]:.2g}"
-        yield Finding("inaccurate", f"{text}, relative and in the energy of the bodies")
+        named = zip(("the displacement is", "the contact forces are"), bounds, strict=True)
+        off = [f"{what} off by up to {_part(bound)}" for what, bound in named if bound > certificate.error_tolerance]
+        yield Finding("inaccurate", f"{' and '.join(off)}, measured in the energy of the bodies")
 
 
 def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, limit: float) -> Iterator[Finding]:
@@ -56,7 +58,12 @@ def _of_contacts(problem: ContactProblem, answer: Answer, found: Violations, lim
             "pushing without touching",
         ),
         ("cone", found.cone, lambda i: _friction_of(problem, answer, i), "rubbing beyond mu l_N"),
-        ("slip", found.slip_direction, lambda i: _friction_of(problem, answer, i), "slipping without full friction"),
+        (
+            "slip",
+            found.slip_direction,
+            lambda i: _friction_along(problem, answer, i),
+            "slipping without friction of mu l_N against the slip",
+        ),
     )
     for kind, measure, said, what in sizes:
         beyond = np.flatnonzero(measure > limit)
@@ -78,6 +85,27 @@ def _friction_of(problem: ContactProblem, answer: Answer, i: int) -> str:
     bound = problem.friction[i] * max(answer.normal_force[i], 0.0)
     size = float(np.linalg.norm(answer.friction_force[i]))
     return f"{size:.4g} against {bound:.4g}{unit_of(problem.units.force)}"
+
+
+def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
+    """Friction beside mu l_N, and the angle that it has with the slip."""
+    slip = slips(problem, answer.displacement)
+    if slip is None or answer.friction_force is None:
+        return ""
+    force, way = answer.friction_force[i], slip[i]
+    size = float(np.linalg.norm(force) * np.linalg.norm(way))
+    said = _friction_of(problem, answer, i)
+    if not 0 < size < np.inf:
+        return said
+    angle = float(np.degrees(np.arccos(np.clip(force @ way / size, -1, 1))))
+    return f"{said}, {angle:.3g} degrees off" if angle >= 0.5 else said
+
+
+def _part(bound: float) -> str:
+    """A part of the right size in words."""
+    if 1e-3 <= bound < 1:
+        return f"{100 * bound:.2g} %"
+    return f"{bound:.2g} {'of' if bound < 1 else 'times'} the right size"
 
 
 def unit_of(unit: str) -> str:

@@ -132,6 +132,8 @@ def _places(
     """Where each unknown or contact of the problem stands in what was given, (count,)."""
     if value is None:
         return None
+    if isinstance(value, str) or not np.iterable(value):
+        raise InvalidProblem(f"{name}: expected {count} integers or names, got {value!r}")
     entries = list(value)
     if entries and all(isinstance(one, str) for one in entries):
         return _by_name(name, entries, names, kind)

@@ -10,11 +10,13 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import Certificate
 from contactqp.condensation import Condensation
-from contactqp.errors import ContactQPError, refuse_other
+from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
+from contactqp.local_problem import LocalProblem
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
@@ -31,6 +33,7 @@ class JudgedAnswer(Certificate):
     """The certificate of somebody's answer, and what went wrong with it in words.
 
     `right`, `contacts`, `findings` and `diagnosis` are computed when first looked at; they may solve the problem.
+    Printing does not: it says what is violated, and where the rest is.
     """
 
     problem: ContactProblem = field(repr=False)
@@ -58,14 +61,18 @@ class JudgedAnswer(Certificate):
     @cached_property
     def contacts(self) -> tuple[JudgedContact, ...]:
         """The wrong contacts, worst first, with the right values beside; empty where the answer passed."""
-        return () if self.passed else judged_contacts(self.problem, self.answer, self, self.right)
+        if self.passed:
+            return ()
+        with np.errstate(over="ignore", invalid="ignore"):
+            return judged_contacts(self.problem, self.answer, self, self.right)
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong, causes first; empty where the answer passed."""
         if self.passed:
             return ()
-        return diagnose(self.problem, self.given, self.answer, self, self.right)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return diagnose(self.problem, self.given, self.answer, self, self.right)
 
     @property
     def diagnosis(self) -> str:
@@ -76,6 +83,10 @@ class JudgedAnswer(Certificate):
     def table(self, limit: int = 20) -> str:
         """The wrong contacts as text."""
         return contacts_table(self.problem, self.contacts, limit)
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if self.passed else f"{text}\n  what went wrong, in words: .diagnosis; contact by contact: .table()"
 
 
 def certify(
@@ -147,6 +158,11 @@ def certify(
     >>> wrong.right.normal_force, wrong.contacts[0].figure
     (array([142.5]), 'force')
     """
+    if isinstance(problem, LocalProblem):
+        raise InvalidProblem(
+            "certify: expected a ContactProblem, got LocalProblem, which has no displacements; cq.certify_local judges "
+            "forces of one"
+        )
     refuse_other("certify", problem, ContactProblem)
     parts = (displacement, normal_force, friction_force, tie_force)
     given = read_given(problem, *parts, compression, pressure_area, dof_map, contact_map)

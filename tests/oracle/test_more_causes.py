@@ -1,0 +1,196 @@
+"""Two mistakes at once, offsets, units of gaps, mixed-up components, and what is said of numbers without bounds."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.oracle.diagnosis import other_questions
+from tests.examples import seeded_problem
+from tests.friction.problems import known_answer
+from tests.friction.space import several
+from tests.oracle.test_causes import causes
+
+UNITS = {"length": "mm", "force": "N"}
+
+
+@pytest.fixture
+def right() -> cq.Solution:
+    return cq.solve(seeded_problem(3, 12, 8).replace(units=UNITS))
+
+
+def test_two_causes_that_both_hold_are_not_offered_as_two_choices(right: cq.Solution) -> None:
+    judged = cq.certify(right.problem, 1e3 * right.displacement, -right.normal_force)
+    assert judged.diagnosis == (
+        "all contact forces have the opposite sign, and displacements are 1000 times the right values (micrometres "
+        "instead of millimetres?): with both undone this answer is right"
+    )
+    contact, unknown = np.arange(8)[::-1], np.arange(12).reshape(-1, 2)[:, ::-1].ravel()
+    both = cq.certify(right.problem, right.displacement[unknown], right.normal_force[contact])
+    assert causes(both) == {"permuted", "permuted-unknowns"}
+    assert "the same numbers" not in both.diagnosis
+
+
+def test_one_explanation_of_a_kind() -> None:
+    """Twice the load is found by the residual, by the factor and by solving again; it is said once."""
+    problem = seeded_problem(3, 12, 8).replace(gap=np.zeros(8))
+    other = cq.solve(problem.replace(load=2 * problem.load))
+    said = cq.certify(problem, other.displacement, other.normal_force).diagnosis
+    assert said.count("the load") == 1, said
+
+
+def test_what_a_flipped_sign_hides_is_named_too(right: cq.Solution) -> None:
+    soft = cq.solve(right.problem, "penalty", penalty=1e3)
+    judged = cq.certify(right.problem, soft.displacement, -soft.normal_force)
+    assert causes(judged) == {"sign", "penalty"}
+    assert judged.diagnosis.startswith("all contact forces have the opposite sign (compression='negative'), and with ")
+    assert "looks like a penalty of about 1e+03 N/mm" in judged.diagnosis
+    reverse = cq.certify(right.problem, right.displacement, -right.normal_force[::-1])
+    assert causes(reverse) == {"sign", "permuted"}
+
+
+def test_what_a_unit_hides_is_named_too(right: cq.Solution) -> None:
+    soft = cq.solve(right.problem, "penalty", penalty=1e3)
+    forces = cq.certify(right.problem, soft.displacement, 1e-3 * soft.normal_force)
+    assert causes(forces) == {"unit", "penalty"}
+    assert "about 0.001 times the right ones (kN instead of N?)" in forces.diagnosis
+    lengths = cq.certify(right.problem, 1e-3 * soft.displacement, -soft.normal_force)
+    assert causes(lengths) == {"unit", "penalty"}
+    assert "metres instead of millimetres?) and all contact forces have the opposite sign" in lengths.diagnosis
+
+
+def test_a_sign_is_told_of_forces_that_are_right_to_a_digit(right: cq.Solution) -> None:
+    rng = np.random.default_rng(0)
+    noise = 1 + 0.03 * rng.normal(size=8)
+    judged = cq.certify(right.problem, right.displacement, -right.normal_force * noise)
+    assert causes(judged) == {"sign"}
+    assert "with that undone it agrees with the right answer to 1 digit only" in judged.diagnosis
+    noise = abs(1 + 1.0 * rng.normal(size=8))
+    assert causes(cq.certify(right.problem, right.displacement, -right.normal_force * noise)) == set()
+
+
+def test_gaps_in_another_unit(right: cq.Solution) -> None:
+    problem = right.problem
+    other = cq.solve(problem.replace(gap=1e-3 * problem.gap))
+    judged = cq.certify(problem, other.displacement, other.normal_force)
+    assert causes(judged) == {"gap-unit"}
+    assert "the initial gaps 0.001 times as large" in judged.diagnosis
+
+
+@pytest.mark.parametrize("offset", [0.25, -0.25])
+def test_an_offset_of_all_gaps_is_no_penalty(right: cq.Solution, offset: float) -> None:
+    problem = right.problem
+    other = cq.solve(problem.replace(gap=problem.gap + offset))
+    judged = cq.certify(problem, other.displacement, other.normal_force)
+    assert causes(judged) == {"gap-offset"}
+    word = "larger" if offset > 0 else "smaller"
+    assert f"every gap {word} by 0.25 mm" in judged.diagnosis
+    shape = problem.gap + offset * np.linspace(0.5, 1.5, 8)
+    other = cq.solve(problem.replace(gap=shape))
+    assert "gap-offset" not in causes(cq.certify(problem, other.displacement, other.normal_force))
+
+
+def test_one_penetrated_contact_may_have_another_gap() -> None:
+    wall = cq.ContactProblem(stiffness=[[4.0]], load=[10.0], normal=[[1.0]], gap=[1.0])
+    said = cq.certify(wall, [1.25], [5.0]).diagnosis
+    assert "near 0.25: looks like a penalty of about 20, or like a gap that is larger by as much" in said
+
+
+def test_displacements_that_are_all_off_by_the_same(right: cq.Solution) -> None:
+    moved = right.displacement.reshape(-1, 2) + np.array([3.0, -7.0])
+    judged = cq.certify(right.problem, moved.ravel(), right.normal_force)
+    assert causes(judged) == {"shifted"}
+    assert "off by the same (3, -7) mm" in judged.diagnosis
+    moved[0, 0] += 1
+    assert "shifted" not in causes(cq.certify(right.problem, moved.ravel(), right.normal_force))
+
+
+def test_normal_and_tangential_forces_that_are_swapped() -> None:
+    known = known_answer(np.random.default_rng(0), 2, m=3)
+    right = known.answer()
+    normal, rubbing = right["normal_force"], right["friction_force"]
+    swapped = right | {"normal_force": rubbing[:, 0], "friction_force": normal[:, None]}
+    assert causes(cq.certify(known.problem, **swapped)) == {"components"}
+    space = several(2)
+    right = space.answer()
+    table = np.column_stack([right["normal_force"], right["friction_force"]])
+    last = right | {"normal_force": -table[:, 2], "friction_force": table[:, :2]}
+    turned = right | {"normal_force": table[:, 1], "friction_force": table[:, [2, 0]]}
+    assert "components" not in causes(cq.certify(space.problem, **last))
+    assert causes(cq.certify(space.problem, **turned)) == {"components"}
+
+
+def test_tangents_turned_by_an_angle() -> None:
+    known = several(2)
+    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
+    right = known.answer()
+    judged = cq.certify(known.problem, **right | {"friction_force": right["friction_force"] @ [[c, s], [-s, c]]})
+    assert causes(judged) == {"tangent-turned"}
+    assert "turned by 30 degrees" in judged.diagnosis
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(0, 6, size=len(right["friction_force"]))
+    x, y = right["friction_force"].T
+    each = np.column_stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
+    assert causes(cq.certify(known.problem, **right | {"friction_force": each})) == set()
+
+
+def test_no_question_is_solved_for_an_answer_that_balances_nothing(
+    right: cq.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    solve = other_questions.solve
+    monkeypatch.setattr(other_questions, "solve", lambda problem: (asked.append("solved"), solve(problem))[1])
+    noise = 1 + 0.1 * np.random.default_rng(0).normal(size=12)
+    assert causes(cq.certify(right.problem, right.displacement * noise, right.normal_force)) == set()
+    assert asked == []
+    free = cq.solve(right.problem.with_contacts(np.zeros(0, dtype=int)))
+    assert causes(cq.certify(right.problem, free.displacement, np.zeros(8))) == {"free"}
+    assert asked
+
+
+def test_numbers_whose_squares_are_no_doubles_are_refused_without_a_warning(right: cq.Solution) -> None:
+    for factor in (1e200, 1e-200, 1e300):
+        judged = cq.certify(right.problem, factor * right.displacement, factor * right.normal_force)
+        assert not judged.passed
+        assert judged.diagnosis
+        assert judged.table()
+
+
+def test_a_part_that_is_right_is_not_said_to_be_off(right: cq.Solution) -> None:
+    force = right.normal_force * np.linspace(0.5, 1.5, 8)
+    said = cq.certify(right.problem, right.displacement, force).diagnosis
+    assert "the contact forces are off by up to" in said
+    assert "displacement is off" not in said
+
+
+def test_friction_of_the_right_size_along_another_direction_is_said_with_its_angle() -> None:
+    known = several(2)
+    right = known.answer()
+    sliding = int(np.flatnonzero(cq.solve(known.problem).contact_status == "slip")[0])
+    friction = right["friction_force"].copy()
+    friction[sliding] = friction[sliding] @ [[0.0, 1.0], [-1.0, 0.0]]
+    said = " ".join(one.text for one in cq.certify(known.problem, **right | {"friction_force": friction}).findings)
+    assert "90 degrees off" in said
+    assert "without friction of mu l_N against the slip" in said
+
+
+def test_printing_says_where_the_words_are_and_solves_nothing(right: cq.Solution) -> None:
+    judged = cq.certify(right.problem, right.displacement, -right.normal_force)
+    assert str(judged).endswith("what went wrong, in words: .diagnosis; contact by contact: .table()")
+    assert "diagnosis" not in str(cq.certify(right.problem, right.displacement, right.normal_force))
+    assert pickle.loads(pickle.dumps(judged)).diagnosis == judged.diagnosis
+
+
+def test_a_problem_without_displacements_is_sent_to_its_own_judge() -> None:
+    local = cq.LocalProblem(delassus=np.eye(2), offset=[-1.0, 0.0], friction=[0.3], dimension=2)
+    with pytest.raises(cq.InvalidProblem, match=r"LocalProblem.*cq\.certify_local"):
+        cq.certify(local, [0.0], [1.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("order", [3, "ab"])
+def test_maps_that_are_no_sequences(right: cq.Solution, order: object) -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"dof_map: expected 12 integers or names, got"):
+        cq.certify(right.problem, right.displacement, dof_map=order)
