@@ -171,7 +171,7 @@ def multiplier_fault(problem: ContactProblem | GalleryProblem, rtol: float, **pa
         return None
     friction = reference.friction_force if given.friction_force is None else given.friction_force
     tie = reference.tie_force if given.tie_force is None else given.tie_force
-    judged = certify(plain, reference.displacement, given.normal_force, friction, tie, rtol, rtol)
+    judged = _of_forces(plain, reference, (given.normal_force, friction, tie), rtol)
     beside = "the exact ones" if isinstance(problem, GalleryProblem) else "those of a certified solution"
     return _off(problem, found, rtol, f"the forces are not {beside}", judged)
 
@@ -180,6 +180,14 @@ def _reference(problem: ContactProblem | GalleryProblem, given: GivenAnswer) -> 
     if isinstance(problem, GalleryProblem):
         return known_reference(problem)
     return solved_reference(problem, given.filled(problem))
+
+
+def _of_forces(problem: ContactProblem, reference: Reference, forces: tuple[Any, ...], rtol: float) -> JudgedAnswer:
+    """Forces judged by themselves: a cause must not rest on displacements that nobody gave."""
+    try:
+        return certify(problem, None, *forces, rtol, rtol)
+    except Unsupported:  # too large for displacements to be found from forces
+        return certify(problem, reference.displacement, *forces, rtol, rtol)
 
 
 def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: GivenAnswer, rtol: float) -> str | None:

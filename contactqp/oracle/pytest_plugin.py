@@ -97,10 +97,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         if mark in getattr(metafunc.function, "pytestmark", []):
             pytest.fail(f"{where}the test takes no argument {ARGUMENT!r}", pytrace=False)
         return
+    chosen: list[GalleryProblem] = []
+    fault: Exception | None = None
     try:
         chosen = _chosen(*mark.args, **mark.kwargs)
     except (TypeError, ValueError) as error:
-        pytest.fail(f"{where}{error}", pytrace=False)
+        fault = error
+    if fault is not None:  # out here, so that pytest shows no chain of exceptions
+        pytest.fail(f"{where}{fault}", pytrace=False)
     metafunc.parametrize(ARGUMENT, chosen, ids=[known.name for known in chosen])
 
 

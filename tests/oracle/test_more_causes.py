@@ -9,6 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.oracle.diagnosis import other_questions
+from contactqp.testing import assert_multipliers, problem
 from tests.examples import seeded_problem
 from tests.friction.problems import known_answer
 from tests.friction.space import several
@@ -73,9 +74,9 @@ def test_a_sign_is_told_of_forces_that_are_right_to_a_digit(right: cq.Solution) 
 
 
 def test_gaps_in_another_unit(right: cq.Solution) -> None:
-    problem = right.problem
-    other = cq.solve(problem.replace(gap=1e-3 * problem.gap))
-    judged = cq.certify(problem, other.displacement, other.normal_force)
+    given = right.problem
+    other = cq.solve(given.replace(gap=1e-3 * given.gap))
+    judged = cq.certify(given, other.displacement, other.normal_force)
     assert causes(judged) == {"gap-unit"}
     assert "the initial gaps 0.001 times as large" in judged.diagnosis
 
@@ -194,3 +195,21 @@ def test_a_problem_without_displacements_is_sent_to_its_own_judge() -> None:
 def test_maps_that_are_no_sequences(right: cq.Solution, order: object) -> None:
     with pytest.raises(cq.InvalidProblem, match=r"dof_map: expected 12 integers or names, got"):
         cq.certify(right.problem, right.displacement, dof_map=order)
+
+
+def test_one_wrong_force_of_few_is_no_pressure() -> None:
+    blocks = problem("stacked-blocks").problem
+    assert causes(cq.certify(blocks, normal_force=[56.0, 48.0, 30.0])) == set()
+
+
+def test_rows_that_say_the_same_tell_no_offset_of_gaps() -> None:
+    """They have one gap whatever their forces are."""
+    stops = problem("redundant-stops").problem
+    assert causes(cq.certify(stops, normal_force=[5.0, 6.0])) == set()
+
+
+def test_forces_alone_are_not_explained_by_displacements_that_nobody_gave() -> None:
+    with pytest.raises(AssertionError) as caught:
+        assert_multipliers(problem("bar-and-wall"), [142.0])
+    assert "load" not in str(caught.value)
+    assert "stiff" not in str(caught.value)

@@ -122,6 +122,7 @@ def test_a_mark_that_names_nothing_is_refused(run, mark: str, words: str) -> Non
     assert result.ret != 0
     result.stdout.fnmatch_lines([words])
     assert "Traceback" not in result.stdout.str()
+    assert "During handling" not in result.stdout.str()
 
 
 def test_a_mark_on_a_test_that_takes_no_problem_is_refused(run) -> None:  # type: ignore[no-untyped-def]

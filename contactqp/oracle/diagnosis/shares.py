@@ -45,6 +45,8 @@ def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Exp
             yield Explanation(Finding("pressure", text + evidence.then(without, left), True), left)
             return
     area = right[acting] / force[acting] if np.all(force[acting] > 0) else np.zeros(1)
+    if np.sum(abs(area - 1) > LEFT) < 2:  # one force is wrong
+        return
     values = np.unique(np.round(area / np.max(area), 4)) if np.all(area > 0) else np.zeros(0)
     # Areas differ by more than what an inexact answer is off by.
     if 2 <= len(values) <= max(2, int(np.sum(acting)) // 2) and values[0] < AREAS_DIFFER:

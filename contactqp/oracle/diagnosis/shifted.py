@@ -11,7 +11,7 @@ from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import unit_of
 
 # Nodes that must have moved alike, and pushing contacts that must have one gap.
-NODES, CONTACTS = 3, 2
+NODES, CONTACTS, SOME = 3, 2, 50
 
 
 def shifted(evidence: Evidence) -> Iterator[Explanation]:
@@ -29,6 +29,9 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
     pushing = evidence.answer.normal_force > 0
     pushing &= found.force_measure > limit
     if np.sum(pushing) < CONTACTS or not np.all(found.gap_measure[pushing] > limit):
+        return
+    rows = problem.normal[np.flatnonzero(pushing)[:SOME]].toarray()
+    if np.linalg.matrix_rank(rows) < CONTACTS:  # rows that say the same have one gap whatever is wrong
         return
     offset = float(np.median(found.gap[pushing]))
     if np.max(abs(found.gap[pushing] - offset)) > LEFT * abs(offset):

@@ -49,7 +49,7 @@ def problem(name: str) -> GalleryProblem:
     found = re.fullmatch(r"(.+)-(0|[1-9]\d{0,17})", str(name))
     if found is None or found[1] not in RANDOM:
         near = get_close_matches(str(name), [*NAMED, *(f"{kind}-0" for kind in RANDOM)], 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = f"; did you mean {near[0]!r}?" if near else "."
         raise InvalidProblem(
             f"gallery: no problem is called {name!r}{hint} Names are those of `problems(kind='named')`, and a kind "
             f"({', '.join(RANDOM)}) with a seed, as in 'redundant-17'"
