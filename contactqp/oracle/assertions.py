@@ -182,7 +182,9 @@ def _reference(problem: ContactProblem | GalleryProblem, given: GivenAnswer) -> 
     return solved_reference(problem, given.filled(problem))
 
 
-def _of_forces(problem: ContactProblem, reference: Reference, forces: tuple[Any, ...], rtol: float) -> JudgedAnswer:
+def _of_forces(
+    problem: ContactProblem, reference: Reference, forces: tuple[Any, Any, Any], rtol: float
+) -> JudgedAnswer:
     """Forces judged by themselves: a cause must not rest on displacements that nobody gave."""
     try:
         return certify(problem, None, *forces, rtol, rtol)

@@ -167,3 +167,18 @@ def _dense(value: Any) -> np.ndarray[Any, Any] | None:
     if value is None:
         return None
     return np.ascontiguousarray(value.toarray() if sp.issparse(value) else value)
+
+
+def test_an_empty_folder_is_filled_and_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be a link, or where the user stands."""
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    before = (tmp_path / "real").stat().st_ino
+    write_gallery(tmp_path / "link", [problem("wedge")])
+    assert (tmp_path / "real").stat().st_ino == before
+    assert sorted(path.name for path in (tmp_path / "real").iterdir()) == ["index.json", "wedge"]
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_gallery(".", [problem("wedge")])
+    assert sorted(path.name for path in Path.cwd().iterdir()) == ["index.json", "wedge"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["here", "link", "real"]

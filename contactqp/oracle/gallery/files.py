@@ -46,7 +46,9 @@ def write_gallery(
     if not problems:
         raise InvalidProblem(f"{folder}: no problem of the gallery is chosen; expected at least one")
     _refuse_taken(root)
-    beside = root.absolute().with_name(f".{root.absolute().name}.{os.getpid()}")
+    # An empty folder is filled and not replaced: it may be a link, a mount, or where the user stands.
+    there = root.is_dir()
+    beside = root / f".{os.getpid()}" if there else root.absolute().with_name(f".{root.absolute().name}.{os.getpid()}")
     try:
         beside.mkdir()
         for known in problems:
@@ -60,9 +62,12 @@ def write_gallery(
             "problems": [summary(known) for known in problems],
         }
         (beside / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
-        if root.exists():
-            root.rmdir()  # fails where something has come into it meanwhile
-        beside.rename(root)
+        if not there:
+            beside.rename(root)
+        else:
+            _refuse_taken(root, but=beside.name)
+            for part in sorted(beside.iterdir(), key=lambda part: (part.name == INDEX, part.name)):
+                part.rename(root / part.name)
     except OSError as error:
         raise InvalidProblem(f"{folder}: cannot be written ({error.strerror or error})") from error
     finally:
@@ -102,10 +107,10 @@ def _write_one(folder: Path, known: GalleryProblem) -> None:
     write_problem(folder, known.problem, answer | {"contact_status": known.exact.contact_status, "exact": exact}, about)
 
 
-def _refuse_taken(root: Path) -> None:
+def _refuse_taken(root: Path, but: str = "") -> None:
     if root.exists() and not root.is_dir():
         raise InvalidProblem(f"{root}: expected a folder, this is a file")
-    if root.is_dir() and (first := next(iter(sorted(root.iterdir())), None)) is not None:
+    if root.is_dir() and (first := next((one for one in sorted(root.iterdir()) if one.name != but), None)):
         raise InvalidProblem(f"{root}: expected a new or an empty folder, {first.name!r} is in it")
     if not root.absolute().parent.is_dir():
         raise InvalidProblem(f"{root}: there is no folder {str(root.absolute().parent)!r}")
