@@ -296,4 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+    except OSError as error:  # a name too long, no permission, a full disk
+        _complain(f"{error.filename or 'file'}: {error.strerror or error}")
+        sys.exit(BAD_INPUT)
     sys.exit(0)

@@ -6,6 +6,7 @@ leaves no doubt, which the ledger says.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,11 +14,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.exchange import matrix_files, numpy_files
-from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, part_called, real_array, vector
+from contactqp.exchange import answer_tables, matrix_files, numpy_files, text_matrix
+from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, part_called, real_array, refuse_unit, vector
 from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.matrix_market import is_matrix_market
 from contactqp.exchange.numpy_files import NUMPY, ZIP
-from contactqp.exchange.refusal import Path, wrong
+from contactqp.exchange.refusal import Path, is_number, read_bytes, wrong
+from contactqp.exchange.tables import HEAD, is_table
 from contactqp.problem import ContactProblem
 
 EXPECTED = "displacement or normal_force"
@@ -36,6 +39,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:  # noqa:
     for name, values in numpy_files.read_npz(path).items():
         part = part_called(name)
         if part is None:
+            refuse_unit(path, name)
             ledger.ignored.append(f"{name:.60}")
             continue
         if part in parts:
@@ -55,6 +59,7 @@ def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     InvalidProblem
         No array, or one of a length that may be either or neither.
     """
+    _refuse_table(path)
     source = matrix_files.read_matrix(path)
     ledger, part = source.ledger, part_called(FilePath(path).stem)
     values = real_array(path, part or "content", _dense(path, source.matrix))
@@ -65,6 +70,18 @@ def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         part = _by_length(path, values.size, problem)
         ledger.assumed.append(f"{values.size} numbers: {part}, by their length")
     return AnswerFile({part: vector(path, part, values)}, ledger)
+
+
+def _refuse_table(path: Path) -> None:
+    """Refuse a table whose first column is none that is known, in words of tables."""
+    head = read_bytes(path, EXPECTED, HEAD)
+    if matrix_files.reader_of(path) is not text_matrix.READER or b"\0" in head:
+        return
+    lines = head.decode("utf-8-sig", "replace").splitlines()[:2]
+    cells = [[cell.strip().strip('"') for cell in re.split("[,;\t]", line)] for line in lines]
+    if len(cells) == 2 and len(cells[0]) > 1 and not any(map(is_number, cells[0])) and not is_number(cells[1][0]):
+        expected = "dof, node, contact or tie as the first column of a table with names"
+        raise wrong(path, "first line", expected, f"{lines[0].strip()!r:.60}")
 
 
 def _by_length(path: Path, size: int, problem: ContactProblem) -> str:
@@ -88,7 +105,7 @@ def _dense(path: Path, matrix: Any) -> Any:
 
 def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """The files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
-    ledger = Ledger(str(path))
+    ledger, named, tie_names = Ledger(str(path)), frozenset[str](), None
     parts: dict[str, NDArray[np.float64]] = {}
     for file in sorted(FilePath(path).iterdir()):
         part = part_called(file.stem)
@@ -97,13 +114,18 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
             continue
         if part in parts:
             raise wrong(path, file.name, "every part once", f"{part} twice")
-        found = read_array_answer(file, problem)
+        table = any(is_table(file, key) for key in answer_tables.KEYS)
+        found = (answer_tables.read_table_answer if table else read_array_answer)(file, problem)
+        if set(found.parts) != {part}:
+            raise wrong(path, file.name, f"{part} and nothing else", ", ".join(found.parts))
         parts |= found.parts
-        ledger.read.extend(f"{part}: {file.name}: {line}" for line in found.ledger.read)
-        ledger.converted.extend(f"{file.name}: {line}" for line in found.ledger.converted)
+        named |= found.named
+        tie_names = found.tie_names or tie_names
+        for kind, line in found.ledger:
+            getattr(ledger, kind).append(f"{file.name}: {line}")
     if not parts:
         raise wrong(path, "folder", f"files called {EXPECTED}", "none of them")
-    return AnswerFile(parts, ledger)
+    return AnswerFile(parts, ledger, named, tie_names)
 
 
 ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, known=lambda head: head.startswith((ZIP, b"PK\x05\x06")))
@@ -111,5 +133,5 @@ ARRAY = AnswerReader(
     "an array (.npy, .mtx, text)",
     (".npy", ".mtx", ".txt"),
     read_array_answer,
-    known=lambda head: head.startswith((NUMPY, b"%%MatrixMarket")),
+    known=lambda head: head.startswith(NUMPY) or is_matrix_market(head),
 )

@@ -37,7 +37,7 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     problem : ContactProblem
         Whose names and sizes the file is held against. Lists keep the file's order and length.
     tie_names : sequence of str, optional
-        "tie 0", "tie 1", ... by default.
+        What the ties are called, beside "tie 0", "tie 1", ...
 
     Raises
     ------
@@ -64,7 +64,9 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     found = read(path, problem)
     if found.tie_names is None:
         return found
-    names = tie_names or [f"tie {k}" for k in range(problem.ties)]
+    names = [f"tie {k}" for k in range(problem.ties)]
+    if tie_names and set(found.tie_names) != set(names):
+        names = list(tie_names)
     order = places(path, "tie_force", found.tie_names, names, found.ledger)
     return found._replace(parts={**found.parts, "tie_force": found.parts["tie_force"][order]})
 

@@ -8,10 +8,20 @@ What `contactqp run CASE --json` prints is one, alone in a list. null is NaN.
 from __future__ import annotations
 
 import json
+from codecs import BOM_UTF8
 from typing import Any
 
 from contactqp.errors import InvalidProblem
-from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, part_called, places, real_array, vector
+from contactqp.exchange.answer_reader import (
+    AnswerFile,
+    AnswerReader,
+    names_of,
+    part_called,
+    places,
+    real_array,
+    refuse_unit,
+    vector,
+)
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, one_line, read_text, wrong
 from contactqp.problem import ContactProblem
@@ -30,14 +40,16 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """
     data = load_json(path, EXPECTED)
     if isinstance(data, list):
-        if len(data) != 1:
-            raise wrong(path, "content", "one answer", f"{len(data)}")
+        if len(data) != 1 or not isinstance(data[0], dict):
+            got = "a list of numbers" if not any(isinstance(one, dict) for one in data) else f"{len(data)} in a list"
+            raise wrong(path, "content", 'one answer, such as {"displacement": [...]}', got)
         data = data[0]
     if not isinstance(data, dict):
         raise wrong(path, "content", EXPECTED, type(data).__name__)
     ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
     for key, values in data.items():
         part = part_called(key)
+        refuse_unit(path, key)
         if part is None or values is None:
             ledger.ignored.append(f"{key:.60}")
             continue
@@ -89,4 +101,9 @@ def load_json(path: Path, expected: str) -> Any:
         raise wrong(path, "content", "JSON", one_line(error)) from None
 
 
-READER = AnswerReader(NAME, (".json",), read_json_answer, known=lambda head: head.lstrip()[:1] in (b"{",))
+def is_json_answer(head: bytes) -> bool:
+    """Whether first bytes begin an object, alone or as the first in a list."""
+    return head.removeprefix(BOM_UTF8).replace(b"[", b" ", 1).lstrip()[:1] == b"{"
+
+
+READER = AnswerReader(NAME, (".json",), read_json_answer, known=is_json_answer)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, one_line, wrong
+from contactqp.exchange.unknown_names import other_spellings
 from contactqp.problem import ContactProblem
 
 # The parts of an answer, and what else they are called. Pressures are forces only where areas come with them.
@@ -52,6 +54,23 @@ def part_called(name: str) -> str | None:
     return found if found in PARTS else None
 
 
+UNIT = re.compile(r"(.*?)(?:[\s_]*[\[({/<].*|[\s_]+(?:[kmcu\u00b5]?m|[km]n|[kmg]?pa|in|ft|lbf|psi))", re.DOTALL)
+
+
+def refuse_unit(path: Path, name: str, known: Callable[[str], object] = part_called) -> None:
+    """Refuse a name such as "displacement [mm]": numbers come in the problem's units and are not converted.
+
+    Raises
+    ------
+    InvalidProblem
+        The name is known without what looks like a unit.
+    """
+    found = UNIT.fullmatch(name.strip().lower())
+    if found is not None and not known(name) and known(found[1]):
+        expected = f"{found[1]!r} alone, in the units of the problem"
+        raise wrong(path, f"{name:.60}", expected, "a unit, and none is converted")
+
+
 def names_of(problem: ContactProblem, part: str) -> list[str]:
     """What the entries of a part other than tie_force are called in the problem."""
     if part == "displacement":
@@ -63,28 +82,60 @@ def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], le
     """Where each entry of a part stands among the names that a file gives it, or its positions counted from 0.
 
     Unknowns that the problem does not have, such as those of nodes that are held, are left out and the ledger says so;
-    contacts that it does not have are refused.
+    contacts that it does not have are refused. An unknown may be spelled otherwise (`unknown_names`).
 
     Raises
     ------
     InvalidProblem
-        A name twice, or one that is missing.
+        A name twice, also in two spellings, or one that is missing.
     """
     place = {name: k for k, name in enumerate(given)}
     if len(place) != len(given):
         twice = next(name for k, name in enumerate(given) if place[name] != k)
         raise wrong(path, part, "every name once", f"{twice!r:.60} twice")
-    if not any(name in place for name in names) and all(name.isdecimal() for name in given):
+    if names and not given:
+        raise wrong(path, part, f"{len(names)} values by name", "none")
+    if part == "displacement":
+        place = _as_called_here(path, place, names, ledger)
+    numbered = not any(name in place for name in names) and all(name.isdecimal() for name in given)
+    if numbered and names:
         names = [str(k) for k in range(len(names))]
         ledger.assumed.append(f"{part}: named by numbers: positions counted from 0")
     missing = [name for name in names if name not in place]
     extra = [name for name in place if name not in set(names)] if len(place) > len(names) or missing else []
-    if missing or (extra and part != "displacement"):
-        odd = ", ".join(sorted([*missing[:5], *extra[:5]]))
-        raise wrong(path, part, f"{len(names)} values by name", f"a difference in {odd:.200}")
+    if missing or (extra and (part != "displacement" or numbered)):
+        odd = [f"no {_some(missing)}"] * bool(missing) + [f"{_some(extra)}, which the problem does not have"] * bool(
+            extra
+        )
+        raise wrong(path, part, f"{len(names)} values by name", " and ".join(odd))
     if extra:
         ledger.ignored.append(f"{part}: {len(extra)} names that the problem does not have, such as {extra[0]!r:.60}")
     return [place[name] for name in names]
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(f"{name:.30}" for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _as_called_here(path: Path, place: Mapping[str, int], names: Sequence[str], ledger: Ledger) -> dict[str, int]:
+    """The same places, under the problem's names where a name is only spelled otherwise: 12.1 or 12.UX for 12.x."""
+    part, found = "displacement", dict(place)
+    missing = [name for name in names if name not in place]
+    theirs = other_spellings(names, place, names) if len(place) > len(names) or missing else {}
+    taken: dict[str, str] = {}
+    for name, spelled in theirs.items():
+        if name in place or len(spelled) > 1:
+            raise wrong(
+                path, part, f"one value for {name!r:.40}", f"{_some([*spelled, name][:2])}, which mean the same"
+            )
+        if spelled[0] in taken:
+            raise wrong(path, part, f"{taken[spelled[0]]!r:.40} and {name!r:.40}", f"{spelled[0]!r:.40} for both")
+        taken[spelled[0]] = name
+        found[name] = found.pop(spelled[0])
+    if taken:
+        first, ours = next(iter(taken.items()))
+        ledger.assumed.append(f"{part}: {len(taken)} names spelled otherwise, such as {first:.40} for {ours:.40}")
+    return found
 
 
 def real_array(path: Path, part: str, values: Any) -> NDArray[np.float64]:

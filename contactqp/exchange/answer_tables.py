@@ -1,6 +1,6 @@
 """Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
 
-dof,displacement            or    node,x,y,z
+dof,displacement            or    node,x,y,z (or ux, U1, D1, ..., rotx, UR1)
 contact,normal_force[,friction_force | ,friction_1,friction_2]
 tie,tie_force
 """
@@ -12,17 +12,17 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, part_called, places
+from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, part_called, places, refuse_unit
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, wrong
 from contactqp.exchange.tables import Table, begins_with, read_tables
+from contactqp.exchange.unknown_names import axis_called
 from contactqp.problem import ContactProblem
 
 NAME = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")
-AXIS = re.compile(r"(?:u_?|disp_?|displacement_?)?([xyz])")
 Held = dict[str, NDArray[np.float64]]
-FRICTION = re.compile(r"friction(?:_force)?(?:_(\d|[a-z]\w*))?")
+FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
 
 
 def read_table_answer(path: Path, problem: ContactProblem) -> AnswerFile:
@@ -55,11 +55,12 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
     values: list[float] = []
     nodes = table.column("node")
     for column in table.columns[1:]:
-        axis = AXIS.fullmatch(column)
+        axis = axis_called(column)
         if axis is None:
+            refuse_unit(table.path, column, axis_called)
             ledger.ignored.append(f"column {column:.60}")
             continue
-        names += [f"{node}.{axis[1]}" for node in nodes]
+        names += [f"{node}.{axis}" for node in nodes]
         values += table.numbers(column)
     if not names:
         return {}
@@ -75,14 +76,15 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
     friction: list[str] = []
     for column in table.columns[1:]:
         part = part_called(column)
-        if table.columns[0] == "contact" and FRICTION.fullmatch(column):
+        if _is_friction(table, column):
             friction.append(column)
         elif part in belongs:
             columns[part] = [column, *columns.get(part, [])]
         else:
+            refuse_unit(table.path, column, lambda name: part_called(name) in belongs or _is_friction(table, name))
             ledger.ignored.append(f"column {column:.60}")
     if friction:
-        columns["friction_force"] = friction
+        columns["friction_force"] = sorted(friction) if all(name[-1].isdecimal() for name in friction) else friction
     held: Held = {}
     given = table.column(table.columns[0])
     for part, names in columns.items():
@@ -93,6 +95,10 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
             values = values[places(table.path, part, given, names_of(problem, part), ledger)]
         held[part] = values if part == "friction_force" else values[:, 0]
     return held
+
+
+def _is_friction(table: Table, column: str) -> bool:
+    return table.columns[0] == "contact" and FRICTION.fullmatch(column) is not None
 
 
 READER = AnswerReader(NAME, (".csv",), read_table_answer, known=lambda head: begins_with(head, KEYS))

@@ -23,7 +23,7 @@ from contactqp.exchange.fclib import StoredAnswer, read_solution_for
 from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.numpy_files import NUMPY, read_npy
-from contactqp.exchange.refusal import Path, is_number, one_line, read_bytes, read_text, wrong
+from contactqp.exchange.refusal import Path, is_number, no_number, number, one_line, read_bytes, read_text, wrong
 from contactqp.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"
@@ -107,9 +107,9 @@ def _plain(path: Path, text: str) -> NDArray[np.float64]:
 
 def _number(path: Path, word: str, place: str) -> float:
     try:
-        return float(word)
+        return number(word)
     except ValueError:
-        raise wrong(path, place, "a number", repr(word[:40])) from None
+        raise no_number(path, place, word) from None
 
 
 def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDArray[np.float64]:

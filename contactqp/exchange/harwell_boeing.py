@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.ledger import Ledger
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
 from contactqp.exchange.matrix_storage import COLUMNS, StoredMatrix, matrix_of
 from contactqp.exchange.refusal import Path, check_rows, file_size, read_text, wrong
 from contactqp.problem_data import Vector
@@ -84,6 +84,7 @@ def read_harwell_boeing(path: Path) -> MatrixFile:
     ledger = Ledger(str(path))
     symmetry = SYMMETRIES[header.kind[1]]
     ledger.read.append(f"{NAME} {header.kind.upper()}: {rows} by {columns}, {header.entries} entries")
+    say_sums(ledger, header.entries, matrix.nnz)
     if header.kind[1] in "sz":
         sign = 1 if header.kind[1] == "s" else -1
         at_diagonal, half = matrix.diagonal(), matrix.tocoo()
@@ -94,7 +95,7 @@ def read_harwell_boeing(path: Path) -> MatrixFile:
         matrix = (matrix + other).tocsr()
         ledger.converted.append(f"{symmetry}: the other half of the matrix was filled in")
     if header.lines[3]:
-        ledger.ignored.append(f"{header.loads} right-hand side(s), as far as nobody asks for the load")
+        ledger.read.append(f"right-hand sides: {header.loads}, the load where no other is given")
     return MatrixFile(matrix, None, ledger)
 
 

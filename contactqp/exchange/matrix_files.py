@@ -17,7 +17,7 @@ from contactqp.exchange import (
     text_matrix,
 )
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, read_bytes
+from contactqp.exchange.refusal import Path, read_bytes, wrong
 
 READERS: tuple[MatrixReader, ...] = (
     abaqus_matrix.READER,  # .mtx without Matrix Market's banner
@@ -31,6 +31,7 @@ READERS: tuple[MatrixReader, ...] = (
 )
 # First bytes that every format can be told by, where it can be told by its content.
 HEAD = 512
+GZIP = b"\x1f\x8b"
 EXPECTED = "a matrix: " + ", ".join(reader.name for reader in READERS)
 
 
@@ -52,6 +53,8 @@ def read_matrix(path: Path) -> MatrixFile:
 def reader_of(path: Path) -> MatrixReader:
     """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain text."""
     head = read_bytes(path, EXPECTED, HEAD)
+    if head.startswith(GZIP):
+        raise wrong(path, "content", EXPECTED, "a file compressed by gzip; expand it first")
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:
         if reader.known is not None and reader.known(head):

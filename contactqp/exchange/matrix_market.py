@@ -11,6 +11,7 @@ ends the interpreter on some damaged files, and so is not asked.
 
 from __future__ import annotations
 
+import re
 from array import array
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -21,13 +22,14 @@ from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
 from contactqp.exchange.ledger import Ledger
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, check_rows, file_size, is_number, wrong
+from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
+from contactqp.exchange.refusal import Path, check_rows, file_size, is_number, no_number, number, wrong
 
 BANNER = b"%%MatrixMarket"
 NAME = "Matrix Market"
 # The fewest bytes of a value and its line break, and of an entry "1 1 1".
 VALUE, ENTRY = 2, 6
+PLAIN = re.compile(rb"[\s\d.+\-eE]*")
 LONGEST_LINE, BLOCK = 2**16, 2**20
 
 
@@ -59,6 +61,8 @@ def read_matrix_market(path: Path) -> MatrixFile:
         values = _numbers(path, file, words)
     matrix = _coordinates(path, head, values) if head.form == "coordinate" else _array(head, values)
     ledger = Ledger(str(path))
+    if head.form == "coordinate":
+        say_sums(ledger, head.entries, len(np.unique(values.reshape(-1, 3)[:, :2], axis=0)))
     ledger.read.append(f"{NAME}, {head.form}: {head.rows} by {head.columns}")
     if head.symmetry != "general":
         ledger.converted.append(f"{head.symmetry}: the other half of the matrix was filled in")
@@ -70,7 +74,7 @@ def _head(path: Path, size: int, file: BinaryIO) -> Head:
     line = file.readline(LONGEST_LINE)
     while line and (line.startswith(b"%") or not line.strip()):
         line = file.readline(LONGEST_LINE)
-    if len(words) != 5 or words[0].encode("latin-1") != BANNER or words[1].lower() != "matrix":
+    if len(words) != 5 or words[0].lower() != BANNER.decode().lower() or words[1].lower() != "matrix":
         raise wrong(path, "first line", f"{BANNER.decode()} matrix ...", repr(" ".join(words)[:60]))
     form, field, symmetry = (word.lower() for word in words[2:])
     if form not in ("coordinate", "array"):
@@ -109,14 +113,12 @@ def _numbers(path: Path, file: BinaryIO, count: int) -> NDArray[np.float64]:
     found = array("d")
     while block := file.read(BLOCK):
         block += file.readline(LONGEST_LINE)
-        words = block.split()
+        words = block.decode("latin-1").split()
         try:
-            if b"_" in block:  # Python reads 1_000
-                raise ValueError
-            found.extend(map(float, words))
+            found.extend(map(float if PLAIN.fullmatch(block) else number, words))
         except ValueError:
-            bad = next(w for w in words if b"_" in w or not is_number(w.decode("latin-1")))
-            raise wrong(path, "entries", "a number", repr(bad[:40].decode("latin-1"))) from None
+            bad = next(word for word in words if not is_number(word))
+            raise no_number(path, "entries", bad) from None
         if len(found) > count:
             break
     if len(found) != count:
@@ -150,4 +152,8 @@ def _array(head: Head, values: NDArray[np.float64]) -> NDArray[np.float64]:
     return dense
 
 
-READER = MatrixReader(NAME, (".mtx", ".mm"), read_matrix_market, known=lambda head: head.startswith(BANNER))
+def is_matrix_market(head: bytes) -> bool:
+    return head[: len(BANNER)].lower() == BANNER.lower()
+
+
+READER = MatrixReader(NAME, (".mtx", ".mm"), read_matrix_market, known=is_matrix_market)

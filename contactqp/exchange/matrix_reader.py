@@ -19,6 +19,12 @@ class MatrixFile(NamedTuple):
     ledger: Ledger
 
 
+def say_sums(ledger: Ledger, stored: int, different: int) -> None:
+    """Entries of a sparse matrix that are stored more than once add up, as in every assembly."""
+    if stored > different:
+        ledger.converted.append(f"{stored - different} entries are stored more than once: added up")
+
+
 @dataclass(frozen=True)
 class MatrixReader:
     """A format of matrices or vectors."""

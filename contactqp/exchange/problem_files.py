@@ -12,7 +12,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP
 from contactqp.exchange.problem_archive import read_problem_archive
-from contactqp.exchange.problem_folder import is_problem_folder, read_problem_folder
+from contactqp.exchange.problem_folder import is_problem_folder, read_problem_folder, tie_names
 from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.refusal import Path, read_bytes, wrong
 from contactqp.exchange.siconos_text import read_siconos
@@ -46,6 +46,12 @@ def read_problem_with_ledger(
     hdf5 = is_hdf5(read_bytes(path, EXPECTED, HEAD)) or FilePath(path).suffix.lower() in HDF5
     problem = read_fclib(path, as_stored=as_stored) if hdf5 else read_siconos(path, as_stored=as_stored)
     return problem, _ledger(path, problem, "FCLIB" if hdf5 else "Siconos")
+
+
+def read_tie_names(path: Path) -> list[str] | None:
+    """What the ties of a problem of matrices are called, None where nothing says it; raises as `read_problem`."""
+    folder = _folder(path)
+    return tie_names(folder) if folder.is_dir() else None
 
 
 def is_of_matrices(path: Path) -> bool:

@@ -11,6 +11,7 @@ Without problem.json files are told by their names (stiffness or K, load or f, n
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -23,12 +24,18 @@ from contactqp.exchange.problem_parts import part_called, problem_of
 from contactqp.exchange.problem_writing import ANSWER_FILE, FORMAT, PROBLEM_FILE, VERSION
 from contactqp.exchange.problem_writing import write_problem as write_problem
 from contactqp.exchange.refusal import Path, read_text, wrong
-from contactqp.exchange.row_tables import Unknowns, read_contact_rows, read_load_rows, read_tie_rows
+from contactqp.exchange.row_tables import Unknowns, read_contact_rows, read_load_rows, read_tie_names, read_tie_rows
 from contactqp.exchange.tables import is_table
+from contactqp.exchange.unknown_names import plain_name
 from contactqp.problem import ContactProblem
 
 NAME_FILES = ("dof_names", "contact_names")
 TABLES = ("contacts", "ties")
+# Of problem.json: what is read, and what is for people, also of the gallery's problems.
+ABOUT = ("kind", "difficulty", "source", "formula", "unique_displacement", "unique_forces", "exact_data", "rounding")
+KEYS = ("format", "version", "unknowns", "contacts", "ties", "units", "dof_names", "contact_names", "files")
+WORDS = ("name", "description", "signs", *ABOUT)
+UNLISTED = f"not among the files of {PROBLEM_FILE}"
 
 
 @dataclass
@@ -72,22 +79,28 @@ def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
     if not root.is_dir():
         raise InvalidProblem(f"{folder}: expected a folder with a problem, and there is none of that name")
     ledger = Ledger(str(folder))
-    stated = _stated(root / PROBLEM_FILE) if (root / PROBLEM_FILE).exists() else {}
+    stated = _stated(root / PROBLEM_FILE, ledger) if (root / PROBLEM_FILE).exists() else {}
     found = _listed(root, stated["files"]) if "files" in stated else _by_names(root)
     ledger.ignored.extend(found.ignored)
     if "stiffness" not in found.files:
         raise wrong(folder, "stiffness", "a file called stiffness or K", "none")
-    parts, labels = _read_parts(root, found, stated.get("dof_names"), ledger)
-    contact_names = stated.get("contact_names") or parts.pop("contact_names", None)
+    parts, names = _read_parts(root, found, stated, ledger)
     units = stated.get("units")
-    problem = problem_of(folder, parts, ledger, dof_names=labels, contact_names=contact_names, units=units)
+    problem = problem_of(folder, parts, ledger, **names, units=units, ties=stated.get("ties"))
     for key, size in (("unknowns", problem.dimension), ("contacts", problem.contacts), ("ties", problem.ties)):
         if stated.get(key, size) != size:
             raise wrong(root / PROBLEM_FILE, key, f"{size}, as in the matrices", stated[key])
     return problem, ledger
 
 
-def _stated(path: FilePath) -> dict[str, Any]:
+def tie_names(folder: Path) -> list[str] | None:
+    """What a folder's ties.csv calls its ties, None where it has none; raises as `read_problem_folder`."""
+    file = FilePath(folder, "ties.csv")
+    listed = (FilePath(folder) / PROBLEM_FILE).exists() and "files" in _stated(FilePath(folder) / PROBLEM_FILE)
+    return read_tie_names(file) if file.is_file() and not listed else None
+
+
+def _stated(path: FilePath, ledger: Ledger | None = None) -> dict[str, Any]:
     """problem.json, checked."""
     data = load_json(path, "a problem in JSON")
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -103,6 +116,9 @@ def _stated(path: FilePath) -> dict[str, Any]:
         pairs = stated.get(key, {})
         if not isinstance(pairs, dict) or not all(isinstance(value, str) for value in pairs.values()):
             raise wrong(path, key, "names by name", repr(pairs)[:60])
+    unknown = sorted(set(stated) - {*KEYS, *WORDS})
+    if unknown and ledger is not None:
+        ledger.ignored.append(f"{path.name}: {', '.join(unknown):.200}")
     return stated
 
 
@@ -118,6 +134,8 @@ def _listed(root: FilePath, files: dict[str, str]) -> Found:
                 f"{part!r}: {name!r}"[:100],
             )
         found.put(root, part, root / name)
+    known = {PROBLEM_FILE, ANSWER_FILE, *files.values()}
+    found.ignored = [f"{file.name}: {UNLISTED}" for file in sorted(root.iterdir()) if file.name not in known]
     return found
 
 
@@ -138,24 +156,28 @@ def _by_names(root: FilePath) -> Found:
 
 
 def _read_parts(
-    root: FilePath, found: Found, dof_names: list[str] | None, ledger: Ledger
-) -> tuple[dict[str, Any], tuple[str, ...] | list[str] | None]:
-    """The parts, and what the unknowns are called."""
+    root: FilePath, found: Found, stated: Mapping[str, Any], ledger: Ledger
+) -> tuple[dict[str, Any], dict[str, Sequence[str] | None]]:
+    """The parts; and dof_names and contact_names."""
     files = dict(found.files)
     stiffness = files.pop("stiffness")
     K, labels, of_stiffness = read_matrix(stiffness)
     _add(ledger, stiffness, of_stiffness, "stiffness")
-    names = dof_names or (_names(files.pop("dof_names")) if "dof_names" in files else labels)
+    given = {name: _given_names(root, name, files.pop(name, None), stated.get(name), ledger) for name in NAME_FILES}
+    names = _unknown_names(root, given["dof_names"], labels, K.shape[0], ledger)
+    contact_names = given["contact_names"]
     parts: dict[str, Any] = {"stiffness": K}
     unknowns = None
     for part, file in files.items():
-        if part == "contact_names":
-            parts[part] = _names(file)
-            continue
         if part in TABLES or (part == "load" and is_table(file, "dof")):
             unknowns = unknowns or Unknowns(names, K.shape[0])
             own = Ledger(str(file))
-            new = _tabled(part, file, unknowns, own, parts)
+            new, rows = _tabled(part, file, unknowns, own)
+            if rows is not None and contact_names is not None and list(contact_names) != rows:
+                raise wrong(
+                    root, "contact_names", f"those of {file.name}, in its order", ", ".join(contact_names)[:100]
+                )
+            contact_names = contact_names or rows
             _add(ledger, file, own, part)
         else:
             new = {part: _matrix(file, part, ledger)}
@@ -165,17 +187,45 @@ def _read_parts(
         parts |= new
     if "load" not in parts:
         _load_of(stiffness, parts, ledger)
-    return parts, names
+    return parts, {"dof_names": names, "contact_names": contact_names}
 
 
-def _tabled(part: str, file: FilePath, unknowns: Unknowns, ledger: Ledger, parts: dict[str, Any]) -> dict[str, Any]:
+def _given_names(
+    root: FilePath, key: str, file: FilePath | None, stated: list[str] | None, ledger: Ledger
+) -> list[str] | None:
+    """Names from a file of names, or from problem.json; where both have them they must agree."""
+    listed = None if file is None else _names(file)
+    if listed is not None and stated is not None and listed != stated:
+        raise wrong(root, key, f"the same in {file.name if file else ''} and {PROBLEM_FILE}", "others")
+    if listed is not None and file is not None:
+        ledger.read.append(f"{key}: {file.name}: {len(listed)} names")
+    return stated or listed
+
+
+def _unknown_names(
+    root: FilePath, given: Sequence[str] | None, labels: Sequence[str] | None, count: int, ledger: Ledger
+) -> Sequence[str] | None:
+    """Names that were given go before those that the stiffness brings, but for the same ones in another order."""
+    if given is not None and len(given) != count:
+        raise wrong(root, "dof_names", f"{count} names, one for each row of the stiffness", len(given))
+    if given is None or labels is None:
+        return given or labels
+    ours, theirs = ([plain_name(name) or name for name in names] for names in (given, labels))
+    if ours != theirs:
+        if set(ours) == set(theirs):
+            at = next(j for j, name in enumerate(ours) if name != theirs[j])
+            raise wrong(root, "dof_names", f"{labels[at]!r} at line {at + 1}, as the stiffness says", repr(given[at]))
+        ledger.ignored.append(f"names in the stiffness, such as {labels[0]!r:.40}: dof_names are others")
+    return given
+
+
+def _tabled(part: str, file: FilePath, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str] | None]:
+    """Parts from a table, and what it calls the contacts."""
     if part == "ties":
-        return read_tie_rows(file, unknowns, ledger)
+        return read_tie_rows(file, unknowns, ledger), None
     if part == "load":
-        return {"load": read_load_rows(file, unknowns, ledger)}
-    new, contact_names = read_contact_rows(file, unknowns, ledger)
-    parts.setdefault("contact_names", contact_names)
-    return new
+        return {"load": read_load_rows(file, unknowns, ledger)}, None
+    return read_contact_rows(file, unknowns, ledger)
 
 
 def _matrix(file: FilePath, part: str, ledger: Ledger) -> Any:

@@ -44,8 +44,9 @@ def problem_of(
     dof_names: Sequence[str] | None = None,
     contact_names: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
+    ties: Any = None,
 ) -> ContactProblem:
-    """The problem of these parts; one coefficient of friction serves all contacts.
+    """The problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def problem_of(
         given["friction"] = float(given["friction"][0])
     with naming(path):
         problem = ContactProblem(**given, dof_names=dof_names, contact_names=contact_names, units=units)
-    _say(problem, given, ledger)
+    _say(problem, given, ledger, ties)
     return problem
 
 
@@ -74,11 +75,12 @@ def _vector(path: Path, name: str, value: Any) -> Any:
     return dense if name == "slip_origin" and dense.ndim == 2 and min(dense.shape) > 1 else dense.ravel()
 
 
-def _say(problem: ContactProblem, given: Mapping[str, Any], ledger: Ledger) -> None:
+def _say(problem: ContactProblem, given: Mapping[str, Any], ledger: Ledger, ties: Any) -> None:
     if problem.asymmetry > 0:
         ledger.converted.append(f"stiffness: symmetrised, it was asymmetric by {problem.asymmetry:.1g}")
     if not problem.ties:
-        ledger.assumed.append("no ties: supports are eliminated from the stiffness, or there are none")
+        if ties is None:
+            ledger.assumed.append("no ties: supports are eliminated from the stiffness, or there are none")
     elif "tie_value" not in given:
         ledger.assumed.append("ties are held at zero: there is no tie_value (b)")
     if problem.tangent is not None:

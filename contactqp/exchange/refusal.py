@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +19,9 @@ Path = str | os.PathLike[str]
 # Bytes of a file that is read as a whole and becomes objects of many times its size: text in words, JSON.
 LARGEST_WHOLE = 2**27
 LONGEST_SAYING = 200
+EXPONENT_D = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*(?:[eE][+-]?\d+)?")
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def wrong(path: Path, place: str, expected: str, got: Any) -> InvalidProblem:
@@ -55,13 +59,32 @@ def check_friction(path: Path, place: str, friction: NDArray[np.float64]) -> Non
         raise wrong(path, place, "coefficients of friction >= 0", f"{friction[worst]:.6g} at contact {worst}")
 
 
+def number(word: str) -> float:
+    """A number as programs write it, 1.0D+03 of Fortran too; Python's own 1_000 is none.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if "_" in word:
+        raise ValueError(word)
+    return float(EXPONENT_D.sub("e", word))
+
+
 def is_number(word: str) -> bool:
     """Whether a word of a text is one, be it NaN."""
     try:
-        float(word)
+        number(word)
     except ValueError:
         return False
     return True
+
+
+def no_number(path: Path, place: str, word: str) -> InvalidProblem:
+    """What is said of a word that should be a number."""
+    comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word.strip()) else ""
+    return wrong(path, place, "a number", f"{word[:40]!r}{comma}")
 
 
 @contextmanager
@@ -121,6 +144,7 @@ def read_text(path: Path, expected: str) -> str:
         As `read_bytes`, or bytes that are no text.
     """
     data = read_bytes(path, expected)
+    refuse_utf_16(path, data)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -129,6 +153,12 @@ def read_text(path: Path, expected: str) -> str:
     if "\0" in text:
         raise wrong(path, "content", expected, f"the byte 0x00 at place {text.index(chr(0))}")
     return text
+
+
+def refuse_utf_16(path: Path, head: bytes) -> None:
+    """Refuse text that begins with the mark of UTF-16, as Windows' programs may save it."""
+    if head.startswith(UTF_16):
+        raise wrong(path, "content", "text in UTF-8", "UTF-16: save it as UTF-8")
 
 
 def one_line(error: BaseException) -> str:

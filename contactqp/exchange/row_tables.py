@@ -20,24 +20,45 @@ from numpy.typing import NDArray
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, wrong
 from contactqp.exchange.tables import Table, cell_number, read_tables
+from contactqp.exchange.unknown_names import plain_name
 
 TANGENTS = ("tangent", "tangent_2")
 ORIGINS = ("slip_origin", "slip_origin_2")
 
 
 class Unknowns:
-    """Where an unknown stands, by its name or, where there are no names, its position."""
+    """Where an unknown stands, by its name, also as others spell it, or where there are no names by its position."""
 
     def __init__(self, names: Sequence[str] | None, count: int) -> None:
         self.count = count
         self.named = names is not None
+        self.respelled: dict[str, str] = {}  # what a table calls an unknown, and what it is called here
         self._place = {name: j for j, name in enumerate(names if names is not None else map(str, range(count)))}
+        self._meaning: dict[str, list[str]] = {}
+        for name in self._place if self.named else ():
+            self._meaning.setdefault(plain_name(name) or name, []).append(name)
 
     def place(self, table: Table, line: int, name: str) -> int:
-        if name not in self._place:
+        if name in self._place:
+            return self._place[name]
+        found = self._meaning.get(plain_name(name) or "", [])
+        if len(found) > 1:
+            raise wrong(table.path, f"line {line}", f"one of {found[0]!r:.40} and {found[1]!r:.40}", repr(name[:40]))
+        if not found:
             known = f"one of the {self.count} unknowns, such as {next(iter(self._place), '')!r:.40}"
             raise wrong(table.path, f"line {line}", known, repr(name[:40]))
-        return self._place[name]
+        self.respelled[name] = found[0]
+        return self._place[found[0]]
+
+    def say(self, what: str, ledger: Ledger) -> None:
+        """What was assumed of names, once for each table."""
+        if not self.named:
+            ledger.assumed.append(f"{what}: the stiffness has no names: unknowns are positions counted from 0")
+        if self.respelled:
+            theirs, ours = next(iter(self.respelled.items()))
+            count = len(self.respelled)
+            ledger.assumed.append(f"{what}: {count} unknowns spelled otherwise, such as {theirs:.40} for {ours:.40}")
+            self.respelled.clear()
 
 
 def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str]]:
@@ -68,9 +89,14 @@ def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[d
     return parts, names
 
 
+def read_tie_names(path: Path) -> list[str]:
+    """What the ties of a table are called, in the order of their rows; raises as `read_contact_rows`."""
+    return _grouped(_tie_table(path))[0]
+
+
 def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> dict[str, Any]:
     """tie and, where its column is there, tie_value; raises as `read_contact_rows`."""
-    table = _table(path, "tie", ("dof", "coefficient"), ("value",))
+    table = _tie_table(path)
     names, row = _grouped(table)
     parts: dict[str, Any] = {"tie": _rows(table, "coefficient", row, len(names), unknowns)}
     if "value" in table.columns:
@@ -89,7 +115,12 @@ def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np
     ledger.read.append(f"load: {len(places)} of {unknowns.count} unknowns")
     if len(places) < unknowns.count:
         ledger.assumed.append(f"load: none at the {unknowns.count - len(places)} unknowns that are not in the table")
+    unknowns.say("load", ledger)
     return load
+
+
+def _tie_table(path: Path) -> Table:
+    return _table(path, "tie", ("dof", "coefficient"), ("value",))
 
 
 def _table(path: Path, key: str, needed: Sequence[str], possible: Sequence[str]) -> Table:
@@ -150,5 +181,4 @@ def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> li
 
 def _say(table: Table, names: list[str], what: str, unknowns: Unknowns, ledger: Ledger) -> None:
     ledger.read.append(f"{what}: {len(names)} in {len(table.rows)} rows")
-    if not unknowns.named:
-        ledger.assumed.append(f"{what}: the stiffness has no names: unknowns are positions counted from 0")
+    unknowns.say(what, ledger)

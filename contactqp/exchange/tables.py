@@ -16,7 +16,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from contactqp.exchange.refusal import Path, is_number, read_bytes, read_text, wrong
+from contactqp.exchange.refusal import Path, no_number, number, read_bytes, read_text, wrong
 
 EXPECTED = "a table with named columns"
 HEAD = 512
@@ -42,9 +42,10 @@ class Table:
 
 
 def cell_number(path: Path, line: int, cell: str) -> float:
-    if is_number(cell) and "_" not in cell:  # Python reads 1_000
-        return float(cell)
-    raise wrong(path, f"line {line}", "a number", repr(cell[:40]))
+    try:
+        return number(cell)
+    except ValueError:
+        raise no_number(path, f"line {line}", cell) from None
 
 
 def is_table(path: Path, key: str) -> bool:
@@ -80,18 +81,18 @@ def read_tables(path: Path, keys: Collection[str]) -> list[Table]:
         rows.clear()
         lines.clear()
 
-    for number, cells in _cells(path, text):
+    for line, cells in _cells(path, text):
         if cells[0].lower() in keys:
             end()
             columns = tuple(cell.lower().replace(" ", "_") for cell in cells)
             if len(set(columns)) != len(columns):
-                raise wrong(path, f"line {number}", "every column once", ", ".join(columns)[:100])
+                raise wrong(path, f"line {line}", "every column once", ", ".join(columns)[:100])
         elif len(cells) != len(columns):
             expected = f"{len(columns)} cells" if columns else f"a line of names that begins with {', '.join(keys)}"
-            raise wrong(path, f"line {number}", expected, len(cells) if columns else repr(", ".join(cells)[:60]))
+            raise wrong(path, f"line {line}", expected, len(cells) if columns else repr(", ".join(cells)[:60]))
         else:
             rows.append(tuple(cells))
-            lines.append(number)
+            lines.append(line)
     end()
     return found
 

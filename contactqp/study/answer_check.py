@@ -76,7 +76,7 @@ def check_problem(
         found.ledger.converted.append("pressures: multiplied by the areas of the contacts")
     _take_pressure(candidate_file, given, options)
     given |= {"tolerance": options.tolerance, "error_tolerance": options.error_tolerance}
-    if options.compression == "negative":
+    if options.compression == "negative" and "normal_force" in given:
         found.ledger.converted.append("normal forces: turned round, compression is negative in the file")
     with naming(candidate_file):
         certificate = certify(problem, **given, compression=options.compression)

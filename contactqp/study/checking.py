@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger
+from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
+from contactqp.exchange.refusal import wrong
 from contactqp.problem import ContactProblem
 from contactqp.study.answer_check import AnswerVerdict, check_case, check_problem
 from contactqp.study.check_options import CheckOptions
@@ -26,13 +28,16 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
     SceneError, InvalidProblem, Unsupported, BackendMissing
         Of the files and options.
     """
+    if Path(problem).is_dir() and not is_problem_file(problem):
+        held = ", ".join(sorted(file.name for file in Path(problem).iterdir())[:5]) or "nothing"
+        raise wrong(problem, "folder", "problem.json, or a file called stiffness or K", f"{held:.100}")
     if not is_problem_file(problem):
         return check_case(problem, candidate, options)
     if not is_of_matrices(problem):
         return check_forces(problem, candidate, options)
     stored, ledger = read_problem_with_ledger(problem)
     assert isinstance(stored, ContactProblem)
-    return check_problem(stored, ledger, candidate, options)
+    return check_problem(stored, ledger, candidate, options, read_tie_names(problem))
 
 
 def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> None:

@@ -173,7 +173,7 @@ def test_contacts_stated_twice_are_refused(tmp_path):
         ({"files": {"stiffness": "../K.mtx"}}, "problem.json: files: expected a part .*beside this one"),
         ({"files": {"load": "load.mtx"}}, "stiffness: expected a file called stiffness or K, got none"),
         ({"dof_names": ["a", 1, "c"]}, "problem.json: dof_names: expected a list of names"),
-        ({"dof_names": ["a", "b"]}, "dof_names: expected 3 names, got 2"),
+        ({"dof_names": ["a", "b"]}, "dof_names: expected 3 names, one for each row of the stiffness, got 2"),
         ({"units": {"length": "m", "time": "s"}}, "units: expected the keys 'length' and 'force'"),
         ({"units": 3}, "problem.json: units: expected names by name"),
     ],

@@ -232,12 +232,12 @@ def test_lists_serve_as_well_as_names(capsys, tmp_path):
 BAD_ANSWERS = {
     "content: expected a JSON file with displacement and normal_force": {"gap": [0.0]},
     "displacement: expected shape (1,), got (2,)": {"displacement": [0, 0], "normal_force": [0]},
-    "normal_force: expected 1 values by name, got a difference in tap, tip": {
+    "normal_force: expected 1 values by name, got no tip and tap, which the problem does not have": {
         "displacement": [0],
         "normal_force": {"tap": 0},
     },
     "normal_force: expected numbers": {"displacement": [0], "normal_force": ["x"]},
-    "content: expected one answer, got 2": [{}, {}],
+    'content: expected one answer, such as {"displacement": [...]}, got 2 in a list': [{}, {}],
     "content: expected a JSON file": 3,
 }
 

@@ -64,11 +64,11 @@ BAD_CANDIDATES = {
     "short.json": ('{"displacement": [1, 2]}', "short.json: displacement: expected shape (3,), got (2,)"),
     "names.json": (
         '{"displacement": {"a.x": 1, "b.x": 2}}',
-        "names.json: displacement: expected 3 values by name, got a difference in c.x",
+        "names.json: displacement: expected 3 values by name, got no c.x",
     ),
     "contacts.json": (
         '{"normal_force": {"left": 1, "right": 2, "middle": 3}}',
-        "contacts.json: normal_force: expected 2 values by name, got a difference in middle",
+        "contacts.json: normal_force: expected 2 values by name, got middle, which the problem does not have",
     ),
     "cells.csv": ("dof,displacement\na.x,1,2\n", "cells.csv: line 2: expected 2 cells, got 3"),
     "cell.csv": ("dof,displacement\na.x,one\n", "cell.csv: line 2: expected a number, got 'one'"),
