@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from contactqp.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
+NORMAL = re.compile(r"(?:r|f|l|force|reaction)?_?n(?:ormal)?(?:_force)?\b.*|normal.*")
 KEYS = ("force", "joint_force", "velocity", "motion")
 
 
@@ -41,8 +43,8 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnsw
     BackendMissing
         An HDF5 file, and h5py is not installed.
     """
-    found, form = _read(path, problem)
     ledger = Ledger(str(path))
+    found, form = _read(path, problem, ledger)
     ledger.read.append(f"{form}: the forces of {problem.contacts} contacts, in the order (N, T1, T2)")
     others = {"joint_force": found.joint_force, "velocity": found.velocity, "motion": found.motion}
     held = [name for name, value in others.items() if value is not None]
@@ -51,7 +53,7 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnsw
     return found, ledger
 
 
-def _read(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, str]:
+def _read(path: Path, problem: LocalProblem, ledger: Ledger) -> tuple[StoredAnswer, str]:
     """The answer, and what its format is called."""
     head = read_bytes(path, EXPECTED, HEAD)
     if is_hdf5(head):
@@ -62,7 +64,7 @@ def _read(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, str]:
     if text.lstrip()[:1] in ("[", "{"):
         return _from_json(path, problem), "JSON"
     separator = next((mark for mark in (";", ",") if mark in text), None)
-    values = _plain(path, text) if separator is None else _table(path, text, separator, problem)
+    values = _plain(path, text) if separator is None else _table(path, text, separator, problem, ledger)
     return StoredAnswer(_forces(path, values, problem)), "text" if separator is None else "CSV"
 
 
@@ -112,7 +114,7 @@ def _number(path: Path, word: str, place: str) -> float:
         raise no_number(path, place, word) from None
 
 
-def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDArray[np.float64]:
+def _table(path: Path, text: str, separator: str, problem: LocalProblem, ledger: Ledger) -> NDArray[np.float64]:
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), delimiter=separator)]
     except csv.Error as error:
@@ -121,11 +123,21 @@ def _table(path: Path, text: str, separator: str, problem: LocalProblem) -> NDAr
     header = rows.pop(0) if rows and not is_number(rows[0][-1]) else []
     named = bool(header) and header[0].lower() == "contact"
     width = problem.dimension + named
+    if header:
+        _check_header(path, header[named:], ledger)
     for k, row in enumerate(rows):
         if len(row) != width:
             raise wrong(path, f"row {k + 1}", f"{width} cells", len(row))
     values = np.array([[_number(path, cell, f"row {k + 1}") for cell in row[named:]] for k, row in enumerate(rows)])
     return values[_order(path, [row[0] for row in rows], problem)] if named else values
+
+
+def _check_header(path: Path, columns: list[str], ledger: Ledger) -> None:
+    """Columns stand in the order (N, T1, T2) whatever they are called, but not where they say otherwise."""
+    said = ", ".join(columns)
+    if any(NORMAL.fullmatch(column.lower()) for column in columns[1:]):
+        raise wrong(path, "first line", "columns in the order N, T1, T2", f"{said!r:.60}")
+    ledger.ignored.append(f"names of columns ({said:.60}): in the order (N, T1, T2), no unit converted")
 
 
 def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:

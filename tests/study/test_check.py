@@ -259,3 +259,19 @@ def test_a_published_problem_judges_its_own_guess_and_our_answer(capsys, tmp_pat
     assert run(capsys, "check", file, tmp_path / "guess.npy")[0] == 1
     np.save(tmp_path / "ours.npy", cq.solve(cq.read_fclib(file)).force)
     assert run(capsys, "check", file, tmp_path / "ours.npy")[0] == 0
+
+
+def test_columns_of_forces_in_another_order_are_refused_and_their_names_told(capsys, tmp_path, problem):
+    file, _, solution = problem
+    rows = "".join(f"{a!r},{b!r},{c!r}\n" for a, b, c in solution.force.tolist())
+    candidate = tmp_path / "r.csv"
+    for names in ("rN,rT1,rT2", "N [kN],T1,T2", "fz,fx,fy"):
+        candidate.write_text(f"{names}\n{rows}")
+        code, out, _ = run(capsys, "check", file, candidate)
+        assert code == 0
+        assert "ignored: names of columns" in out
+    for names in ("rT1,rT2,rN", "T1,normal_force,T2", "t1,t2,N [kN]"):
+        candidate.write_text(f"{names}\n{rows}")
+        code, _, err = run(capsys, "check", file, candidate)
+        assert code == 2
+        assert "expected columns in the order N, T1, T2" in err
