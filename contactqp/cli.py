@@ -126,8 +126,8 @@ def check_command(
     PROBLEM is a case file; or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
     normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's .full, ...), or contacts.csv. CANDIDATE
     then holds displacement, normal_force or both, and friction_force and tie_force, by name or in order: JSON (what
-    `contactqp run CASE --json` prints is one), CSV (columns dof,displacement and contact,normal_force), .npz, one array
-    or a folder of them, or a result file of a code that is known.
+    `contactqp run CASE --method M --json` prints is one), CSV (columns dof,displacement and contact,normal_force),
+    .npz, one array or a folder of them, or a result file of a code that is known.
 
     Or PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
     contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.

@@ -2,7 +2,8 @@
 
     {"displacement": {"tip.x": 1e-3}, "normal_force": [142.5], "friction_force": [[0.5, 0.0]], "tie_force": [2.0]}
 
-What `contactqp run CASE --json` prints is one, alone in a list. null is NaN.
+What `contactqp run CASE --method M --json` prints is one, alone in a list; its friction_force is along the axes of the
+case, and its friction_components, along the rows of E_T, are what is read. null is NaN.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from contactqp.exchange.refusal import Path, one_line, read_text, wrong
 from contactqp.problem import ContactProblem
 
 NAME = "JSON"
+COMPONENTS = "friction_components"
 EXPECTED = "a JSON file with displacement and normal_force"
 
 
@@ -48,8 +50,12 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         raise wrong(path, "content", EXPECTED, type(data).__name__)
     ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
     for key, values in data.items():
-        part = part_called(key)
+        part = part_called(key) if key != COMPONENTS else "friction_force"
         refuse_unit(path, key)
+        if part == "friction_force" and key != COMPONENTS and _along_axes(values):
+            if COMPONENTS not in data:
+                raise wrong(path, key, "one or two components a contact, along the rows of E_T", "vectors along axes")
+            part = None
         if part is None or values is None:
             ledger.ignored.append(f"{key:.60}")
             continue
@@ -71,6 +77,10 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if not parts:
         raise wrong(path, "content", EXPECTED, f"the keys {', '.join(data)!s:.100}")
     return AnswerFile(parts, ledger, frozenset(named), tie_names)
+
+
+def _along_axes(values: Any) -> bool:
+    return isinstance(values, dict) and any(isinstance(one, dict) for one in values.values())
 
 
 def load_json(path: Path, expected: str) -> Any:

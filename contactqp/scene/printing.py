@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
@@ -186,7 +187,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
 
 
 def _friction_data(judgement: Judgement) -> dict[str, Any]:
-    """lambda_T of each contact along the axes; nothing without friction."""
+    """lambda_T of each contact along the axes, and its components along the rows E_T; nothing without friction."""
     solution, scene, model = judgement.solution, judgement.scene, judgement.model
     if not solution.problem.frictional:
         return {}
@@ -195,6 +196,10 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
         vectors = friction_along_axes(model, solution)
         names = solution.problem.contact_names or ()
         data["friction_force"] = {name: _named(scene.axes, row) for name, row in zip(names, vectors, strict=True)}
+        components = np.asarray(solution.friction_force).reshape(len(names), -1)
+        data["friction_components"] = {
+            name: [_finite(float(part)) for part in row] for name, row in zip(names, components, strict=True)
+        }
     return data
 
 

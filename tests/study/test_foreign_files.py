@@ -12,7 +12,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.exchange.unknown_names import axis_called, plain_name
-from tests.test_cli import run
+from tests.test_cli import CASES, run
 
 NAMES = ("1.x", "1.y", "2.x")
 K = [[4.0, -1.0, 0.0], [-1.0, 5.0, 2.5], [0.0, 2.5, 3.0]]
@@ -333,3 +333,22 @@ def test_the_load_in_a_harwell_boeing_file_is_not_told_as_left_out_where_it_is_t
     assert problem.load.tolist() == [2.0, 1.0, 0.5]
     assert not ledger.ignored
     assert any("right-hand sides: 1" in line for line in ledger.read)
+
+
+@pytest.mark.parametrize("case", ["hanging_block", "klarbring_slides_back", "block_on_incline_sideways"])
+def test_what_run_prints_with_friction_is_an_answer(capsys, tmp_path, case):
+    file = CASES / f"{case}.toml"
+    _, out, _ = run(capsys, "run", file, "--method", "active-set", "--json")
+    (tmp_path / "r.json").write_text(out)
+    code, out, _ = run(capsys, "check", file, tmp_path / "r.json", "--json")
+    assert code == 0
+    assert any("friction_force: " in line for line in json.loads(out)["ledgers"][1]["read"])
+    (answer,) = json.loads((tmp_path / "r.json").read_text())
+    next(iter(answer["friction_components"].values()))[0] += 1.0
+    (tmp_path / "r.json").write_text(json.dumps(answer))
+    assert run(capsys, "check", file, tmp_path / "r.json")[0] == 1
+    del answer["friction_components"]
+    (tmp_path / "r.json").write_text(json.dumps(answer))
+    code, _, err = run(capsys, "check", file, tmp_path / "r.json")
+    assert code == 2
+    assert "friction_force: expected one or two components a contact, along the rows of E_T" in err
