@@ -102,7 +102,8 @@ def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], le
         names = [str(k) for k in range(len(names))]
         ledger.assumed.append(f"{part}: named by numbers: positions counted from 0")
     missing = [name for name in names if name not in place]
-    extra = [name for name in place if name not in set(names)] if len(place) > len(names) or missing else []
+    known = set(names)
+    extra = [name for name in place if name not in known]
     if missing or (extra and (part != "displacement" or numbered)):
         odd = [f"no {_some(missing)}"] * bool(missing) + [f"{_some(extra)}, which the problem does not have"] * bool(
             extra

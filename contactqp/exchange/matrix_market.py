@@ -62,7 +62,7 @@ def read_matrix_market(path: Path) -> MatrixFile:
     matrix = _coordinates(path, head, values) if head.form == "coordinate" else _array(head, values)
     ledger = Ledger(str(path))
     if head.form == "coordinate":
-        say_sums(ledger, head.entries, len(np.unique(values.reshape(-1, 3)[:, :2], axis=0)))
+        say_sums(ledger, head.entries, _different(head, values))
     ledger.read.append(f"{NAME}, {head.form}: {head.rows} by {head.columns}")
     if head.symmetry != "general":
         ledger.converted.append(f"{head.symmetry}: the other half of the matrix was filled in")
@@ -140,6 +140,14 @@ def _coordinates(path: Path, head: Head, values: NDArray[np.float64]) -> sp.csr_
         sign = 1.0 if head.symmetry == "symmetric" else -1.0
         i, j, x = np.r_[i, j[other]], np.r_[j, i[other]], np.r_[x, sign * x[other]]
     return sp.csr_array(sp.coo_array((x, (i, j)), shape=(head.rows, head.columns)))
+
+
+def _different(head: Head, values: NDArray[np.float64]) -> int:
+    """How many places of the matrix are in the list."""
+    row, column = values.reshape(-1, 3)[:, :2].astype(np.int64).T
+    order = np.lexsort((column, row))
+    row, column = row[order], column[order]
+    return int(np.count_nonzero((np.diff(row) != 0) | (np.diff(column) != 0))) + (head.entries > 0)
 
 
 def _array(head: Head, values: NDArray[np.float64]) -> NDArray[np.float64]:

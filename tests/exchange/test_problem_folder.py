@@ -71,7 +71,7 @@ def test_exact_answers_are_written_as_fractions_and_numbers(tmp_path):
 
 
 def by_symbols(folder):
-    scipy.io.mmwrite(folder / "K.mtx", sp.coo_matrix(K))
+    scipy.io.mmwrite(folder / "K.mtx", sp.coo_matrix(K), precision=17)
     np.savetxt(folder / "f.txt", PARTS["load"], fmt="%.17g")
     np.savetxt(folder / "E_N.csv", PARTS["normal"], delimiter=",", fmt="%.17g")
     np.save(folder / "g.npy", PARTS["gap"])
