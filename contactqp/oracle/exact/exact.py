@@ -7,7 +7,7 @@ import time
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from contactqp.errors import InvalidProblem, NotCertified, NotConverged, Unsupported
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.exact.exact_solution import ExactSolution
 from contactqp.problem import ContactProblem
@@ -134,7 +134,7 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
             raise
         try:  # as a strict local minimum
             return prove_by_enclosure(asked)
-        except (NotCertified, NotConverged):
+        except (NoEquilibrium, NotCertified, NotConverged):
             raise indefinite from None
 
 

@@ -90,7 +90,7 @@ def simplest(low: Fraction, high: Fraction) -> Fraction:
     """The fraction of least denominator in [low, high], by continued fractions.
 
     >>> simplest(Fraction(3141, 1000), Fraction(3142, 1000)), simplest(Fraction(-1, 3), Fraction(1, 9))
-    (Fraction(333, 106), Fraction(0, 1))
+    (Fraction(245, 78), Fraction(0, 1))
     """
     if low <= 0 <= high:
         return Fraction(0)
