@@ -98,6 +98,7 @@ def test_one_penetrated_contact_may_have_another_gap() -> None:
     wall = cq.ContactProblem(stiffness=[[4.0]], load=[10.0], normal=[[1.0]], gap=[1.0])
     said = cq.certify(wall, [1.25], [5.0]).diagnosis
     assert "near 0.25: looks like a penalty of about 20, or like a gap that is larger by as much" in said
+    assert causes(cq.certify(wall, [1.0 + 1e-8 / 3], [6.0 - 4e-8 / 3])) == {"inexact"}
 
 
 def test_displacements_that_are_all_off_by_the_same(right: cq.Solution) -> None:

@@ -28,6 +28,8 @@ MET = 1e-6
 ONE_VALUE = 1e-3
 # The same where few different ones are looked for: printed overlaps have few digits.
 ONE_OF_FEW = 5e-3
+# One contact that is penetrated by so little, all else right to this part, tells no spring.
+STOPPED = 1e-6
 # Parts of a force that stand out by no more than this from a rule obey it.
 OBEYS = 1e-3
 
@@ -60,6 +62,8 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         or np.any(pushed & ~sprung)
         or np.any((found.gap < 0) & (found.gap_measure > limit) & ~pushed)
     ):
+        return
+    if np.sum(sprung) == 1 and evidence.before <= STOPPED:  # as likely iterations that stopped
         return
     stiffness = force[sprung] / -found.gap[sprung]
     lowest, highest = float(np.min(stiffness)), float(np.max(stiffness))
