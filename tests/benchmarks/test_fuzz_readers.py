@@ -16,7 +16,7 @@ from benchmarks.valid_files import SLOW, Seed, seeds
 from contactqp.errors import InvalidProblem
 from tests.test_cli import run
 
-EACH = 28  # mutated files of each format; 36 formats
+EACH = 12  # mutated files of each of 40 formats; three times as many among the slow tests
 
 
 @pytest.fixture(scope="module")
@@ -33,20 +33,21 @@ def test_every_valid_file_is_judged(written):
             assert outcome(seed, root / name) == JUDGED, name
 
 
-def test_mutated_files_are_judged_or_refused(written):
+@pytest.mark.parametrize("first", [0, *(pytest.param(k * EACH, marks=pytest.mark.slow) for k in (1, 2))])
+def test_mutated_files_are_judged_or_refused(written, first):
     root, known = written
     odd, counts = [], {JUDGED: 0, REFUSED: 0}
     for name, seed in known.items():
         if name.startswith(SLOW):
             continue
-        for number, what, said in run_format(seed, root / name, range(EACH)):
+        for number, what, said in run_format(seed, root / name, range(first, first + EACH)):
             if said in counts:
                 counts[said] += 1
             else:
                 odd.append(f"{name} {number} ({what}): {said}")
     assert not odd
-    assert counts[REFUSED] > 700
-    assert counts[JUDGED] > 50
+    assert counts[REFUSED] > 300
+    assert counts[JUDGED] > 20
 
 
 def raises(error: Exception):
