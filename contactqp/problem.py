@@ -29,6 +29,7 @@ from contactqp.problem_data import (
     read_rows,
     read_stiffness,
     read_vector,
+    refuse_lost_compliances,
     refuse_zero_rows,
 )
 
@@ -146,10 +147,12 @@ class ContactProblem:
         )
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        refuse_zero_rows("normal", E_N, self.contact_name)
-        refuse_zero_rows("tie", A, lambda i: f"tie {i}")
         # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
         object.__setattr__(self, "_shared", {})
+        refuse_zero_rows("normal", E_N, self.contact_name)
+        refuse_zero_rows("tie", A, _tie_name)
+        for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, _tie_name)):
+            refuse_lost_compliances(kind, rows, self.diagonal, called)
 
     @classmethod
     def _of_checked(cls, values: Mapping[str, Any], shared: dict[str, Any]) -> ContactProblem:
@@ -294,6 +297,10 @@ class ContactProblem:
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""
         return f"ContactProblem({self.dimension} unknowns, {self.contacts} contacts, {self.ties} ties{friction})"
+
+
+def _tie_name(i: int) -> str:
+    return f"tie {i}"
 
 
 def _units(value: Units | Mapping[str, str] | None) -> Units:

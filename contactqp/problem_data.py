@@ -18,6 +18,8 @@ Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types 
 SYMMETRY_TOLERANCE = 1e-6
 # Rows are squared on the way.
 LARGEST_ENTRY = 1e150
+# The same of E^2 / K, of which products and sums are formed.
+LEAST_COMPLIANCE = 1e-250
 # Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
 
@@ -88,6 +90,22 @@ def refuse_zero_rows(name: str, rows: Any, called: Callable[[int], str]) -> None
     if extreme.size:
         i = int(extreme[0])
         raise InvalidProblem(f"{name}: the row of {called(i)} has the size {largest[i]:.3g}; its square is no double")
+
+
+def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Callable[[int], str]) -> None:
+    """Raise where sum_j E_ij^2 / K_jj, what a row finds at its own unknowns, is no double."""
+    with np.errstate(all="ignore"):
+        squares = rows.multiply(rows)
+        elastic = np.where(diagonal > 0, diagonal, np.inf)
+        compliance = np.asarray(squares @ (1.0 / elastic))
+    on_elastic = np.asarray(squares @ np.isinf(elastic).astype(float)) == 0
+    lost = np.flatnonzero((on_elastic & (compliance < LEAST_COMPLIANCE)) | (compliance > 1 / LEAST_COMPLIANCE))
+    if lost.size:
+        i = int(lost[0])
+        raise InvalidProblem(
+            f"{name}: the row of {called(i)} and the stiffness where it acts: expected E^2 / K from "
+            f"{LEAST_COMPLIANCE:g} to {1 / LEAST_COMPLIANCE:g}, got {compliance[i]:.3g}; choose other units"
+        )
 
 
 def read_stiffness(value: Any) -> tuple[Matrix, float]:

@@ -101,3 +101,14 @@ def test_sparse_and_dense_data_give_one_answer() -> None:
     dense = truss()
     sparse = truss(stiffness=sp.coo_matrix(np.asarray(dense.stiffness)), normal=sp.csc_array([[0.0, -1.0]]))
     assert np.array_equal(cq.solve(dense).displacement, cq.solve(sparse).displacement)
+
+
+@pytest.mark.parametrize(("stiffness", "row"), [(1e120, 1e-120), (1e-120, 1e120)])
+def test_rows_and_stiffnesses_whose_compliance_is_no_double_are_refused(stiffness: float, row: float) -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"^normal: the row of contact 1 .* expected E\^2 / K from 1e-250"):
+        cq.ContactProblem(np.diag([1.0, stiffness]), [0.0, 0.0], np.diag([1.0, row]), [1.0, 1.0])
+
+
+def test_a_row_may_act_on_what_is_not_elastic() -> None:
+    problem = cq.ContactProblem(np.diag([0.0, 1e200]), [-1.0, 0.0], [[-1.0, 1e-150]], [1.0])
+    assert problem.contacts == 1
