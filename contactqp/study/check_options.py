@@ -7,6 +7,7 @@ called (or where it stands) in the candidate.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,14 @@ from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.problem_data import Vector
 
 EXPECTED = "places or names, one a line, or a table problem,candidate"
+# What a diagnosis calls an argument of `cq.certify`, as its option.
+OPTIONS = (
+    (r"\bcompression='(\w+)'", r"--compression \1"),
+    (r"\bpressure_area=", "--pressure-areas"),
+    (r"\b(dof|contact)_map=", r"--\1-map "),
+    (r"\berror_tolerance=", "--error-tolerance "),
+    (r"\btolerance=", "--tolerance "),
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,17 @@ class CheckOptions:
     def __post_init__(self) -> None:
         if self.compression not in COMPRESSION:
             raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {self.compression!r}")
+
+
+def as_options(text: str) -> str:
+    """A diagnosis with the options of the command line in place of arguments in Python.
+
+    >>> as_options("with compression='negative' this answer is right; tolerance=1e-07 passes it")
+    'with --compression negative this answer is right; --tolerance 1e-07 passes it'
+    """
+    for argument, option in OPTIONS:
+        text = re.sub(argument, option, text)
+    return text
 
 
 @dataclass(frozen=True)

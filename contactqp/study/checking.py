@@ -14,7 +14,7 @@ from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, re
 from contactqp.exchange.refusal import wrong
 from contactqp.problem import ContactProblem
 from contactqp.study.answer_check import AnswerVerdict, check_case, check_problem
-from contactqp.study.check_options import CheckOptions
+from contactqp.study.check_options import CheckOptions, as_options
 from contactqp.study.friction_check import ForcesVerdict, WorstContact, check_forces
 from contactqp.study.friction_files import figures
 from contactqp.study.friction_printing import MOST_CONTACTS, vector_text
@@ -44,6 +44,8 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     """Right or wrong, why, the worst contacts with right values beside, and what was read."""
     word = "[green]right[/green]" if verdict.passed else "[red]WRONG[/red]"
     console.print(f"{escape(verdict.candidate_file)}: {word} (tolerance {verdict.certificate.tolerance:g})")
+    if isinstance(verdict, AnswerVerdict) and not verdict.passed:
+        _print_lines(console, [f"  {as_options(verdict.certificate.diagnosis)}"])
     for name, value in figures(verdict.certificate).items():
         console.print(f"  {name.replace('_', ' ')}: {value:.3g}")
     _print_lines(console, [f"  wrong: {failure}" for failure in verdict.certificate.failures])
@@ -51,7 +53,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     if isinstance(verdict, ForcesVerdict):
         _print_forces(console, verdict)
     elif not verdict.passed:
-        _print_lines(console, [verdict.certificate.diagnosis, verdict.certificate.table(MOST_CONTACTS)])
+        _print_lines(console, [verdict.certificate.table(MOST_CONTACTS)])
     if verdict.why_not is not None:
         _print_lines(console, [f"no right values to set beside: {verdict.why_not}"])
     for ledger in verdict.ledgers:

@@ -16,6 +16,7 @@ from contactqp.local_solution import LocalSolution
 from contactqp.oracle.foreign.judged_answer import JudgedAnswer
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
+from contactqp.study.check_options import as_options
 from contactqp.study.friction_files import figures, finite
 
 
@@ -67,7 +68,7 @@ class Verdict:
 def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
     return {
         "proven": certificate.proven,
-        "diagnosis": certificate.diagnosis,
+        "diagnosis": as_options(certificate.diagnosis),
         "findings": [{"kind": one.kind, "text": one.text, "cause": one.cause} for one in certificate.findings],
         "recovered": list(certificate.recovered),
     }
