@@ -72,7 +72,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
 
     Examples
     --------
-    A bar of 157500 kN/m, pulled with 300 kN against a wall 1/8 m away.
+    A bar of 1575 kN/m, pulled with 300 kN towards a wall 1/8 m away.
 
     >>> import contactqp as cq
     >>> bar = cq.ContactProblem(stiffness=[[1575.0]], load=[300.0], normal=[[1.0]], gap=[0.125])
