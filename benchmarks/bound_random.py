@@ -23,13 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.rational import floats, rational
 
 import contactqp as cq
-from benchmarks.exact_truth import Truth, displaced, on_set
+from benchmarks.exact_truth import Truth
 from benchmarks.judging import Bounded, attempt, bounded, exact_truth
 from benchmarks.problem_families import FAMILIES, family
 from benchmarks.processes import reports_of
+from contactqp.oracle.exact.rational import floats, rational
 
 SOLVABLE = tuple(name for name, entry in FAMILIES.items() if entry.solvable)
 EACH = 50  # candidates of a problem
@@ -110,10 +110,10 @@ def _on_other_set(truth: Truth, rng: np.random.Generator) -> Candidate | None:
         softness = [truth.compliance[int(i), int(i)] / rational(stiffer) for i in np.flatnonzero(closed)]
     else:
         members[rng.integers(len(members), size=int(rng.integers(1, 4)))] ^= True
-    found = on_set(truth.reduced, [int(i) for i in np.flatnonzero(members)], softness)
+    found = truth.reduced.on_set([int(i) for i in np.flatnonzero(members)], softness)
     if found is None:
         return None
-    return kind, floats(displaced(truth.reduced, *found)), floats(found[0])
+    return kind, floats(truth.reduced.displaced(*found)), floats(found[0])
 
 
 def judged(task: tuple[str, int, int]) -> list[Judged]:
