@@ -220,7 +220,7 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
 def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
     """However coarse: what the loads do is at least what is stored and dissipated, and in a cycle not negative."""
     random, cycles = np.random.default_rng(5), 0
-    for _ in range(25):
+    for _ in range(12):
         problem = random_problem(random)
         corners = [random.normal(size=problem.dimension) * np.max(abs(problem.load)) for _ in range(3)]
         try:
@@ -234,4 +234,4 @@ def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
         kept = np.diff([one.elastic + one.dissipated for one in energies])
         assert np.all(given >= kept - 1e-9 * size)
         assert energies[-1].work - energies[0].work >= energies[-1].elastic - energies[0].elastic - 1e-9 * size
-    assert cycles > 15
+    assert cycles > 7
