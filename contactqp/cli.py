@@ -207,7 +207,7 @@ def methods_command(as_json: bool) -> None:
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
 def report_command(cases: tuple[str, ...], output: str) -> None:
     """Run every case by every method and every value of its knob, and write errors and run times to DIR."""
-    from contactqp.study.report import report
+    from contactqp.study.report.report import report
 
     sys.exit(report(cases, output))
 

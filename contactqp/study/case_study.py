@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from contactqp.errors import BackendMissing, ContactQPError, Unsupported
+from contactqp.errors import ContactQPError
 from contactqp.methods import Method
 from contactqp.problem import ContactProblem
 from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
 from contactqp.scene.expectations import compare_expectation
 from contactqp.scene.explanation import report_methods
-from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import walk
@@ -159,22 +158,3 @@ def stated_ladders(scene: Scene, method: Method) -> list[tuple[str, str, list[fl
             numbers = [float(scene.system.value(v) if isinstance(v, Quantity) else v) for v in values]
             ladders.append(("uzawa" if study.update == "uzawa" else "", knob, numbers))
     return ladders
-
-
-def judgements(scene: Scene) -> Iterator[Judgement | Failure]:
-    """All that the case says, of the active-set answer along its load path and of each method that it names itself."""
-    for trial in trials(scene):
-        try:
-            yield judge(scene, trial)
-        except (BackendMissing, Unsupported):  # the method's own row says so
-            continue
-        except ContactQPError as error:
-            yield Failure(scene, trial, f"{trial}: {error}")
-
-
-def unmet(outcome: Judgement | Failure) -> list[str]:
-    """What is not met, in words."""
-    if isinstance(outcome, Failure):
-        return [outcome.message]
-    rows = (*outcome.expectations, *outcome.published)
-    return [f"{outcome.trial}: {row.quantity}: expected {row.expected}, got {row.got}" for row in rows if not row.ok]

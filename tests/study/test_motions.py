@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from contactqp.study.report import write_report
+from contactqp.study.report.report import write_report
 
 CASES = Path(__file__).parents[2] / "cases"
 # Line by line what the file of the case ends with, and what becomes of it.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from contactqp.study import picture
+from contactqp.study.report import picture
 from contactqp.study.rows import Row
 
 pytest.importorskip("matplotlib")

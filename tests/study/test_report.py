@@ -16,8 +16,9 @@ import contactqp as cq
 from contactqp import methods as registry
 from contactqp.methods.method import Method, Settings
 from contactqp.solution import Candidate
-from contactqp.study import picture, report, rows
+from contactqp.study import rows
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.report import picture, report
 from contactqp.study.rungs import chosen_methods
 
 ROOT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from contactqp.study.rows import COLUMNS, READABLE, VERDICTS, WRONG, Row, readable
-from contactqp.study.summary import Summary
+from contactqp.study.report.summary import Summary
 
 STYLE = """
 :root { color-scheme: light dark; }

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
 from contactqp.scene.explanation import report_note
-from contactqp.scene.judging import Failure, Judgement
-from contactqp.scene.printing import judgement_data
-from contactqp.study import picture
+from contactqp.study.report import picture
 from contactqp.study.attempt import ENOUGH
-from contactqp.study.case_study import CaseStudy, judgements, load_studies, unmet
-from contactqp.study.machine import machine, versions
-from contactqp.study.page import page
-from contactqp.study.rows import COLUMNS, VERDICTS, Row, aligned, as_dicts, to_csv
+from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.report.case_record import CaseRecord, record
+from contactqp.study.report.machine import machine, versions
+from contactqp.study.report.page import page
+from contactqp.study.rows import Row, aligned, to_csv
 from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
-from contactqp.study.summary import Summary, summarise
+from contactqp.study.report.report_data import ReportData, as_json
+from contactqp.study.report.summary import Summary, summarise
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-SCHEMA, SCHEMA_VERSION = "contactqp-report", 1
 REPEATS = 3
 DEFAULT_CASES = "cases"
 PICTURE = "error_against_time"
@@ -49,20 +47,6 @@ class ReportResult:
     def exit_code(self) -> int:
         """1 if anything claims to be right and is not, else 0."""
         return self.summary.exit_code
-
-
-@dataclass(frozen=True, eq=False)
-class _Finished:
-    """One case with all of its rows."""
-
-    study: CaseStudy
-    truth: str
-    rows: tuple[Row, ...]
-    judged: tuple[Judgement | Failure, ...]
-
-    @property
-    def unmet(self) -> list[str]:
-        return [f"{self.study.name}: {text}" for outcome in self.judged for text in unmet(outcome)]
 
 
 def report(cases: Sequence[str], output: str) -> int:
@@ -122,10 +106,8 @@ def write_report(
     studies = load_studies(cases, chosen, tolerances)
     folder = Path(output)
     with _workshop(folder) as workshop:
-        finished = _run(studies, repeats, progress)
-        rows = tuple(row for case in finished for row in case.rows)
-        summary = summarise(rows, (text for case in finished for text in case.unmet))
-        notes = (*_limited(studies), *_draw(finished, rows, workshop))
+        records, rows = _run(studies, repeats, progress)
+        summary = summarise(rows, (text for case in records for text in case.unmet))
         facts: dict[str, Any] = dict(
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             machine=machine(),
@@ -133,9 +115,11 @@ def write_report(
             settings=_settings(tolerances, repeats),
             seeds="none: nothing is random",
         )
+        data = ReportData(records, rows, summary, facts)
+        notes = (*_limited(studies), *_draw(data, workshop))
         _write(workshop / "results.csv", to_csv(rows))
-        _write(workshop / "results.json", _json(finished, rows, summary, facts))
-        _write(workshop / "index.html", _page(finished, rows, summary, facts, workshop))
+        _write(workshop / "results.json", as_json(data))
+        _write(workshop / "index.html", _page(data, workshop))
         files = _deliver(workshop, folder)
     return ReportResult(summary, rows, files, notes)
 
@@ -164,20 +148,20 @@ def _workshop(folder: Path) -> Iterator[Path]:
         yield Path(path)
 
 
-def _run(studies: Sequence[CaseStudy], repeats: int, shown: bool) -> tuple[_Finished, ...]:
+def _run(
+    studies: Sequence[CaseStudy], repeats: int, shown: bool
+) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
     with _progress(shown) as bar:
         task = bar.add_task("", total=sum(len(study.rungs) for study in studies))
-        finished = []
+        cases, rows = [], []
         for study in studies:
             bar.update(task, description=study.name)
             truth = study.truth()
-            rows = []
             for row in study.rows(truth, repeats):
                 rows.append(row)
                 bar.advance(task)
-            source = "nothing, as no answer is proven" if truth is None else truth.source
-            finished.append(_Finished(study, source, tuple(rows), tuple(judgements(study.scene))))
-    return tuple(finished)
+            cases.append(record(study, truth))
+    return tuple(cases), tuple(rows)
 
 
 def _progress(shown: bool) -> Progress:
@@ -195,16 +179,16 @@ def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
             yield f"{study.name}: {report_note(study.scene)}"
 
 
-def _draw(finished: Sequence[_Finished], rows: Sequence[Row], workshop: Path) -> tuple[str, ...]:
+def _draw(data: ReportData, workshop: Path) -> tuple[str, ...]:
     """One picture for each case, one for all; returns what is to be said if there are none."""
     if not picture.can_draw():
         return ("no pictures, as matplotlib is not installed: pip install 'contactqp[report]'",)
-    for case in finished:
-        title = f"{case.study.scene.title}: error against run time"
-        picture.save(picture.draw(case.rows, title), workshop / _picture_name(case.study.name))
-    if len(finished) > 1:
-        title = f"Error against run time, median over {len(finished)} cases (knobs with units left out)"
-        picture.save(picture.draw(picture.medians(rows), title), workshop / _picture_name(""))
+    for case in data.cases:
+        title = f"{case.title}: error against run time"
+        picture.save(picture.draw(data.rows_of(case.name), title), workshop / _picture_name(case.name))
+    if len(data.cases) > 1:
+        title = f"Error against run time, median over {len(data.cases)} cases (knobs with units left out)"
+        picture.save(picture.draw(picture.medians(data.rows), title), workshop / _picture_name(""))
     return ()
 
 
@@ -212,37 +196,13 @@ def _picture_name(case: str) -> str:
     return f"{PICTURE}{'_' if case else ''}{case}{picture.SUFFIX}"
 
 
-def _json(finished: Sequence[_Finished], rows: Sequence[Row], summary: Summary, facts: dict[str, Any]) -> str:
-    data = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **facts)
-    data |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(summary))
-    data["cases"] = [
-        dict(
-            name=case.study.name,
-            file=str(case.study.scene.file or ""),
-            title=case.study.scene.title,
-            units=dict(length=case.study.scene.units.length, force=case.study.scene.units.force),
-            unknowns=case.study.problem.dimension,
-            contacts=case.study.problem.contacts,
-            ties=case.study.problem.ties,
-            truth=case.truth,
-            unmet=case.unmet,
-            judgements=[judgement_data(outcome) for outcome in case.judged],
-        )
-        for case in finished
-    ]
-    data["rows"] = as_dicts(rows)
-    return json.dumps(data, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _page(
-    finished: Sequence[_Finished], rows: Sequence[Row], summary: Summary, facts: dict[str, Any], workshop: Path
-) -> str:
-    named = [case.study.name for case in finished]
-    files = {name: workshop / _picture_name(name) for name in ["", *named]}
+def _page(data: ReportData, workshop: Path) -> str:
+    files = {name: workshop / _picture_name(name) for name in ["", *(case.name for case in data.cases)]}
     pictures = {name: file.read_bytes() for name, file in files.items() if file.exists()}
-    cases = [(case.study.name, case.study.scene.title, case.truth) for case in finished]
-    flat = {key: value for group in facts.values() if isinstance(group, dict) for key, value in group.items()}
-    return page(cases, rows, summary, {name: str(value) for name, value in (facts | flat).items()}, pictures)
+    cases = [(case.name, case.title, case.truth) for case in data.cases]
+    flat = {key: value for group in data.facts.values() if isinstance(group, dict) for key, value in group.items()}
+    facts = {name: str(value) for name, value in (dict(data.facts) | flat).items()}
+    return page(cases, data.rows, data.summary, facts, pictures)
 
 
 def _write(file: Path, text: str) -> None:
