@@ -164,8 +164,8 @@ def test_the_entry_point_names_the_plugin() -> None:
     )
 
 
-def test_the_readme_shows_what_is_printed(run, pytester: pytest.Pytester) -> None:  # type: ignore[no-untyped-def]
-    section = (ROOT / "README.md").read_text().split("## Testing a contact code")[1].split("\n## ")[0]
+def test_the_guide_shows_what_is_printed(run, pytester: pytest.Pytester) -> None:  # type: ignore[no-untyped-def]
+    section = (ROOT / "docs" / "guide" / "testing.md").read_text()
     source, shown = (re.findall(rf"```{kind}\n(.*?)```", section, re.DOTALL)[0] for kind in ("python", "text"))
     pytester.makepyfile(
         my_code="""

@@ -38,7 +38,7 @@ def test_a_wrong_solver_is_told_where_and_why() -> None:
 
 
 def test_what_plain_elimination_makes_of_stiff_problems() -> None:
-    """The true contacts closed and one system solved in doubles: digits are lost as the README says."""
+    """The true contacts closed and one system solved in doubles: digits are lost as docs/guide/testing.md says."""
 
     def plain(known: Any) -> Any:
         problem, closed = known.problem, np.array([gap == 0 for gap in known.exact.gap])
