@@ -1,0 +1,103 @@
+"""What a report knows of one case besides its rows: plain data, made once, drawn and written by others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactqp.errors import BackendMissing, ContactQPError, Unsupported
+from contactqp.scene.claims import Remark
+from contactqp.scene.explaining import explain
+from contactqp.scene.explanation import Explanation
+from contactqp.scene.judging import Failure, Judgement, judge, trials
+from contactqp.scene.printing import judgement_data
+from contactqp.scene.schema import Scene
+from contactqp.study.case_study import CaseStudy
+from contactqp.study.truth import Truth
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """The numbers of the problem's blocks, under the full load."""
+
+    unknowns: int  # n
+    contacts: int  # m
+    tangential_rows: int  # (d - 1) m where anything rubs, else 0
+    ties: int  # k
+    nonzeros: int  # of the stiffness
+
+    @classmethod
+    def of(cls, study: CaseStudy) -> Sizes:
+        """Those of the case's problem."""
+        problem = study.problem
+        tangent, dense = problem.tangent, isinstance(problem.stiffness, np.ndarray)
+        return cls(
+            unknowns=problem.dimension,
+            contacts=problem.contacts,
+            tangential_rows=0 if tangent is None else tangent.shape[0],
+            ties=problem.ties,
+            nonzeros=int(np.count_nonzero(problem.stiffness) if dense else problem.stiffness.nnz),
+        )
+
+
+@dataclass(frozen=True)
+class CaseRecord:
+    """One case as a report tells it."""
+
+    name: str
+    title: str
+    file: str
+    source: str  # where the case comes from
+    about: str  # what it is, in the words of its file
+    length: str  # unit
+    force: str  # unit
+    sizes: Sizes
+    explanation: Explanation  # what was included and what was left out, and why
+    truth: str  # what errors are measured against
+    judgements: tuple[dict[str, Any], ...]  # as `contactqp run --json` prints them
+    unmet: tuple[str, ...]  # expectations that are not met, in words
+    remarks: tuple[Remark, ...]  # sentences of the source, with our verdict
+    picture: bytes | None = None  # PNG of geometry, deformed shape and contact forces
+
+
+def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
+    """Everything of one case that does not depend on a method's knob."""
+    scene = study.scene
+    judged = tuple(_judgements(scene))
+    return CaseRecord(
+        name=study.name,
+        title=scene.title,
+        file=str(scene.file or ""),
+        source=scene.source,
+        about=scene.about,
+        length=scene.units.length,
+        force=scene.units.force,
+        sizes=Sizes.of(study),
+        explanation=explain(scene),
+        truth="nothing, as no answer is proven" if truth is None else truth.source,
+        judgements=tuple(judgement_data(outcome) for outcome in judged),
+        unmet=tuple(f"{study.name}: {text}" for outcome in judged for text in _unmet(outcome)),
+        remarks=scene.remarks,
+    )
+
+
+def _judgements(scene: Scene) -> Iterator[Judgement | Failure]:
+    """All that the case says, of the active-set answer along its load path and of each method that it names itself."""
+    for trial in trials(scene):
+        try:
+            yield judge(scene, trial)
+        except (BackendMissing, Unsupported):  # the method's own row says so
+            continue
+        except ContactQPError as error:
+            yield Failure(scene, trial, f"{trial}: {error}")
+
+
+def _unmet(outcome: Judgement | Failure) -> list[str]:
+    """What is not met, in words."""
+    if isinstance(outcome, Failure):
+        return [outcome.message]
+    rows = (*outcome.expectations, *outcome.published)
+    return [f"{outcome.trial}: {row.quantity}: expected {row.expected}, got {row.got}" for row in rows if not row.ok]
