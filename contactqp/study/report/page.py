@@ -6,8 +6,8 @@ import base64
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
-from contactqp.study.rows import COLUMNS, READABLE, VERDICTS, WRONG, Row, readable
 from contactqp.study.report.summary import Summary
+from contactqp.study.rows import COLUMNS, READABLE, VERDICTS, WRONG, Row, readable
 
 STYLE = """
 :root { color-scheme: light dark; }

@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
 from contactqp.scene.explanation import report_note
-from contactqp.study.report import picture
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.report import picture
 from contactqp.study.report.case_record import CaseRecord, record
 from contactqp.study.report.machine import machine, versions
 from contactqp.study.report.page import page
-from contactqp.study.rows import Row, aligned, to_csv
-from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.report.report_data import ReportData, as_json
 from contactqp.study.report.summary import Summary, summarise
+from contactqp.study.rows import Row, aligned, to_csv
+from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -148,9 +148,7 @@ def _workshop(folder: Path) -> Iterator[Path]:
         yield Path(path)
 
 
-def _run(
-    studies: Sequence[CaseStudy], repeats: int, shown: bool
-) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
+def _run(studies: Sequence[CaseStudy], repeats: int, shown: bool) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
     with _progress(shown) as bar:
         task = bar.add_task("", total=sum(len(study.rungs) for study in studies))
         cases, rows = [], []
