@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
+# Of one cell of a report [s].
+TIME_LIMIT = 600.0
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -205,11 +207,29 @@ def methods_command(as_json: bool) -> None:
 @command.command("report")
 @click.argument("cases", nargs=-1, metavar="[CASE...]")
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
-def report_command(cases: tuple[str, ...], output: str) -> None:
-    """Run every case by every method and every value of its knob, and write errors and run times to DIR."""
-    from contactqp.study.report.report import report
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes side by side; all cores by default.")
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler instead: tcp://host:8786.")
+@click.option("--fresh", is_flag=True, help="Forget what an interrupted report left in DIR.")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=TIME_LIMIT,
+    show_default=True,
+    metavar="SECONDS",
+    help="Of one answer; it is stopped then, and its row says so.",
+)
+def report_command(
+    cases: tuple[str, ...], output: str, jobs: int | None, dask: str | None, fresh: bool, time_limit: float
+) -> None:
+    """Run every case by every method and every value of its knob, and write errors and run times to DIR.
 
-    sys.exit(report(cases, output))
+    Answers are found side by side, then timed one after the other. What is found streams to DIR; a report that was
+    interrupted goes on from there by the same command.
+    """
+    from contactqp.study.report.report import report
+    from contactqp.study.running.running import Running
+
+    sys.exit(report(cases, output, Running(jobs, dask, fresh, time_limit, shown=True)))
 
 
 @command.command("gallery")

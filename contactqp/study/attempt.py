@@ -6,7 +6,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from contactqp.certificate import Certificate
@@ -49,31 +49,70 @@ class Outcome:
     seconds: float
 
 
-def attempt(
+@dataclass(frozen=True)
+class Timing:
+    """How long an answer takes."""
+
+    seconds: float  # median of the repeats
+    repeats: int  # 0: one call, which was its own warm-up
+
+
+def attempt(problem: ContactProblem, rung: Rung, truth: Truth | None, repeats: int = 1) -> Row:
+    """The row of one rung, answered and timed in this process."""
+    row = answer(problem, rung, truth)
+    if row.seconds is None or row.seconds >= LONG or not repeats:
+        return row
+    return timed(row, timing(problem, rung, row.seconds, repeats))
+
+
+def answer(
     problem: ContactProblem,
     rung: Rung,
     truth: Truth | None,
-    repeats: int = 1,
     case: str = "",
     judge: Judge | None = None,
     walk: Walk | None = None,
 ) -> Row:
-    """The row of one rung: the first call answers and warms up, the median of the repeats is the time.
+    """The row of one rung by its first call, whose time may have imports in it, or what else the machine did.
 
     Every call gets a fresh problem, so that nobody lives off another's factorisation. Where the answer depends on the
     way to it, with friction, `walk` is called in place of solve.
     """
     outcome = call(problem, rung, walk)
-    times = _times(problem, rung, repeats, walk) if outcome.seconds < LONG else []
     unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
-    return _row(rung, outcome, truth, statistics.median(times or [outcome.seconds]), len(times), case, unmet)
+    return _row(rung, outcome, truth, case, unmet)
 
 
-def _times(problem: ContactProblem, rung: Rung, repeats: int, walk: Walk | None) -> list[float]:
+def timing(
+    problem: ContactProblem, rung: Rung, first: float, repeats: int, walk: Walk | None = None, warm: bool = True
+) -> Timing:
+    """The time of one rung: the median of so many calls, fewer where they are long, or one very long call.
+
+    Parameters
+    ----------
+    first : float
+        What a call took before [s], in this process or another.
+    warm : bool
+        Whether what the method imports is here already; else one call is not timed.
+    """
+    if first >= LONG or not repeats:
+        return Timing(call(problem, rung, walk).seconds, 0)
+    if not warm:
+        call(problem, rung, walk)
     times: list[float] = []
     while len(times) < repeats and sum(times) < ENOUGH:
         times.append(call(problem, rung, walk).seconds)
-    return times
+    return Timing(statistics.median(times), len(times))
+
+
+def timed(row: Row, time: Timing) -> Row:
+    """The row of an answer with its time."""
+    return replace(row, seconds=time.seconds, repeats=time.repeats)
+
+
+def crashed(rung: Rung, case: str, message: str) -> Row:
+    """The row of a rung whose process died, or that never came to an end."""
+    return Row(**_of_rung(rung, case), verdict=rows.CRASHED, message=message)
 
 
 def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outcome:
@@ -106,16 +145,13 @@ def _row(
     rung: Rung,
     outcome: Outcome,
     truth: Truth | None,
-    seconds: float,
-    repeats: int,
     case: str,
     unmet: Sequence[str] | None,
 ) -> Row:
-    method, solution = rung.method, outcome.solution
-    known: dict[str, Any] = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
-    known |= dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
+    solution = outcome.solution
+    known = _of_rung(rung, case)
     if not isinstance(outcome.error, BackendMissing | Unsupported):
-        known |= dict(seconds=seconds, repeats=repeats)
+        known |= dict(seconds=outcome.seconds)
     errors = raw_errors = None
     if solution is not None:
         raw = solution.raw
@@ -130,6 +166,12 @@ def _row(
         known |= dict(expectations_unmet=len(unmet))
     message = _message(outcome, unmet)
     return Row(**known, verdict=_verdict(rung, outcome, errors), message=message)
+
+
+def _of_rung(rung: Rung, case: str) -> dict[str, Any]:
+    method = rung.method
+    known = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
+    return known | dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
 
 
 _OF_ERRORS = (

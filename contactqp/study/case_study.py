@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,8 @@ from contactqp.scene.running import walk
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solution import Solution
-from contactqp.study.attempt import Walk, attempt
+from contactqp.study.attempt import Timing, Walk, answer, timing
+from contactqp.study.digest import digest
 from contactqp.study.rows import Row
 from contactqp.study.rungs import TOLERANCES, Rung, all_rungs
 from contactqp.study.truth import Truth, of_solution, proven_solution
@@ -40,20 +42,34 @@ class CaseStudy:
     problem: ContactProblem
     rungs: tuple[Rung, ...]
 
-    def rows(self, truth: Truth | None, repeats: int) -> Iterator[Row]:
-        """One row for each rung."""
-        expected = FullLoad(self.scene)
-        turns = self.scene.path is not None and self.problem.frictional
-        turns = turns or self.scene.motion is not None or self.scene.large
-        way = self._walk() if turns else None
-        for rung in self.rungs:
-            judge = expected.unmet if rung.stands_for_exactness else None
-            yield attempt(self.problem, rung, truth, repeats, self.name, judge, way)
+    @cached_property
+    def expected(self) -> FullLoad:
+        """What the case says of its answers."""
+        return FullLoad(self.scene)
 
-    def _walk(self) -> Walk:
+    @cached_property
+    def way(self) -> Walk | None:
         """With friction, in a motion or at large deformations the answer is where the way leads."""
+        turns = self.scene.path is not None and self.problem.frictional
+        if not (turns or self.scene.motion is not None or self.scene.large):
+            return None
         model = build(self.scene)
         return lambda problem, method, **options: walk(model, problem, method, **options)[-1]
+
+    @cached_property
+    def digest(self) -> str:
+        """Of the case file and of the problem that is made of it."""
+        file = self.scene.file
+        return digest(b"" if file is None else file.read_bytes(), self.problem)
+
+    def answer(self, rung: Rung, truth: Truth | None) -> Row:
+        """The row of a rung, not timed yet."""
+        judge = self.expected.unmet if rung.stands_for_exactness else None
+        return answer(self.problem, rung, truth, self.name, judge, self.way)
+
+    def timing(self, rung: Rung, first: float, repeats: int, warm: bool) -> Timing:
+        """The time of a rung; see `contactqp.study.attempt.timing`."""
+        return timing(self.problem, rung, first, repeats, self.way, warm)
 
     def truth(self) -> Truth | None:
         """What the case states exactly, and the proven solution where it states nothing."""

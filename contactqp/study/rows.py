@@ -13,6 +13,7 @@ REFUSED = "refused"
 APPROXIMATE = "approximate"
 NOT_CONVERGED = "not converged"
 BACKEND_FAILED = "backend failed"
+CRASHED = "crashed"
 MISSING = "missing"
 UNSUPPORTED = "unsupported"
 WRONG = "wrong but passed"
@@ -24,6 +25,7 @@ VERDICTS: Mapping[str, str] = {
     REFUSED: "the method promises the exact answer and was refused, mostly by the certificate",
     NOT_CONVERGED: "the method gave up; errors, if any, are those of its last iterate",
     BACKEND_FAILED: "the backend raised an exception of its own, or returned nothing usable",
+    CRASHED: "the process that ran it died, was stopped at the time limit, or met a bug; the message says which",
     UNSUPPORTED: "the method cannot do this problem",
     MISSING: "not installed; the message is the pip command",
     WRONG: "the certificate passes and the true error is not small: must never happen",

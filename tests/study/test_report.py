@@ -19,15 +19,19 @@ from contactqp.solution import Candidate
 from contactqp.study import rows
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.report import picture, report
-from contactqp.study.rungs import chosen_methods
+from contactqp.study.rows import Row
+from contactqp.study.rungs import Rung, chosen_methods
+from contactqp.study.running.running import Running
+from contactqp.study.truth import Truth
 
+HERE = Running(jobs=0)
 ROOT = Path(__file__).parents[2]
 CASES = [ROOT / "cases" / "bar_wall.toml", ROOT / "cases" / "two_bars.toml"]
 FEW = ["active-set", "osqp", "penalty", "augmented-lagrangian"]
 
 
 def _write(folder: Path, methods: Sequence[str] = FEW, cases: Sequence[Path] = CASES) -> report.ReportResult:
-    return report.write_report(cases, folder, methods=methods, tolerances=(1e-3, 1e-9), repeats=1)
+    return report.write_report(cases, folder, methods=methods, tolerances=(1e-3, 1e-9), repeats=1, running=HERE)
 
 
 @pytest.fixture(scope="module")
@@ -136,21 +140,43 @@ def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path) -> None:
     assert result.rows[0].verdict == rows.WRONG  # against the case's own value
 
 
-@pytest.mark.parametrize("kind", [cq.SceneError, RuntimeError, KeyboardInterrupt])
-def test_a_case_that_fails_leaves_nothing_half_written(
+@pytest.mark.parametrize("kind", [cq.SceneError, KeyboardInterrupt])
+def test_a_report_that_ends_early_leaves_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
 ) -> None:
-    honest = CaseStudy.rows
+    """No file of the report, nothing of it half-written, and the same call goes on."""
+    folder, honest = tmp_path / "report", CaseStudy.answer
+    answered: list[str] = []
+    stopped: list[bool] = []
 
-    def fail_second(study: CaseStudy, *arguments: Any) -> Any:
-        if study.name == "two_bars":
+    def fail_once(study: CaseStudy, rung: Rung, truth: Truth | None) -> Row:
+        if study.name == "bar_wall" and answered == ["two_bars"] and not stopped:
+            stopped.append(True)
             raise kind("in the middle")
-        return honest(study, *arguments)
+        answered.append(study.name)
+        return honest(study, rung, truth)
 
-    monkeypatch.setattr(CaseStudy, "rows", fail_second)
-    with pytest.raises(kind, match="in the middle"):
-        _write(tmp_path / "report", ["active-set"])
-    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(CaseStudy, "answer", fail_once)
+    with pytest.raises(kind, match="in the middle" if kind is cq.SceneError else "1 of 2 rows answered, 0 timed"):
+        _write(folder, ["active-set"])
+    assert [file.name for file in folder.iterdir()] == ["unfinished_report.jsonl"]
+    result = _write(folder, ["active-set"])
+    assert answered == ["two_bars", "bar_wall"]  # the first one was kept
+    assert [row.verdict for row in result.rows] == [rows.RIGHT] * 2
+    assert any("kept" in note for note in result.notes)
+    assert not list(folder.glob("*unfinished*"))
+
+
+def test_a_bug_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: cq.ContactProblem, __: Settings) -> Candidate:
+        raise RuntimeError("who would have thought")
+
+    monkeypatch.setitem(registry._REGISTRY, "broken", Method(name="broken", kind="test", solve=broken))
+    result = _write(tmp_path, ["broken", "active-set"], CASES[:1])
+    assert [row.verdict for row in result.rows] == [rows.CRASHED, rows.RIGHT]
+    assert "RuntimeError: who would have thought" in result.rows[0].message
+    assert [method.refused for method in result.summary.methods] == [1, 0]
+    assert any("crashed: 1 of 2 rows" in note for note in result.notes)
 
 
 def test_an_earlier_report_is_replaced_whole(tmp_path: Path) -> None:
@@ -186,11 +212,11 @@ def test_without_cases_those_of_the_folder_here(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(cq.SceneError, match="'cases'"):
-        report.report((), "report")
+        report.report((), "report", HERE)
     (tmp_path / "cases").mkdir()
     (tmp_path / "cases" / "wall.toml").write_text(CASES[0].read_text())
     monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set"]))
-    assert report.report((), "report") == 0
+    assert report.report((), "report", HERE) == 0
     assert "wrong but passed: 0" in capsys.readouterr().out
     assert (tmp_path / "report" / "index.html").exists()
 
@@ -208,7 +234,7 @@ def test_a_case_may_limit_its_methods(tmp_path: Path) -> None:
     text = CASES[0].read_text()
     head, found, tail = text.partition("[[study]]")
     case.write_text(f'{head}[report]\nmethods = ["active-set", "lemke"]\nwhy = "two are enough"\n\n{found}{tail}')
-    result = report.write_report([case], tmp_path / "out", methods=["active-set", "osqp", "lemke"])
+    result = report.write_report([case], tmp_path / "out", methods=["active-set", "osqp", "lemke"], running=HERE)
     assert {row.method for row in result.rows} == {"active-set", "lemke"}
     assert "limited: only active-set, lemke: two are enough" in result.notes
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,8 +65,17 @@ class CaseRecord:
 
 def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
     """Everything of one case that does not depend on a method's knob."""
+    judged = tuple(_judgements(study.scene))
+    return replace(
+        unjudged(study, "nothing, as no answer is proven" if truth is None else truth.source),
+        judgements=tuple(judgement_data(outcome) for outcome in judged),
+        unmet=tuple(f"{study.name}: {text}" for outcome in judged for text in _unmet(outcome)),
+    )
+
+
+def unjudged(study: CaseStudy, truth: str, *unmet: str) -> CaseRecord:
+    """What is known of a case before anything is solved; `truth` says what errors are measured against."""
     scene = study.scene
-    judged = tuple(_judgements(scene))
     return CaseRecord(
         name=study.name,
         title=scene.title,
@@ -77,9 +86,9 @@ def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
         force=scene.units.force,
         sizes=Sizes.of(study),
         explanation=explain(scene),
-        truth="nothing, as no answer is proven" if truth is None else truth.source,
-        judgements=tuple(judgement_data(outcome) for outcome in judged),
-        unmet=tuple(f"{study.name}: {text}" for outcome in judged for text in _unmet(outcome)),
+        truth=truth,
+        judgements=(),
+        unmet=unmet,
         remarks=scene.remarks,
     )
 

@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 import datetime
-import os
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
 from contactqp.scene.explanation import report_note
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.digest import source_digest
 from contactqp.study.report import picture
-from contactqp.study.report.case_record import CaseRecord, record
+from contactqp.study.report.collecting import Collector
+from contactqp.study.report.delivery import deliver, report_folder, unfinished, workshop, write
 from contactqp.study.report.machine import machine, versions
 from contactqp.study.report.page import page
 from contactqp.study.report.report_data import ReportData, as_json
 from contactqp.study.report.summary import Summary, summarise
-from contactqp.study.rows import Row, aligned, to_csv
+from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from contactqp.study.running.progress import progress
+from contactqp.study.running.running import Running, workers_of
+from contactqp.study.running.stopping import Stopped, stopped_by_signals
+from contactqp.study.running.workers import Workers
 
 REPEATS = 3
+HERE = Running()
 DEFAULT_CASES = "cases"
 PICTURE = "error_against_time"
 
@@ -49,12 +52,16 @@ class ReportResult:
         return self.summary.exit_code
 
 
-def report(cases: Sequence[str], output: str) -> int:
+def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
     """The report of the command line: says on the terminal what it found and where, and returns the exit code.
 
     Without cases those of the folder ``cases`` are taken.
     """
-    result = write_report(case_files(cases or [_default_cases()]), output, progress=True)
+    try:
+        result = write_report(case_files(cases or [_default_cases()]), output, running=running)
+    except Stopped as stop:
+        print(f"contactqp: {stop}", file=sys.stderr)
+        return stop.code
     for note in result.notes:
         print(f"contactqp: {note}", file=sys.stderr)
     print(aligned(result.summary.cells()))
@@ -78,9 +85,12 @@ def write_report(
     methods: Sequence[str] | None = None,
     tolerances: Sequence[float] = TOLERANCES,
     repeats: int = REPEATS,
-    progress: bool = False,
+    running: Running = HERE,
 ) -> ReportResult:
     """Try every method with every value of its knob on every case, and write index.html, results.csv and results.json.
+
+    What is found streams to a file in the folder, ``unfinished_report.jsonl``, which is removed at the end. After an
+    interruption of any kind the same call goes on from there.
 
     Parameters
     ----------
@@ -94,80 +104,65 @@ def write_report(
         The ladder of the methods whose knob is the tolerance, where the case states none.
     repeats : int
         Timed calls after the first, at most; each on a fresh problem.
-    progress : bool
-        Show a progress bar on stderr.
+    running : Running
+        Where and how it runs.
 
     Raises
     ------
     SceneError, InvalidProblem
         A case is wrong, or the folder cannot be written; before anything is solved.
+    BackendMissing
+        A Dask cluster is asked for and distributed is not installed.
+    Stopped
+        By Ctrl-C or SIGTERM; it says how far it was.
     """
     chosen = chosen_methods(methods)
     studies = load_studies(cases, chosen, tolerances)
-    folder = Path(output)
-    with _workshop(folder) as workshop:
-        records, rows = _run(studies, repeats, progress)
-        summary = summarise(rows, (text for case in records for text in case.unmet))
+    folder = report_folder(output)
+    with stopped_by_signals(), workers_of(running) as workers:
         facts: dict[str, Any] = dict(
-            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            machine=machine(),
-            versions=versions(chosen),
-            settings=_settings(tolerances, repeats),
+            machine=workers.ask(machine),
+            versions=workers.ask(partial(versions, chosen)),
+            settings=_settings(tolerances, repeats, workers),
             seeds="none: nothing is random",
         )
-        data = ReportData(records, rows, summary, facts)
-        notes = (*_limited(studies), *_draw(data, workshop))
-        _write(workshop / "results.csv", to_csv(rows))
-        _write(workshop / "results.json", as_json(data))
-        _write(workshop / "index.html", _page(data, workshop))
-        files = _deliver(workshop, folder)
+        conditions = facts | dict(source=source_digest())
+        with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
+            collector = Collector(studies, workers, journal, bar, repeats, running.time_limit)
+            with _told_how_far(collector):
+                records, rows = collector.collect()
+                facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
+                summary = summarise(rows, (text for case in records for text in case.unmet))
+                data = ReportData(records, rows, summary, facts)
+                with workshop(folder) as shop:
+                    drawn = _draw(data, shop)
+                    write(shop / "results.csv", to_csv(rows))
+                    write(shop / "results.json", as_json(data))
+                    write(shop / "index.html", _page(data, shop))
+                    files = _deliver(shop, folder)
+    notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows), *drawn)
     return ReportResult(summary, rows, files, notes)
 
 
-def _settings(tolerances: Sequence[float], repeats: int) -> dict[str, Any]:
+@contextmanager
+def _told_how_far(collector: Collector) -> Iterator[None]:
+    """An interruption says what is done."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise Stopped(f"{collector}; the same command goes on from there", stop) from None
+
+
+def _settings(tolerances: Sequence[float], repeats: int, workers: Workers) -> dict[str, Any]:
     return dict(
         tolerances=list(tolerances),
         stiffenings=list(STIFFENINGS),
         uzawa_iterations=list(UZAWA_ITERATIONS),
         repeats=f"at most {repeats}, fewer once {ENOUGH} s are spent",
-        timing="wall clock of solve on a fresh problem, without its certificate; median after one warm-up",
+        answers=workers.how,
+        timing="wall clock of solve on a fresh problem, without its certificate; median after a warm-up; one after the "
+        "other in one process, while nothing else of the report runs",
     )
-
-
-@contextmanager
-def _workshop(folder: Path) -> Iterator[Path]:
-    """A folder beside the report's, gone at the end whatever happens."""
-    try:
-        if folder.exists() and not folder.is_dir():
-            raise SceneError(f"{folder}: expected a folder for the report, and there is a file of that name")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        workshop = tempfile.TemporaryDirectory(prefix=".contactqp-report-", dir=folder.parent)
-    except OSError as error:
-        raise SceneError(f"{folder}: expected a folder that can be written, got: {error.strerror}") from None
-    with workshop as path:
-        yield Path(path)
-
-
-def _run(studies: Sequence[CaseStudy], repeats: int, shown: bool) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
-    with _progress(shown) as bar:
-        task = bar.add_task("", total=sum(len(study.rungs) for study in studies))
-        cases, rows = [], []
-        for study in studies:
-            bar.update(task, description=study.name)
-            truth = study.truth()
-            for row in study.rows(truth, repeats):
-                rows.append(row)
-                bar.advance(task)
-            cases.append(record(study, truth))
-    return tuple(cases), tuple(rows)
-
-
-def _progress(shown: bool) -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown)
 
 
 def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
@@ -175,6 +170,14 @@ def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
     for study in studies:
         if report_note(study.scene):
             yield f"{study.name}: {report_note(study.scene)}"
+
+
+def _crashed(rows: Sequence[Row]) -> Iterator[str]:
+    """How many rows crashed, and the first of them."""
+    crashed = [row for row in rows if row.verdict == CRASHED]
+    if crashed:
+        first = crashed[0]
+        yield f"crashed: {len(crashed)} of {len(rows)} rows; the first: {first.case}: {first.method}: {first.message}"
 
 
 def _draw(data: ReportData, workshop: Path) -> tuple[str, ...]:
@@ -203,16 +206,8 @@ def _page(data: ReportData, workshop: Path) -> str:
     return page(cases, data.rows, data.summary, facts, pictures)
 
 
-def _write(file: Path, text: str) -> None:
-    file.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _deliver(workshop: Path, folder: Path) -> tuple[Path, ...]:
-    """Every file is moved in one step; the page comes last, pictures of an earlier report go first."""
-    folder.mkdir(exist_ok=True)
+def _deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
+    """The page comes last, pictures of an earlier report go first."""
     for old in folder.glob(f"{PICTURE}*{picture.SUFFIX}"):
         old.unlink()
-    made = sorted(workshop.iterdir(), key=lambda file: (file.name == "index.html", file.suffix, file.name))
-    for file in made:
-        os.replace(file, folder / file.name)
-    return tuple(folder / file.name for file in made)
+    return deliver(shop, folder)

@@ -17,7 +17,7 @@ class MethodSummary:
     installed: bool
     tried: int  # rows
     right: int  # the certificate passes and the truth agrees
-    refused: int  # refused, not converged, failed or unsupported
+    refused: int  # refused, not converged, failed, crashed or unsupported
     approximate: int
     wrong_but_passed: int
     claimed: int  # raw answers that the method itself called solved
@@ -67,7 +67,7 @@ def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
 def _of_method(name: str, mine: Sequence[Row]) -> MethodSummary:
     own = [row for row in mine if row.variant == "raw"] or mine
     verdicts = [row.verdict for row in mine]
-    failed = (rows.REFUSED, rows.NOT_CONVERGED, rows.BACKEND_FAILED, rows.UNSUPPORTED)
+    failed = (rows.REFUSED, rows.NOT_CONVERGED, rows.BACKEND_FAILED, rows.CRASHED, rows.UNSUPPORTED)
     return MethodSummary(
         method=name,
         installed=rows.MISSING not in verdicts,

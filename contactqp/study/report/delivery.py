@@ -1,0 +1,76 @@
+"""The folder of a report: what is unfinished stays apart from what is finished."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from contactqp.errors import SceneError
+from contactqp.study.running.journal import Journal
+
+JOURNAL = "unfinished_report.jsonl"
+# Of the folder that finished files wait in until all are there.
+_WORKSHOP = ".unfinished-"
+
+
+def report_folder(folder: str | Path) -> Path:
+    """The folder, made if need be.
+
+    Raises
+    ------
+    SceneError
+        It cannot be made.
+    """
+    path = Path(folder)
+    if path.exists() and not path.is_dir():
+        raise SceneError(f"{path}: expected a folder for the report, and there is a file of that name")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SceneError(f"{path}: expected a folder that can be written, got: {error.strerror}") from None
+    return path
+
+
+@contextmanager
+def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool) -> Iterator[Journal]:
+    """The journal of this folder's report, removed when the report is finished and kept when it is not.
+
+    Raises
+    ------
+    SceneError
+        The folder cannot be written, or another report is being written to it.
+    """
+    journal = Journal(folder / JOURNAL, conditions, fresh)
+    for left_behind in folder.glob(f"{_WORKSHOP}*"):
+        shutil.rmtree(left_behind, ignore_errors=True)
+    try:
+        yield journal
+    except BaseException:
+        journal.close()
+        raise
+    journal.remove()
+
+
+@contextmanager
+def workshop(folder: Path) -> Iterator[Path]:
+    """A folder for files that are being written, gone at the end whatever happens."""
+    with tempfile.TemporaryDirectory(prefix=_WORKSHOP, dir=folder) as path:
+        yield Path(path)
+
+
+def write(file: Path, text: str) -> None:
+    """In UTF-8, with the same line ends everywhere."""
+    file.write_text(text, encoding="utf-8", newline="\n")
+
+
+def deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
+    """Every file is moved in one step; the page comes last."""
+    made = sorted(shop.iterdir(), key=lambda file: (file.name == "index.html", file.suffix, file.name))
+    for file in made:
+        os.replace(file, folder / file.name)
+    return tuple(folder / file.name for file in made)
