@@ -33,6 +33,7 @@ class Comparison:
     ok: bool
     reason: str  # the derivation, or why the printed number is right or wrong
     verdict: str | None = None  # on a printed number
+    erratum: str | None = None  # its number in the list of errata
 
 
 def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
@@ -81,6 +82,7 @@ def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comp
         ok=agrees == (published.verdict == "right"),
         reason=f"{published.where}: {published.why}",
         verdict=published.verdict,
+        erratum=published.erratum,
     )
 
 

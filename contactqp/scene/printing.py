@@ -17,13 +17,13 @@ from contactqp.analysis.motion.history import Moving
 from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
 from contactqp.scene.deforming import friction_along_axes
-from contactqp.scene.expectations import Comparison, Shown
+from contactqp.scene.expectations import Comparison
 from contactqp.scene.explaining import shortened
 from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
-from contactqp.scene.tables import MOST_ROWS, print_table, written
+from contactqp.scene.tables import MOST_ROWS, print_table, shown, written
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
@@ -129,19 +129,13 @@ def _comparison(row: Comparison) -> list[str | Text]:
         mark = Text(f"{row.verdict}, as stated") if row.ok else Text(f"NOT {row.verdict}, as stated", style="red")
     return [
         row.quantity,
-        _shown(row.expected),
-        _shown(row.got),
+        shown(row.expected),
+        shown(row.got),
         row.unit,
         f"{row.error:.1e}",
         f"{row.tolerance:.1e}",
         mark,
     ]
-
-
-def _shown(value: Shown) -> str:
-    if isinstance(value, str):
-        return value
-    return "(" + ", ".join(f"{number:.6g}" for number in value) + ")" if isinstance(value, tuple) else written(value)
 
 
 def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:

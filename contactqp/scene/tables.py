@@ -18,6 +18,13 @@ def written(value: float) -> str:
     return f"{value:.12g}"
 
 
+def shown(value: float | str | Sequence[float]) -> str:
+    """A value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
+    if isinstance(value, str):
+        return value
+    return "(" + ", ".join(f"{x:.6g}" for x in value) + ")" if isinstance(value, Sequence) else written(value)
+
+
 def print_table(console: Console, header: list[str], rows: Sequence[Sequence[str | Text]]) -> None:
     if not rows:
         return

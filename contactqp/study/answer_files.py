@@ -9,18 +9,16 @@ from pathlib import Path
 
 from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem
-from contactqp.pictures.contact_fields import ContactFields
-from contactqp.pictures.drawing import draw
-from contactqp.pictures.frame_drawing import draw_structure
 from contactqp.pictures.history_drawing import draw_history
-from contactqp.pictures.style import check_picture
+from contactqp.pictures.style import check_picture, save
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.judging import Failure, Judgement, Trial
 from contactqp.scene.schema import Scene
 from contactqp.study.answer_fields import fields_of
+from contactqp.study.answer_pictures import TIME_UNIT, answer_figure
 
-# What the picture of a history is called after its case and method; times of scenes are in seconds.
-HISTORY, TIME_UNIT = "history", "s"
+# What the picture of a history is called after its case and method.
+HISTORY = "history"
 
 
 @dataclass(frozen=True)
@@ -66,11 +64,7 @@ class AnswerFiles:
         if self.plot is not None:
             written.append(_named(self.plot, names))
             title = f"{judgement.scene.title}, {judgement.trial}"
-            if isinstance(fields, ContactFields):
-                draw(fields, written[-1], title=title)
-            else:
-                scale = 1.0 if judgement.scene.large else None  # magnified, large displacements would be others
-                draw_structure(fields, written[-1], scale=scale, title=title)
+            save(answer_figure(fields, large=judgement.scene.large, title=title), written[-1])
             written += self._write_history(judgement.history, title, names)
         if self.vtu is not None:
             written.append(_named(self.vtu, names))

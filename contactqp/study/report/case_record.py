@@ -15,6 +15,7 @@ from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.printing import judgement_data
 from contactqp.scene.schema import Scene
+from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.truth import Truth
 
@@ -61,15 +62,22 @@ class CaseRecord:
     unmet: tuple[str, ...]  # expectations that are not met, in words
     remarks: tuple[Remark, ...]  # sentences of the source, with our verdict
     picture: bytes | None = None  # PNG of geometry, deformed shape and contact forces
+    history_picture: bytes | None = None  # PNG of a path or a motion
+    no_picture: str = ""  # why there is no picture
+    scheme: str = ""  # by which a motion is stepped
 
 
 def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:
     """Everything of one case that does not depend on a method's knob."""
     judged = tuple(_judgements(study.scene))
+    drawn = answer_pictures(judged[0]) if judged else AnswerPictures(why_not="no method answers")
     return replace(
         unjudged(study, "nothing, as no answer is proven" if truth is None else truth.source),
         judgements=tuple(judgement_data(outcome) for outcome in judged),
         unmet=tuple(f"{study.name}: {text}" for outcome in judged for text in _unmet(outcome)),
+        picture=drawn.answer,
+        history_picture=drawn.history,
+        no_picture=drawn.why_not,
     )
 
 
@@ -90,6 +98,7 @@ def unjudged(study: CaseStudy, truth: str, *unmet: str) -> CaseRecord:
         judgements=(),
         unmet=unmet,
         remarks=scene.remarks,
+        scheme="" if scene.motion is None else scene.motion.scheme,
     )
 
 

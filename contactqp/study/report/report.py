@@ -17,11 +17,11 @@ from contactqp.scene.explanation import report_note
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.digest import source_digest
+from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report import picture
 from contactqp.study.report.collecting import Collector
 from contactqp.study.report.delivery import deliver, report_folder, unfinished, workshop, write
 from contactqp.study.report.machine import machine, versions
-from contactqp.study.report.page import page
 from contactqp.study.report.report_data import ReportData, as_json
 from contactqp.study.report.summary import Summary, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
@@ -34,7 +34,7 @@ from contactqp.study.running.workers import Workers
 REPEATS = 3
 HERE = Running()
 DEFAULT_CASES = "cases"
-PICTURE = "error_against_time"
+PICTURE, PAGE = "error_against_time", "index.html"
 
 
 @dataclass(frozen=True)
@@ -134,13 +134,14 @@ def write_report(
                 facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
                 summary = summarise(rows, (text for case in records for text in case.unmet))
                 data = ReportData(records, rows, summary, facts)
+                notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows))
                 with workshop(folder) as shop:
-                    drawn = _draw(data, shop)
+                    notes = (*notes, *_draw(data, shop), *_missing())
                     write(shop / "results.csv", to_csv(rows))
                     write(shop / "results.json", as_json(data))
-                    write(shop / "index.html", _page(data, shop))
+                    if not missing_packages():
+                        write(shop / PAGE, render(data, notes=notes))
                     files = _deliver(shop, folder)
-    notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows), *drawn)
     return ReportResult(summary, rows, files, notes)
 
 
@@ -197,17 +198,14 @@ def _picture_name(case: str) -> str:
     return f"{PICTURE}{'_' if case else ''}{case}{picture.SUFFIX}"
 
 
-def _page(data: ReportData, workshop: Path) -> str:
-    files = {name: workshop / _picture_name(name) for name in ["", *(case.name for case in data.cases)]}
-    pictures = {name: file.read_bytes() for name, file in files.items() if file.exists()}
-    cases = [(case.name, case.title, case.truth) for case in data.cases]
-    flat = {key: value for group in data.facts.values() if isinstance(group, dict) for key, value in group.items()}
-    facts = {name: str(value) for name, value in (dict(data.facts) | flat).items()}
-    return page(cases, data.rows, data.summary, facts, pictures)
+def _missing() -> tuple[str, ...]:
+    return tuple(filter(None, [missing_packages()]))
 
 
 def _deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
     """The page comes last, pictures of an earlier report go first."""
     for old in folder.glob(f"{PICTURE}*{picture.SUFFIX}"):
         old.unlink()
+    if not (shop / PAGE).exists():  # one of an earlier report would speak of other rows
+        (folder / PAGE).unlink(missing_ok=True)
     return deliver(shop, folder)

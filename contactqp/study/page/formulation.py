@@ -1,0 +1,177 @@
+"""The problem of a case in mathematics, with this case's sizes: only the blocks that it has.
+
+Signs are those of the whole package: gaps g - E_N u are positive when open, λ_N is a force and positive in compression,
+λ_T is what the body does to the obstacle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from contactqp.study.page.schemes import STEPS
+from contactqp.study.report.case_record import CaseRecord
+
+# Names of blocks of an explanation that have an equation of their own.
+FRICTION, CONDENSATION = "tangential rows E_T, friction", "condensation onto the contact unknowns"
+PATH, TIME, NEWTON = "load path", "time stepping", "Newton loop"
+
+
+@dataclass(frozen=True)
+class Formula:
+    """One equation, in LaTeX, and what it says."""
+
+    name: str
+    latex: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """One quantity of the problem."""
+
+    latex: str
+    meaning: str
+    size: str  # in LaTeX
+    unit: str
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """The symbols with their sizes, and the equations."""
+
+    symbols: tuple[Symbol, ...]
+    formulas: tuple[Formula, ...]
+
+
+def formulation(case: CaseRecord) -> Formulation:
+    """Read off the sizes and the blocks of a case; nothing is computed."""
+    blocks = {block.name: block.reason for block in case.explanation.blocks if block.included}
+    return Formulation(tuple(_symbols(case, blocks)), tuple(_formulas(case, blocks)))
+
+
+def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
+    size = case.sizes
+    n, m, t, k = size.unknowns, size.contacts, size.tangential_rows, size.ties
+    stiffness = f"{case.force}/{case.length}"
+    yield Symbol("u", "displacements of the free unknowns", f"n = {n}", f"{case.length} (rotations: rad)")
+    kind = "tangent stiffness at the start" if NEWTON in blocks else "stiffness, symmetric, positive semi-definite"
+    yield Symbol("K", f"{kind}; {size.nonzeros} nonzeros", rf"{n} \times {n}", stiffness)
+    if TIME in blocks:
+        yield Symbol("M", "mass", rf"{n} \times {n}", f"{stiffness}·s²")
+    yield Symbol("f", "loads", f"{n}", case.force)
+    if m:
+        approach = "contact rows: how far partners approach for a unit displacement"
+        yield Symbol("E_N", approach, rf"{m} \times {n}", "1")
+        yield Symbol("g", "initial gaps, negative where partners overlap", f"m = {m}", case.length)
+        yield Symbol(r"\lambda_N", "contact forces, positive in compression", f"{m}", case.force)
+    if t:
+        rows = f"tangential rows, {'one' if t == m else 'two'} for each contact"
+        yield Symbol("E_T", rows, rf"(d - 1) m \times n = {t} \times {n}", "1")
+        yield Symbol(r"\lambda_T", "friction forces, of the body on its partner", f"{t}", case.force)
+        if TIME in blocks:
+            yield Symbol("s", "velocity of slip, E_T v", f"{t}", f"{case.length}/s")
+        else:
+            yield Symbol("s", "slip since the start of the step, E_T u less its value there", f"{t}", case.length)
+        yield Symbol(r"\mu", "coefficients of friction", f"{m}", "1")
+    if k:
+        yield Symbol("A, b", "ties and their values", rf"{k} \times {n}, \; k = {k}", f"1, {case.length}")
+        yield Symbol(r"\nu", "tie forces", f"{k}", case.force)
+
+
+def _formulas(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
+    if TIME in blocks:
+        yield from _motion(case, blocks)
+    elif NEWTON in blocks:
+        yield from _large(case, blocks)
+    else:
+        yield from _static(case, blocks)
+    yield from _contact_law(case, "g(u)" if NEWTON in blocks else "g - E_N u")
+    if CONDENSATION in blocks:
+        yield Formula(
+            "Condensation",
+            r"\bar{K} = K_{cc} - K_{ci} K_{ii}^{-1} K_{ic}, \quad \bar{f} = f_c - K_{ci} K_{ii}^{-1} f_i",
+            f"c are the unknowns that rows touch, i the others, which one factorisation eliminates: "
+            f"{blocks[CONDENSATION]}",
+        )
+
+
+def _static(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
+    load = "f(t)" if PATH in blocks else "f"
+    transposed = "f(t)^T" if PATH in blocks else "f^T"
+    where = rf"u \in \mathbb{{R}}^{{{case.sizes.unknowns}}}"
+    energy = rf"\min_{{{where}}} \; \frac{{1}}{{2}} u^T K u - {transposed} u"
+    if case.sizes.tangential_rows:
+        meaning = (
+            "friction is no minimisation: each step minimises this with the friction, or the bound of it, of the step "
+            "before, until they agree"
+        )
+        yield Formula("Energy", energy, meaning)
+    else:
+        yield Formula("Energy", energy, "the energy is least among all displacements that the constraints allow")
+    yield from _constraints(case)
+    yield Formula("Equilibrium", f"K u {_forces(case)} = {load}", "the first of the Karush-Kuhn-Tucker conditions")
+    if PATH in blocks:
+        yield Formula("Load path", "f = f(t)", blocks[PATH])
+
+
+def _motion(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
+    yield Formula(
+        "Motion", rf"M \dot{{v}} + K u {_forces(case)} = f, \quad \dot{{u}} = v", "with impacts, where velocities jump"
+    )
+    yield from _constraints(case)
+    if case.scheme in STEPS:
+        yield Formula(f"One step of h by {case.scheme}", STEPS[case.scheme], blocks[TIME])
+
+
+def _large(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
+    where = rf"u \in \mathbb{{R}}^{{{case.sizes.unknowns}}}"
+    yield Formula(
+        "Energy",
+        rf"\Pi(u) = \mathrm{{U}}(u) - t f^T u, \quad {where}",
+        "the elastic energy U is not quadratic; equilibria are its stationary points, stable or not",
+    )
+    if case.sizes.contacts:
+        yield Formula("Contact", rf"g(u) \ge 0, \quad g(u) \in \mathbb{{R}}^{{{case.sizes.contacts}}}", "gaps now")
+    forces = _forces(case).replace("E_N", "E_N(u)").replace("E_T", "E_T(u)")
+    yield Formula("Equilibrium", rf"\frac{{\partial U}}{{\partial u}} {forces} = t f", blocks.get(PATH, ""))
+    yield Formula(
+        "One step of Newton",
+        r"\min_{\Delta} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - \frac{\partial U}{\partial u} \right)^T "
+        r"\Delta \quad \text{with} \quad E_N(u) \Delta \le g(u)",
+        blocks[NEWTON],
+    )
+
+
+def _constraints(case: CaseRecord) -> Iterator[Formula]:
+    size = case.sizes
+    if size.contacts:
+        rows = rf"E_N \in \mathbb{{R}}^{{{size.contacts} \times {size.unknowns}}}"
+        yield Formula("Contact", rf"E_N u \le g, \quad {rows}", "no gap g - E_N u is negative")
+    if size.ties:
+        rows = rf"A \in \mathbb{{R}}^{{{size.ties} \times {size.unknowns}}}"
+        yield Formula("Ties", f"A u = b, \\quad {rows}", "unknowns that move together")
+
+
+def _contact_law(case: CaseRecord, gap: str) -> Iterator[Formula]:
+    size = case.sizes
+    if size.contacts:
+        yield Formula(
+            "Signorini",
+            rf"\lambda_N \ge 0, \quad {gap} \ge 0, \quad \lambda_N^T ({gap}) = 0",
+            "contacts push and never pull, and only where the gap is closed",
+        )
+    if size.tangential_rows:
+        yield Formula(
+            "Coulomb",
+            r"\lVert \lambda_{T,i} \rVert \le \mu_i \lambda_{N,i}, \quad "
+            r"s_i \ne 0 \; \Rightarrow \; \lambda_{T,i} = \mu_i \lambda_{N,i} \frac{s_i}{\lVert s_i \rVert}",
+            "a contact sticks within the cone and slips on it; friction on the body acts against the slip",
+        )
+
+
+def _forces(case: CaseRecord) -> str:
+    """What constraints add to the equilibrium."""
+    size = case.sizes
+    parts = [r"E_N^T \lambda_N"] * (size.contacts > 0) + [r"E_T^T \lambda_T"] * (size.tangential_rows > 0)
+    return "".join(f"+ {part} " for part in [*parts, *[r"A^T \nu"] * (size.ties > 0)])

@@ -1,0 +1,214 @@
+"""All that a report says, put into the templates: one HTML file that loads nothing."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from contactqp.study.page.case_view import CaseView, case_view
+from contactqp.study.page.mathematics import mathml
+from contactqp.study.page.tables import FACETS, Line, Table, marked, plain_table, table_of_chart
+from contactqp.study.report.chart import Chart
+from contactqp.study.report.report_data import ReportData
+from contactqp.study.rows import COLUMNS, VERDICTS
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+NEEDED = ("jinja2", "plotly", "latex2mathml")
+_LEGENDS = {"method": "Methods", "variant": "Variants", "verdict": "Verdicts"}
+_VARIANTS = {"": "without variants", "raw": "raw, before polish", "polished": "polished", "uzawa": "Uzawa's iteration"}
+
+
+@dataclass(frozen=True)
+class ChartItem:
+    """A chart, ready for its template."""
+
+    anchor: str
+    chart: Chart
+    figure: Markup | None  # JSON; None where there is nothing to draw but a table
+    numbers: Table | None
+
+
+@dataclass(frozen=True)
+class Facet:
+    """What one group of boxes in the filters chooses: (value, label) of each."""
+
+    name: str
+    legend: str
+    choices: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One number at a glance."""
+
+    number: int
+    what: str
+    said: str
+    bad: bool = False
+
+
+def missing_packages() -> str:
+    """What is said where the page cannot be made; empty where it can. Nothing is imported to find out."""
+    absent = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if not absent:
+        return ""
+    verb = "is" if len(absent) == 1 else "are"
+    return f"no page, as {', '.join(absent)} {verb} not installed: pip install 'contactqp[report]'"
+
+
+def render(
+    data: ReportData,
+    overview: Sequence[Chart] = (),
+    by_case: Mapping[str, Sequence[Chart]] | None = None,
+    stability: Sequence[Chart] = (),
+    notes: Sequence[str] = (),
+) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    data : ReportData
+    overview : sequence of Chart
+        About all cases together.
+    by_case : mapping of case names to sequences of Chart
+    stability : sequence of Chart
+        A chart without a figure is its caption and its table.
+    notes : sequence of str
+        Limitations of this report, besides those of any.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        One of `NEEDED` is not installed; `missing_packages` says so before.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs
+
+    templates = Environment(
+        loader=PackageLoader("contactqp.study.page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
+    return templates.get_template("page.html").render(
+        data=data,
+        css=Markup(_own("page.css")),
+        script=Markup(_own("page.js")),
+        plotly=Markup(get_plotlyjs()),
+        overview=_items("all", overview),
+        stability=_items("stability", stability),
+        views=tuple(_views(data, by_case or {})),
+        tiles=_tiles(data),
+        parts=_parts(bool(overview), bool(stability)),
+        facets=_facets(data),
+        methods=_methods(data),
+        columns=plain_table("columns of the tables", ("column of results.csv", "meaning"), COLUMNS.items()),
+        verdicts=plain_table("verdicts", ("verdict", "meaning"), ((marked(v), text) for v, text in VERDICTS.items())),
+        facts=tuple(_facts(data.facts)),
+        command=shlex.join(["contactqp", "report", *(case.file for case in data.cases)]),
+        notes=notes,
+    )
+
+
+def _own(name: str) -> str:
+    return (files("contactqp.study.page") / name).read_text(encoding="utf-8")
+
+
+def _views(
+    data: ReportData, by_case: Mapping[str, Sequence[Chart]]
+) -> Iterator[tuple[CaseView, tuple[ChartItem, ...]]]:
+    anchors = _anchors(f"case-{case.name}" for case in data.cases)
+    for anchor, case in zip(anchors, data.cases, strict=True):
+        charts = by_case.get(case.name, ())
+        yield case_view(anchor, case, data.rows_of(case.name)), _items(anchor, charts)
+
+
+def _anchors(names: Iterable[str]) -> list[str]:
+    """An identifier for each name, all different, that an address can hold."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name)
+        found.append(plain if plain not in found else f"{plain}-{len(found)}")
+    return found
+
+
+def _items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
+    anchors = _anchors(f"{anchor}-{chart.name}" for chart in charts)
+    return tuple(
+        ChartItem(place, chart, _json(chart.figure) if chart.figure else None, table_of_chart(chart))
+        for place, chart in zip(anchors, charts, strict=True)
+    )
+
+
+def _json(figure: Mapping[str, Any]) -> Markup:
+    """JSON that ends no element of HTML, whatever texts are in it."""
+    from markupsafe import Markup
+
+    text = json.dumps(figure, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return Markup(text)
+
+
+def _tiles(data: ReportData) -> tuple[Tile, ...]:
+    found = data.summary
+    wrong, unmet = found.wrong_but_passed, len(found.unmet)
+    return (
+        Tile(wrong, "wrong but passed", "‼ must be 0" if wrong else "✓ no answer passes that is wrong", wrong > 0),
+        Tile(unmet, "expectations unmet", "✗ see below" if unmet else "✓ all that the cases expect holds", unmet > 0),
+        Tile(found.silently_wrong, "silently wrong", "answers that a backend by itself calls solved, and are not"),
+        Tile(len(data.rows), "rows", f"of {len(data.cases)} cases and {len(found.methods)} methods"),
+    )
+
+
+def _parts(overview: bool, stability: bool) -> tuple[tuple[str, str], ...]:
+    parts = (
+        ("overview", "All cases together", overview),
+        ("methods", "Methods", True),
+        ("stability", "Stability", stability),
+        ("cases", "Cases", True),
+        ("meaning", "Columns and verdicts", True),
+        ("limitations", "Limitations", True),
+        ("rerun", "Machine and versions", True),
+    )
+    return tuple((anchor, name) for anchor, name, there in parts if there)
+
+
+def _facets(data: ReportData) -> tuple[Facet, ...]:
+    """The values that rows have, in the order in which they come."""
+    facets = []
+    for name in FACETS:
+        values = dict.fromkeys(str(getattr(row, name)) for row in data.rows)
+        labels = {value: _label(name, value) for value in values}
+        facets.append(Facet(name, _LEGENDS[name], tuple(labels.items())))
+    return tuple(facets)
+
+
+def _label(facet: str, value: str) -> str:
+    if facet == "verdict":
+        return marked(value)
+    return _VARIANTS.get(value, value) if facet == "variant" else value
+
+
+def _methods(data: ReportData) -> Table:
+    headings, *lines = data.summary.cells()
+    return Table("methods", tuple(headings), tuple(Line(tuple(line), {"method": line[0]}) for line in lines))
+
+
+def _facts(facts: Mapping[str, Any]) -> Iterator[Table]:
+    """One table for each group, and one for what is in none."""
+    alone = {name: value for name, value in facts.items() if not isinstance(value, Mapping)}
+    groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}
+    for name, group in ({"report": alone} | groups).items():
+        yield plain_table(name, (name, ""), group.items())
