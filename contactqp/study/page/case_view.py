@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,12 @@ class CaseView:
         return f"✓ {'all ' if count > 1 else ''}{_counted(count, 'expectation')} met" if count else "no expectations"
 
     @property
+    def about(self) -> tuple[str, ...]:
+        """The paragraphs of what the case's file says of it; lines of the file end nowhere on a page."""
+        paragraphs = re.split(r"\n\s*\n", self.case.about.strip())
+        return tuple(" ".join(text.split()) for text in paragraphs if text)
+
+    @property
     def picture(self) -> str:
         """The picture as a data URL; empty where there is none."""
         return _url(self.case.picture)
@@ -72,11 +79,11 @@ def case_view(anchor: str, case: CaseRecord, rows: Sequence[Row]) -> CaseView:
 
 def _parts(case: CaseRecord) -> Iterator[tuple[str, str]]:
     told = case.explanation
-    parts = (("unknowns", told.unknowns), ("fixed", told.fixed), ("contacts", told.contacts), ("ties", told.ties))
+    parts = (("Unknowns", told.unknowns), ("Fixed", told.fixed), ("Contacts", told.contacts), ("Ties", told.ties))
     for name, items in parts:
         if items:
             more = f"; and {len(items) - MOST_ROWS} more" if len(items) > MOST_ROWS else ""
-            yield f"{len(items)} {name}", "; ".join(items[:MOST_ROWS]) + more
+            yield f"{name}: {len(items)}", "; ".join(items[:MOST_ROWS]) + more
 
 
 def _comparisons(label: str, headings: tuple[str, ...], judged: Sequence[Mapping[str, Any]], key: str) -> Table | None:

@@ -13,8 +13,8 @@ from contactqp.study.page.schemes import STEPS
 from contactqp.study.report.case_record import CaseRecord
 
 # Names of blocks of an explanation that have an equation of their own.
-FRICTION, CONDENSATION = "tangential rows E_T, friction", "condensation onto the contact unknowns"
-PATH, TIME, NEWTON = "load path", "time stepping", "Newton loop"
+CONDENSATION = "condensation onto the contact unknowns"
+PATH, TIME, NEWTON, ROTATIONS = "load path", "time stepping", "Newton loop", "rotations"
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,10 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
     size = case.sizes
     n, m, t, k = size.unknowns, size.contacts, size.tangential_rows, size.ties
     stiffness = f"{case.force}/{case.length}"
-    yield Symbol("u", "displacements of the free unknowns", f"n = {n}", f"{case.length} (rotations: rad)")
+    turning = " (rotations: rad)" if ROTATIONS in blocks else ""
+    yield Symbol("u", "displacements of the free unknowns", f"n = {n}", f"{case.length}{turning}")
     kind = "tangent stiffness at the start" if NEWTON in blocks else "stiffness, symmetric, positive semi-definite"
-    yield Symbol("K", f"{kind}; {size.nonzeros} nonzeros", rf"{n} \times {n}", stiffness)
+    yield Symbol("K", f"{kind}; numbers that are not zero: {size.nonzeros}", rf"{n} \times {n}", stiffness)
     if TIME in blocks:
         yield Symbol("M", "mass", rf"{n} \times {n}", f"{stiffness}·s²")
     yield Symbol("f", "loads", f"{n}", case.force)
@@ -100,7 +101,7 @@ def _static(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     load = "f(t)" if PATH in blocks else "f"
     transposed = "f(t)^T" if PATH in blocks else "f^T"
     where = rf"u \in \mathbb{{R}}^{{{case.sizes.unknowns}}}"
-    energy = rf"\min_{{{where}}} \; \frac{{1}}{{2}} u^T K u - {transposed} u"
+    energy = rf"\underset{{{where}}}{{\min}} \; \frac{{1}}{{2}} u^T K u - {transposed} u"
     if case.sizes.tangential_rows:
         meaning = (
             "friction is no minimisation: each step minimises this with the friction, or the bound of it, of the step "
@@ -137,7 +138,7 @@ def _large(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     yield Formula("Equilibrium", rf"\frac{{\partial U}}{{\partial u}} {forces} = t f", blocks.get(PATH, ""))
     yield Formula(
         "One step of Newton",
-        r"\min_{\Delta} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - \frac{\partial U}{\partial u} \right)^T "
+        r"\underset{\Delta}{\min} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - \frac{\partial U}{\partial u} \right)^T "
         r"\Delta \quad \text{with} \quad E_N(u) \Delta \le g(u)",
         blocks[NEWTON],
     )
@@ -147,7 +148,7 @@ def _constraints(case: CaseRecord) -> Iterator[Formula]:
     size = case.sizes
     if size.contacts:
         rows = rf"E_N \in \mathbb{{R}}^{{{size.contacts} \times {size.unknowns}}}"
-        yield Formula("Contact", rf"E_N u \le g, \quad {rows}", "no gap g - E_N u is negative")
+        yield Formula("Contact", rf"E_N u \le g, \quad {rows}", "no gap is negative")
     if size.ties:
         rows = rf"A \in \mathbb{{R}}^{{{size.ties} \times {size.unknowns}}}"
         yield Formula("Ties", f"A u = b, \\quad {rows}", "unknowns that move together")

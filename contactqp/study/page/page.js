@@ -1,7 +1,7 @@
 "use strict";
 (() => {
-  // CSS pixels: below this a legend stands under its chart; and the width of a chart on paper.
-  const NARROW = 720, PAPER = 960;
+  // CSS pixels: below this a legend stands under its chart; the width of a chart on paper; a line and a letter of a legend.
+  const NARROW = 720, PAPER = 960, LINE = 20, LETTER = 6.5;
   const CONFIG = { responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   const hidden = { method: new Set(), variant: new Set(), verdict: new Set() };
   const all = (selector, from = document) => [...from.querySelectorAll(selector)];
@@ -26,15 +26,24 @@
     const given = figureOf(plot).layout ?? {}, clear = "rgba(0,0,0,0)";
     const made = { ...given, width, paper_bgcolor: clear, plot_bgcolor: clear, hoverlabel: { align: "left", namelength: -1, ...given.hoverlabel } };
     made.font = { family: "system-ui, sans-serif", size: 13, ...given.font };
-    made.height = given.height ?? 480;
-    if (width < NARROW && !plot.classList.contains("panels")) {
-      const named = figureOf(plot).data.filter((trace) => trace.showlegend !== false && trace.name).length;
-      const lines = given.showlegend === false ? 0 : Math.ceil(named / 2);
-      made.legend = { ...given.legend, orientation: "h", x: 0, xanchor: "left", y: -0.24, yanchor: "top", font: { size: 11 } };
-      made.height = 400 + 21 * lines;
-      made.margin = { ...given.margin, l: 64, r: 12, b: 60 + 21 * lines };
-    }
+    made.margin = { t: 40, b: 60, l: 80, r: 20, ...given.margin };
+    const named = given.showlegend === false ? [] : figureOf(plot).data.filter((trace) => trace.showlegend !== false && trace.name);
+    // A legend that is cut off cannot be read on paper.
+    made.height = Math.max(given.height ?? 480, named.length * LINE + 130);
+    if (width < NARROW && named.length && !plot.classList.contains("panels")) legendBelow(made, named, width);
     return made;
+  }
+
+  function legendBelow(made, named, width) {
+    const longest = Math.max(...named.map((trace) => trace.name.length));
+    const columns = longest * LETTER + 50 < width / 2 ? 2 : 1;
+    const below = Math.ceil(named.length / columns) * LINE + 20, height = 320, left = 64;
+    made.margin = { ...made.margin, l: left, r: 12, b: 70 + below };
+    made.height = made.margin.t + height + made.margin.b;
+    made.legend = {
+      ...made.legend, orientation: columns > 1 ? "h" : "v", x: -left / (width - left - 12), xanchor: "left", y: -70 / height, yanchor: "top",
+      entrywidth: columns > 1 ? 0.5 : undefined, entrywidthmode: "fraction", maxheight: below + 40, font: { size: 11 },
+    };
   }
 
   const widthOf = (plot) => Math.max(plot.clientWidth, 280);
