@@ -106,9 +106,19 @@ def test_the_page_says_what_was_found(written: tuple[Path, report.ReportResult])
     assert "Two bars that meet" in page
     assert "augmented-lagrangian" in page
     assert "osqp" in page
-    assert "http" not in page  # needs no network
     if picture.can_draw():
-        assert page.count("data:image/png;base64,") == 3
+        assert page.count('src="data:image/png;base64,') == 2  # the answers
+
+
+def test_without_its_libraries_no_page_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "report"
+    assert (folder / "index.html") in _write(folder, ["active-set"], CASES[:1]).files
+    monkeypatch.setattr("contactqp.study.page.render.NEEDED", ("jinja2", "plotly_is_not_here"))
+    result = _write(folder, ["active-set"], CASES[:1])
+    assert any("plotly_is_not_here is not installed: pip install" in note for note in result.notes)
+    assert not (folder / "index.html").exists()  # the old one would speak of other rows
+    assert (folder / "results.csv").exists()
+    assert result.exit_code == 0
 
 
 def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -138,8 +138,8 @@ def _large(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     yield Formula("Equilibrium", rf"\frac{{\partial U}}{{\partial u}} {forces} = t f", blocks.get(PATH, ""))
     yield Formula(
         "One step of Newton",
-        r"\underset{\Delta}{\min} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - \frac{\partial U}{\partial u} \right)^T "
-        r"\Delta \quad \text{with} \quad E_N(u) \Delta \le g(u)",
+        r"\underset{\Delta}{\min} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - "
+        r"\frac{\partial U}{\partial u} \right)^T \Delta \quad \text{with} \quad E_N(u) \Delta \le g(u)",
         blocks[NEWTON],
     )
 

@@ -1,0 +1,198 @@
+"""The page: everything is on it, nothing that a user wrote breaks it, and it loads nothing."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from contactqp.study import rows
+from contactqp.study.page import render as pages
+from contactqp.study.page.tables import MARKS, marked
+from contactqp.study.report.chart import Chart
+from contactqp.study.rows import VERDICTS
+from tests.study.page.samples import EVIL, bare_record, chart, data_of, hostile, report_of
+
+for package in pages.NEEDED:
+    pytest.importorskip(package)
+
+LOADS = ("src", "href", "srcset", "data", "action", "poster", "background", "xlink:href")
+VOID = {"meta", "input", "img", "br", "link"}
+
+
+class Page(HTMLParser):
+    """Elements, texts and scripts of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.texts: list[str] = []
+        self.scripts: list[tuple[dict[str, str], str]] = []
+        self.styles: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, {name: value or "" for name, value in attributes}))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        inside = self.open[-1] if self.open else ""
+        if inside == "script":
+            self.scripts.append((self.elements[-1][1], data))
+        elif inside == "style":
+            self.styles.append(data)
+        else:
+            self.texts.append(data)
+
+    def all(self, tag: str, **wanted: str) -> list[dict[str, str]]:
+        return [a for t, a in self.elements if t == tag and wanted.items() <= a.items()]
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    data = hostile()
+    by_case = {case.name: (chart(data.rows_of(case.name), "force", EVIL),) for case in data.cases}
+    return pages.render(data, (chart(data.rows),), by_case)
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    found = Page(text)
+    assert not found.open  # every element is closed, in its order
+    return found
+
+
+def test_texts_of_users_stay_texts(page: Page, text: str) -> None:
+    assert not [a for a in page.all("img") if "onerror" in a]
+    assert not any("onerror" in a for _, a in page.elements)
+    assert EVIL in " ".join(page.texts)  # word for word, once read as HTML
+    assert "{{" in text  # a template of a user is none of ours
+    for attributes, script in page.scripts:
+        assert "alert(" not in script or attributes.get("type") == "application/json"
+    assert len(page.scripts) == 2 + 3  # Plotly, ours, and three charts
+
+
+def test_figures_survive_the_page(page: Page) -> None:
+    read = [json.loads(script) for attributes, script in page.scripts if attributes.get("type") == "application/json"]
+    assert read[0] == json.loads(json.dumps(chart(hostile().rows).figure))
+    evil = Chart("x", EVIL, EVIL, dict(data=[dict(name=EVIL + "</script>\u2028")]))
+    ((_, script),) = [(a, s) for a, s in Page(pages.render(data_of("bar_wall"), (evil,))).scripts if a.get("type")]
+    assert json.loads(script)["data"][0]["name"] == EVIL + "</script>\u2028"
+
+
+def test_it_loads_nothing(page: Page) -> None:
+    for tag, attributes in page.elements:
+        assert tag not in ("link", "iframe", "object", "embed", "base")
+        for name in LOADS:
+            value = attributes.get(name, "#")
+            assert value.startswith(("#", "data:image/png;base64,")), f"{tag} {name} {value[:80]}"
+    assert all("url(" not in style and "@import" not in style for style in page.styles)
+    (policy,) = (a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert "http" not in policy
+
+
+def test_a_page_that_loads_something_is_noticed() -> None:
+    with pytest.raises(AssertionError, match="https://"):
+        test_it_loads_nothing(Page('<script src="https://cdn.example/plotly.js"></script>'))
+
+
+def test_identifiers_are_unique_and_links_have_targets(page: Page) -> None:
+    found = [a["id"] for _, a in page.elements if "id" in a]
+    assert len(set(found)) == len(found)
+    assert {a["href"][1:] for a in page.all("a")} <= set(found)
+    assert {a["data-figure"] for a in page.all("div") if "data-figure" in a} <= set(found)
+
+
+def test_every_row_and_case_is_there(page: Page) -> None:
+    data = hostile()
+    lines = [a for a in page.all("tr") if "data-verdict" in a]
+    assert [(a["data-method"], a["data-variant"], a["data-verdict"]) for a in lines] == [
+        (row.method, row.variant, row.verdict) for row in data.rows
+    ]
+    assert len([a for a in page.all("details") if a.get("class") == "case"]) == len(data.cases)
+    said = " ".join(page.texts)
+    for case in data.cases:
+        for trial in case.judgements:
+            for line in (*trial["expectations"], *trial["published"]):
+                assert line["reason"] in said
+        for remark in case.remarks:
+            assert remark.statement in said
+            assert remark.why in said
+    assert "erratum E29" in said
+    assert all(block.reason in said for case in data.cases for block in case.explanation.blocks)
+
+
+def test_pictures_are_on_the_page(page: Page) -> None:
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    sources = [a["src"] for a in page.all("img")]
+    assert len(sources) == 3  # two answers, and one load path
+    for source in sources:
+        with Image.open(io.BytesIO(base64.b64decode(source.partition(",")[2]))) as image:
+            assert image.format == "PNG"
+    assert all(a["alt"] for a in page.all("img"))
+
+
+def test_tables_and_charts_are_named_and_reached_by_keyboard(page: Page) -> None:
+    scrolls = [a for a in page.all("div") if a.get("class", "").startswith("scroll")]
+    assert scrolls
+    assert all(a.get("tabindex") == "0" and a.get("role") == "region" and a.get("aria-label") for a in scrolls)
+    plots = [a for a in page.all("div") if a.get("class") == "plot"]
+    assert len(plots) == 3
+    assert all(a.get("role") == "img" and a.get("aria-label") for a in plots)
+    labelled = {a["for"] for a in page.all("label") if "for" in a}
+    assert {a["id"] for a in page.all("input") if a["type"] != "checkbox"} <= labelled
+
+
+def test_what_is_not_met_catches_the_eye(page: Page) -> None:
+    said = " ".join(page.texts)
+    assert "✗ 1 expectation not met" in said
+    assert "‼ must be 0" not in said
+    wrong = [replace(row, verdict=rows.WRONG) for row in data_of("bar_wall").rows[:1]]
+    loud = Page(pages.render(report_of([bare_record("bar_wall")], wrong)))
+    assert "‼ must be 0" in " ".join(loud.texts)
+    assert len([a for a in loud.all("tr") if a.get("class") == "bad"]) == 1
+    assert not [a for a in page.all("tr") if a.get("class") == "bad"]
+
+
+def test_every_verdict_has_a_mark_of_its_own() -> None:
+    assert set(VERDICTS) <= set(MARKS) | {"crashed"}
+    assert len({marked(verdict)[0] for verdict in VERDICTS} - {"✗"}) >= len(VERDICTS) - 2
+
+
+def test_a_chart_without_a_figure_is_its_table() -> None:
+    told = Chart("ranges", "Safe ranges", "Where each method ends.", {}, ("method", "β"), (("penalty", "1e16"),))
+    found = Page(pages.render(data_of("bar_wall"), stability=(told,)))
+    assert "Safe ranges" in " ".join(found.texts)
+    assert "1e16" in " ".join(found.texts)
+    assert not [a for a in found.all("div") if a.get("class") == "plot"]
+    assert {"href": "#stability"} in found.all("a")
+
+
+def test_two_cases_with_one_name_after_all() -> None:
+    assert pages._anchors(["a b", "a/b", "a-b", "ü"]) == ["a-b", "a-b-1", "a-b-2", "-"]
+
+
+def test_what_is_missing_is_said_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert pages.missing_packages() == ""
+    monkeypatch.setattr(pages, "NEEDED", ("jinja2", "plotly_is_not_here"))
+    assert pages.missing_packages() == (
+        "no page, as plotly_is_not_here is not installed: pip install 'contactqp[report]'"
+    )
+
+
+def test_without_scripts_a_line_says_so(text: str) -> None:
+    assert re.search(r"<noscript><p[^>]*>Without JavaScript", text)

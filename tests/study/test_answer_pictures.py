@@ -1,0 +1,60 @@
+"""Small pictures of answers for a page."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from contactqp.scene.judging import Failure, Judgement, Trial, judge
+from contactqp.scene.loading import load_scene
+from contactqp.study.answer_pictures import answer_pictures
+
+pytest.importorskip("matplotlib")
+CASES = Path(__file__).parents[2] / "cases"
+ORANGE = (0xD5, 0x5E, 0x00)  # contact forces
+
+
+def _judged(name: str) -> Judgement:
+    return judge(load_scene(CASES / f"{name}.toml"), Trial())
+
+
+def _read(picture: bytes | None) -> Any:
+    from PIL import Image
+
+    assert picture is not None
+    return Image.open(io.BytesIO(picture))
+
+
+def _farthest(image: Any, colour: tuple[int, int, int]) -> int:
+    """The distance of the nearest colour of a picture's palette."""
+    counts = image.convert("RGB").getcolors(image.width * image.height)
+    return min(max(abs(a - b) for a, b in zip(found, colour, strict=True)) for _, found in counts)
+
+
+def test_a_structure_and_its_path() -> None:
+    drawn = answer_pictures(_judged("two_bars_path"))
+    for picture in (drawn.answer, drawn.history):
+        image = _read(picture)
+        assert (image.format, image.mode) == ("PNG", "P")
+        assert image.width > 600  # letters can be read
+        assert len(picture or b"") < 30_000
+    assert _farthest(_read(drawn.answer), ORANGE) < 8
+
+
+def test_few_arrows_keep_their_colour_beside_large_bodies() -> None:
+    drawn = answer_pictures(_judged("stacked_blocks"))
+    assert drawn.history is None  # one instant
+    assert _farthest(_read(drawn.answer), ORANGE) < 25
+    assert len(drawn.answer or b"") < 40_000
+
+
+def test_why_there_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    judged = _judged("two_bars")
+    failed = answer_pictures(Failure(judged.scene, judged.trial, "did not converge", judged.history))
+    assert (failed.answer, failed.history, failed.why_not) == (None, None, "did not converge")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    assert "pip install 'contactqp[report]'" in answer_pictures(judged).why_not
