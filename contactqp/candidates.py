@@ -55,6 +55,11 @@ def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.i
     return np.union1d(before, closed).astype(np.intp)
 
 
+def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
+    """The contacts that a problem, once solved, was condensed onto; None: all of them."""
+    return np.asarray(problem._shared["among"][0]) if "among" in problem._shared else None
+
+
 def take_all(problem: ContactProblem) -> None:
     """Have every contact of a problem condensed onto, however many there are."""
     problem._shared.pop("among", None)

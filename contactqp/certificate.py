@@ -19,6 +19,7 @@ from contactqp.failures import failed_bounds, failed_figures, failed_law, not_fi
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import read_array
+from contactqp.stages import CERTIFY, stage
 from contactqp.uniqueness import UNKNOWN, uniqueness
 from contactqp.violations import (
     FIGURES,
@@ -141,6 +142,17 @@ def certify(
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         return _not_finite(problem, answer, tolerance, error_tolerance)
+    with stage(CERTIFY):
+        return _judged(problem, answer, tolerance, error_tolerance, factorization)
+
+
+def _judged(
+    problem: ContactProblem,
+    answer: Answer,
+    tolerance: float,
+    error_tolerance: float,
+    factorization: Condensation | None,
+) -> Certificate:
     with problem.lock:
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance)

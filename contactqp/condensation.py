@@ -24,6 +24,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.factorization import SUSPICIOUS_PIVOT, Array, DenseCholesky, RigidMotions, inverse_root, null_space
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
+from contactqp.stages import CONDENSE, count_factorisation, stage
 
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
 NOTHING_LEFT = 1e-8
@@ -74,7 +75,9 @@ class Condensation:
         self.retained = retained
         self._reduced: tuple[Vector, Vector, Vector] | None = None
         self._elimination = eliminate(self._sparse, retained)
-        self.factorisations += int(len(retained) < self._sparse.shape[0])
+        if len(retained) < self._sparse.shape[0]:
+            self.factorisations += 1
+            count_factorisation()
         self.schur = self._elimination.schur
         self.scale = self._scale(of_stiffness)
         self._schur_factor: DenseCholesky | None = None
@@ -258,7 +261,8 @@ def condense(problem: ContactProblem) -> Condensation:
     """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
     shared: dict[str, Any] = problem._shared
     if "condensation" not in shared:
-        shared["condensation"] = Condensation(problem)
+        with stage(CONDENSE):
+            shared["condensation"] = Condensation(problem)
     condensation: Condensation = shared["condensation"]
     return condensation
 

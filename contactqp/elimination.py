@@ -20,6 +20,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.factorization import DENSE_SIZE, Array, Factorization, factorise
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.problem import Vector
+from contactqp.stages import count_half_substitutions
 from contactqp.trailing_block import TrailingBlock
 
 # Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
@@ -78,7 +79,9 @@ class BackSubstitution:
     def _solve(self, right: Array) -> Array:
         if self._factor is None:
             return np.zeros_like(right)
-        self.half_substitutions += 2 * (1 if right.ndim == 1 else right.shape[1])
+        count = 2 * (1 if right.ndim == 1 else right.shape[1])
+        self.half_substitutions += count
+        count_half_substitutions(count)
         return self._factor.solve(right)
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
@@ -106,11 +109,13 @@ class LastBlock:
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
         self.half_substitutions += 1
+        count_half_substitutions(1)
         eliminated = self._factor.forward(load)
         return eliminated[self._retained], eliminated
 
     def expand(self, retained: Vector, state: Vector) -> Vector:
         self.half_substitutions += 1
+        count_half_substitutions(1)
         right = state.copy()
         right[self._retained] = retained
         return self._factor.backward(right)

@@ -24,6 +24,7 @@ from contactqp.methods import Method, Settings, find
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Raw, Solution, Work
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
+from contactqp.stages import METHOD, POLISH, stage
 from contactqp.widening import solve_among
 
 
@@ -116,7 +117,7 @@ def solve(
     same["condense"] = condense
     start = warm_candidate(problem, warm_start)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
-        with problem.lock:
+        with problem.lock, stage(METHOD):
             return solve_among(
                 problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
             )
@@ -175,7 +176,7 @@ def begin(
     refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
-    with problem.lock, one_blas_thread(problem):
+    with problem.lock, one_blas_thread(problem), stage(METHOD):
         attempt: Attempt
         if problem.frictional and chosen.solve_friction is not None:
             attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
@@ -207,7 +208,7 @@ class Begun:
             As `solve`.
         """
         started = time.perf_counter() - self.seconds
-        with self.problem.lock, one_blas_thread(self.problem):
+        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
             return self._accepted(*self._certified(started))
 
     def _accepted(self, solution: Solution, polished: bool) -> Solution:

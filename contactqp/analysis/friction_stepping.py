@@ -22,6 +22,7 @@ from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving import Begun, solve
+from contactqp.stages import METHOD, POLISH, stage
 from contactqp.violations import own_compliance
 
 # A gap of this part of the lengths that meet is rounding.
@@ -66,7 +67,7 @@ class LightStep:
             The certificate refuses the answer.
         """
         started = time.perf_counter()
-        with self.problem.lock, one_blas_thread(self.problem):
+        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
             attempt = attempt_on(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
         method = replace(find("active-set"), name=attempt.name)
         spent = self.seconds + time.perf_counter() - started
@@ -112,7 +113,8 @@ class PlaneStepper:
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
         lengths = self._system.lengths(problem, _between(start, end, fraction))
         try:
-            found, combinations = search(self._system, lengths, self._status, held_open)
+            with stage(METHOD):
+                found, combinations = search(self._system, lengths, self._status, held_open)
         except NotConverged:
             return self._otherwise.solve(fraction, origin, held_open)
         spent = time.perf_counter() - started

@@ -31,6 +31,7 @@ from contactqp.scene.meshing import body_mesh
 from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number
 from contactqp.solution import Solution
+from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
@@ -78,12 +79,13 @@ class BodyModel:
     def problem(self) -> ContactProblem:
         """On the free unknowns. A contact is called ``floor 12``: its entry in the scene and its node."""
         friction = np.concatenate([np.zeros(0), *[np.full(len(c.area), float(c.friction)) for c in self.contacts]])
-        return self.system.problem(
-            [contact.pairing for contact in self.contacts],
-            friction=friction if friction.any() else None,
-            units=Units(length=self.scene.units.length, force=self.scene.units.force),
-            names=[f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes],
-        )
+        with stage(BUILD):
+            return self.system.problem(
+                [contact.pairing for contact in self.contacts],
+                friction=friction if friction.any() else None,
+                units=Units(length=self.scene.units.length, force=self.scene.units.force),
+                names=[f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes],
+            )
 
     def load_on_all(self, time: Fraction) -> Vector:
         """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""

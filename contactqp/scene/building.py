@@ -25,6 +25,7 @@ from contactqp.scene.exact_numbers import displacements, ends, point, value
 from contactqp.scene.obstacles import obstacle
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
+from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Bar, Beam, Scene, Spring
@@ -119,7 +120,8 @@ class NodeModel:
 
         Tangential rows are there only if a contact has friction.
         """
-        return _rounded(self.scene, self.exact)
+        with stage(BUILD):
+            return _rounded(self.scene, self.exact)
 
     def along_axes(self, tangential: NDArray[np.float64] | None) -> NDArray[np.float64]:
         """sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""

@@ -10,6 +10,7 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.schema import Scene
+from contactqp.stages import READ, stage
 
 # Bytes; the parser takes about a second for each of a million.
 LARGEST = 2**25
@@ -27,7 +28,8 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     """
     file = Path(path)
     try:
-        scene = Scene(**_tables(_text(file)))
+        with stage(READ):
+            scene = Scene(**_tables(_text(file)))
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     scene._file = file

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from contactqp.scene.building import NodeModel, exact_problem
+from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel
@@ -23,8 +24,9 @@ def build(scene: Scene) -> Model:
     BackendMissing
         A mesh file that needs meshio, which is not installed.
     """
-    if scene.meshed:
-        from contactqp.scene.bodies import body_model
+    with stage(BUILD):
+        if scene.meshed:
+            from contactqp.scene.bodies import body_model
 
-        return body_model(scene)
-    return NodeModel(scene, exact_problem(scene))
+            return body_model(scene)
+        return NodeModel(scene, exact_problem(scene))

@@ -12,6 +12,7 @@ from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
 from contactqp.solving import solve
+from contactqp.stages import STEPS, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
@@ -42,7 +43,13 @@ def run_model(model: Model, method: str, **options: Any) -> History:
 
 def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
     """As `run_model`, of the model's own problem or a copy of it."""
-    path = model.scene.path
+    if model.scene.path is None and model.scene.motion is None:
+        return History([solve(problem, method, **options)], [1.0])
+    with stage(STEPS):
+        return _steps(model, problem, method, **options)
+
+
+def _steps(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
     if model.scene.large:
         from contactqp.scene.building import NodeModel
         from contactqp.scene.deforming import deform
@@ -53,7 +60,7 @@ def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
         from contactqp.scene.moving import move
 
         return move(model, problem, method, **options)
-    if path is None:
-        return History([solve(problem, method, **options)], [1.0])
+    path = model.scene.path
+    assert path is not None  # what has none is one instant
     corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
     return follow_path(problem, loads=corners, steps=path.steps, events=path.events, method=method, **options)

@@ -31,6 +31,7 @@ from contactqp.errors import (
 )
 from contactqp.problem import Vector
 from contactqp.solution import Work
+from contactqp.stages import CERTIFY, METHOD, stage
 
 # Steps certified at once.
 BLOCK = 64
@@ -111,7 +112,8 @@ class MotionRun:
         for contact, pending in zip(self._contacts, self._pending, strict=True):
             posed = self._scheme.pose(state, load, next_load, answers)
             try:
-                found = contact.solve(posed)
+                with stage(METHOD):
+                    found = contact.solve(posed)
             except (NotConverged, NotCertified, BackendFailed, NoEquilibrium, SeveralEquilibria) as error:
                 done = len(self._motion.states) - 1
                 for pairs in self._pending:
@@ -132,7 +134,8 @@ class MotionRun:
             first = self._certified + 1
             if not pending:
                 continue
-            refused = judge.refused([p for p, _ in pending], [a for _, a in pending], TOLERANCE)
+            with stage(CERTIFY):
+                refused = judge.refused([p for p, _ in pending], [a for _, a in pending], TOLERANCE)
             pending.clear()
             if refused is None:
                 continue
