@@ -139,11 +139,33 @@ def test_no_equilibrium_is_exit_1_in_one_line(capsys, tmp_path):
 
 @pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
 def test_explain_says_what_is_in_a_case(case, capsys):
-    code, out, _ = run(capsys, "explain", case)
+    code, out, _ = run(capsys, "explain", "--no-solve", case)
     assert code == 0
     assert "left out" in out
-    data = json.loads(run(capsys, "explain", case, "--json")[1])
+    data = json.loads(run(capsys, "explain", "--no-solve", case, "--json")[1])
     assert data["unknowns"]
+    assert data["footprint"] is None
+
+
+def test_explain_says_what_the_answer_takes(capsys):
+    code, out, err = run(capsys, "explain", WALL)
+    assert (code, err) == (0, "")
+    for words in ("certificate passed", "import modules", "certify", "0 factorisations", "1 looked at, 1 kept", "MiB"):
+        assert words in out
+    (left_out,) = (line for line in out.splitlines() if line.startswith("not imported:"))
+    assert "osqp" in left_out
+    footprint = json.loads(run(capsys, "explain", WALL, "--json")[1])["footprint"]
+    assert footprint["certified"]
+    assert sum(stage["seconds"] for stage in footprint["stages"]) == pytest.approx(footprint["seconds"], rel=0.05)
+
+
+def test_explain_explains_what_has_no_answer(capsys, tmp_path):
+    file = tmp_path / "loose.toml"
+    file.write_text(PUSHED_OFF)
+    code, out, _ = run(capsys, "explain", file)
+    assert code == 0
+    assert "left out" in out
+    assert "no answer: " in out
 
 
 def test_methods_are_listed(capsys):

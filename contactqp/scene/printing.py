@@ -1,4 +1,4 @@
-"""Judgements, explanations and the list of methods as tables and as plain data for JSON."""
+"""Judgements and the list of methods as tables and as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ from contactqp.methods import Method
 from contactqp.scene.building import NodeModel
 from contactqp.scene.deforming import friction_along_axes
 from contactqp.scene.expectations import Comparison
-from contactqp.scene.explaining import shortened
-from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
-from contactqp.scene.tables import MOST_ROWS, print_table, shown, written
+from contactqp.scene.tables import print_table, shown, written
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
@@ -217,20 +215,6 @@ def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, fl
 def _finite(value: float) -> float | None:
     """JSON has no numbers that are not finite."""
     return float(value) if math.isfinite(value) else None
-
-
-def print_explanation(console: Console, explanation: Explanation) -> None:
-    """Unknowns, constraints, blocks."""
-    console.print(f"[bold]{escape(explanation.title)}[/bold] (in {escape(explanation.units)})")
-    console.print(escape(f"unknowns: {len(explanation.unknowns)}: {shortened(explanation.unknowns)}"))
-    if explanation.fixed:
-        console.print(escape(f"fixed: {len(explanation.fixed)}: {shortened(explanation.fixed)}"))
-    for heading, rows in (("contacts", explanation.contacts), ("ties", explanation.ties)):
-        console.print(f"{heading}: {len(rows)}")
-        for row in rows[:MOST_ROWS]:
-            console.print(escape(f"  {row}"))
-    blocks = [[block.name, "included" if block.included else "left out", block.reason] for block in explanation.blocks]
-    print_table(console, ["block", "", "why"], blocks)
 
 
 def print_methods(console: Console, methods: Iterable[Method]) -> None:

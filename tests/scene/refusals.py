@@ -29,8 +29,8 @@ def refuse(capsys: pytest.CaptureFixture[str], file: str, words: str, command: s
     assert words in message
 
 
-def accept(capsys: pytest.CaptureFixture[str], file: str, command: str = "run") -> None:
+def accept(capsys: pytest.CaptureFixture[str], file: str, *command: str) -> None:
     """The command must exit with 0."""
     with pytest.raises(SystemExit) as exit_:
-        main([command, file])
+        main([*(command or ("run",)), file])
     assert exit_.value.code == 0, capsys.readouterr()

@@ -115,7 +115,7 @@ def main(case: str, method: str) -> None:
         stages=tuple(StageTime(name, spent[name]) for name in (IMPORT, *STAGES) if name in spent),
         instants=0 if history is None else len(history),
         certified=failure is None and history is not None and bool(history[-1].certificate.passed),
-        contacts=None if model is None else _contacts(model, history),
+        contacts=None if model is None else contact_count(model, history),
         factorisations=clock.factorisations,
         back_substitutions=clock.back_substitutions,
         memory=Memory(peak(), at_start, imports.taken if at_start is not None else None),
@@ -130,7 +130,8 @@ def _look_at(history: History, model: Model) -> None:
         assert solution.certificate is not None
 
 
-def _contacts(model: Model, history: History | None) -> ContactCount:
+def contact_count(model: Model, history: History | None) -> ContactCount:
+    """Of a case that was solved."""
     from contactqp.candidates import candidates_of
 
     problem = model.problem
@@ -139,10 +140,10 @@ def _contacts(model: Model, history: History | None) -> ContactCount:
     candidates = candidates_of(problem)
     if candidates is None:
         return ContactCount(problem.contacts + unpaired, unpaired, 0, problem.contacts)
-    dropped = [i for i in range(problem.contacts) if i not in set(candidates.tolist())]
+    kept = set(candidates.tolist())
+    dropped = [i for i in range(problem.contacts) if i not in kept]
     gaps = [float(solution.gap[dropped].min()) for solution in history or () if dropped]
-    kept = problem.contacts - len(dropped)
-    return ContactCount(problem.contacts + unpaired, unpaired, len(dropped), kept, min(gaps, default=None))
+    return ContactCount(problem.contacts + unpaired, unpaired, len(dropped), len(kept), min(gaps, default=None))
 
 
 def _modules(before: set[str]) -> Modules:

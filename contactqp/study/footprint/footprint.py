@@ -14,7 +14,7 @@ OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
         "QP backends",
         ("qpsolvers", "cvxpy", "osqp", "clarabel", "piqp", "proxsuite", "daqp", "highspy", "scs", "qpalm"),
     ),
-    ("exact rational numbers", ("flint",)),
+    ("fast rational algebra", ("flint",)),
     ("pictures and pages", ("matplotlib", "plotly", "jinja2")),
     ("files of other codes", ("h5py",)),
     ("faster sparse solvers", ("pypardiso", "pyamg", "threadpoolctl")),

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from contactqp.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, timed
-from contactqp.study.footprint.child import ImportMeter
+from contactqp.scene.loading import load_scene
+from contactqp.scene.models import build
+from contactqp.scene.running import run_model
+from contactqp.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
+from contactqp.study.footprint.child import ImportMeter, contact_count
 from contactqp.study.footprint.footprint import IMPORT, OPTIONAL, Footprint
 from contactqp.study.footprint.measuring import measure
 from tests.examples import PUSHED_OFF
@@ -102,3 +105,18 @@ def test_what_is_optional_in_the_extras_is_known_here():
     for extra in ("solids", "backends", "exchange", "exact", "fast"):
         names = [line.partition(">")[0] for line in extras[extra]]
         assert {modules.get(name, name) for name in names} <= named
+
+
+def test_contacts_that_are_dropped_are_counted_and_checked(monkeypatch):
+    monkeypatch.setattr("contactqp.candidates.MANY", 40)  # contact unknowns; 3000 otherwise
+    monkeypatch.setattr("contactqp.candidates.FIRST", 20)
+    model = build(load_scene(CASES / "hertz_line.toml"))
+    history = run_model(model, "active-set")
+    count = contact_count(model, history)
+    solution = history[-1]
+    assert count.looked_at == len(solution.gap) == 81
+    assert 0 < count.dropped < 81 - int((solution.normal_force > 0).sum())
+    assert count.kept == 81 - count.dropped
+    assert solution.certificate.passed
+    assert 0 < count.least_dropped_gap <= solution.gap.max()
+    assert solution.normal_force[solution.gap >= count.least_dropped_gap].max() == 0.0
