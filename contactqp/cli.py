@@ -211,7 +211,7 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
 def methods_command(as_json: bool) -> None:
     """List every method: what it can do, and whether it is installed or how to install it."""
     from contactqp.methods import methods
-    from contactqp.scene.printing import method_data, print_methods
+    from contactqp.scene.printing_methods import method_data, print_methods
 
     if as_json:
         _print_json([method_data(method) for method in methods()])

@@ -1,4 +1,4 @@
-"""Judgements and the list of methods as tables and as plain data for JSON."""
+"""Judgements as tables, with pictures in letters, and as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.analysis.motion.history import Moving
-from contactqp.methods import Method
+from contactqp.pictures.in_text import ROUNDING, bars
 from contactqp.scene.building import NodeModel
 from contactqp.scene.deforming import friction_along_axes
 from contactqp.scene.expectations import Comparison
 from contactqp.scene.judging import Failure, Judgement
+from contactqp.scene.printing_courses import print_courses
 from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
-from contactqp.scene.tables import print_table, shown, written
+from contactqp.scene.tables import Drawn, print_table, shown, written
+from contactqp.scene.unknowns import is_rotation
+from contactqp.solution import Solution
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
@@ -54,7 +58,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         for header, table in summaries(judgement.model, solution):
             print_table(console, header, [[c if isinstance(c, str) else written(c) for c in row] for row in table])
     else:
-        print_table(console, *_unknowns(judgement))
+        header, shown = _unknowns(judgement)
+        print_table(console, header, [row for row, _ in shown], [_drawn(2, [value for _, value in shown])])
         contacts = zip(names, solution.contact_status, solution.normal_force, solution.gap, strict=True)
         rows = [[name, str(status), written(f), written(g)] for name, status, f, g in contacts]
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
@@ -62,7 +67,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
             vectors = friction_along_axes(judgement.model, solution)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
-        print_table(console, header, rows)
+        print_table(console, header, rows, [_drawn(3, solution.normal_force), _drawn(4, _gaps(solution))])
+    print_courses(console, judgement)
     print_way(console, judgement.history, when(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
@@ -77,15 +83,33 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
         console.print(escape(f"free to move: {motion}"))
 
 
-def _unknowns(judgement: Judgement) -> tuple[list[str], list[list[str]]]:
-    """Displacements, in a motion velocities too; of divided bars only those of their ends."""
+def _gaps(solution: Solution) -> NDArray[np.float64]:
+    """Gaps without what rounding leaves of closed ones, which is no picture."""
+    size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
+    return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)
+
+
+def _drawn(before: int, values: ArrayLike) -> Drawn:
+    """A bar for each value, in front of a column."""
+    return Drawn(before, lambda width, letters: bars(values, width, letters))
+
+
+def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], float]]]:
+    """Displacements, in a motion velocities too; of divided bars only those of their ends.
+
+    Each row with what is drawn of it: its displacement, and no rotation, which is none.
+    """
     solution, scene = judgement.solution, judgement.scene
     length, ends = scene.units.length, {node.name for node in scene.nodes}
     header, columns = ["unknown", f"displacement [{length}]"], [solution.displacement]
     if isinstance(solution, Moving):
         header, columns = [*header, f"velocity [{length}/s]"], [*columns, solution.velocity]
     rows = zip(solution.problem.dof_names or (), *columns, strict=True)
-    return header, [[name, *map(written, row)] for name, *row in rows if name.rpartition(".")[0] in ends]
+    return header, [
+        ([name, *map(written, row)], math.nan if is_rotation(name) else row[0])
+        for name, *row in rows
+        if name.rpartition(".")[0] in ends
+    ]
 
 
 def _energies(judgement: Judgement) -> dict[str, float]:
@@ -215,48 +239,3 @@ def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, fl
 def _finite(value: float) -> float | None:
     """JSON has no numbers that are not finite."""
     return float(value) if math.isfinite(value) else None
-
-
-def print_methods(console: Console, methods: Iterable[Method]) -> None:
-    """Every method, installed or how to install it, and what it can do."""
-    rows = [
-        [
-            m.name,
-            m.kind,
-            "yes" if m.installed else m.install,
-            "exact" if m.exact else "approximate",
-            _abilities(m),
-            m.note,
-        ]
-        for m in methods
-    ]
-    print_table(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
-
-
-def _abilities(method: Method) -> str:
-    yes = [
-        "floating bodies" if method.semidefinite else "",
-        "sparse" if method.sparse else "",
-        f"friction: {method.friction}" if method.friction else "",
-        f"knob: {method.knob}" if method.knob else "",
-    ]
-    return ", ".join(text for text in yes if text)
-
-
-def method_data(method: Method) -> dict[str, Any]:
-    """One method for JSON."""
-    keys = (
-        "name",
-        "kind",
-        "installed",
-        "install",
-        "exact",
-        "semidefinite",
-        "sparse",
-        "friction",
-        "options",
-        "required",
-        "knob",
-        "note",
-    )
-    return {key: getattr(method, key) for key in keys}

@@ -29,7 +29,7 @@ def data_of(*names: str) -> ReportData:
     cases, rows = [], []
     for study in studies:
         truth = study.truth()
-        rows += study.rows(truth, 0)
+        rows += [study.answer(rung, truth) for rung in study.rungs]
         cases.append(record(study, truth))
     return report_of(cases, rows)
 

@@ -1,0 +1,108 @@
+"""Tables with pictures: they fit the terminal, lose the picture before a digit, and know what letters it can show."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from contactqp.cli import main
+from contactqp.pictures.in_text import bars
+from contactqp.scene.tables import MOST_ROWS, Drawn, print_table
+
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def printed(width, rows, drawn, encoding="utf-8"):
+    class Screen(io.StringIO):
+        pass
+
+    Screen.encoding = encoding
+    screen = Screen()
+    print_table(Console(file=screen, width=width), ["name", "force"], rows, drawn)
+    return screen.getvalue().splitlines()
+
+
+ROWS = [["a", "8.12345678901"], ["b", "4.12345678901"]]
+FORCES = [Drawn(2, lambda width, letters: bars([8, 4], width, letters))]
+
+
+def test_a_picture_takes_the_room_that_there_is():
+    wide, narrow, none = (printed(width, ROWS, FORCES) for width in (80, 40, 22))
+    assert "█" * 24 in "".join(wide)
+    assert "█" * 10 in "".join(narrow)
+    assert "█" * 11 not in "".join(narrow)
+    assert "█" not in "".join(none)
+    for lines, width in ((wide, 80), (narrow, 40), (none, 22)):
+        assert all(len(line) <= width for line in lines)
+        assert any("8.12345678901" in line for line in lines)
+
+
+def test_pictures_are_ascii_where_the_output_has_no_blocks():
+    text = "".join(printed(80, ROWS, FORCES, "latin-1"))
+    assert text.isascii()
+    assert "#" * 24 in text
+
+
+def test_pictures_are_cut_with_their_rows():
+    count = MOST_ROWS + 5
+    drawn = [Drawn(1, lambda width, letters: bars(range(count), width, letters))]
+    lines = printed(80, [[str(i), "1"] for i in range(count)], drawn)
+    assert "... and 5 more rows (--json has all)" in lines[-1]
+
+
+def shown(capsys, case, *options):
+    with pytest.raises(SystemExit) as exit_:
+        main(["run", str(CASES / f"{case}.toml"), "--method", "active-set", *options])
+    assert exit_.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_run_draws_forces_and_gaps(capsys):
+    lines = shown(capsys, "string_over_floor_fine").splitlines()
+    first, middle = (next(line for line in lines if line.startswith(f" {name} ")) for name in ("1", "9"))
+    assert first.rstrip().endswith("█" * 24)  # the largest gap, and no force
+    assert "·" in first
+    assert "0.111111111111" + " " * 5 + "█" * 24 in middle
+    assert middle.rstrip().endswith("·")
+
+
+def test_gaps_that_rounding_leaves_are_no_picture(capsys):
+    out = shown(capsys, "von_mises_arc")
+    (contact,) = (line for line in out.splitlines() if line.startswith(" node      closed"))
+    assert contact.count("█" * 24) == 1  # the force's
+    assert contact.rstrip().endswith("·")
+
+
+def test_run_draws_the_course_of_a_path_and_of_a_pressure(capsys):
+    (row,) = (line for line in shown(capsys, "truss_floor").splitlines() if "load factor 0 to 1" in line)
+    picture = row.split()[1]
+    assert len(picture) == 24
+    assert picture[:16] == "·" * 16  # it closes at 0.717
+    assert picture[-1] == "█"
+    assert list(picture[17:]) == sorted(picture[17:])
+    (row,) = (line for line in shown(capsys, "hertz_line").splitlines() if "pressure, at most" in line)
+    picture = row.split()[1]
+    assert picture == picture.replace(" ", "")
+    assert {picture[0], picture[-1]} == {"·"}
+    assert "█" in picture[3:-3]
+
+
+def test_no_picture_goes_into_json(capsys):
+    out = shown(capsys, "truss_floor", "--json")
+    assert json.loads(out)[0]["normal_force"]["foot"] == pytest.approx(30.2548805943)
+    assert out.isascii()
+
+
+def test_a_pipe_of_another_encoding_gets_ascii_without_colours():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", "contactqp", "run", str(CASES / "truss_floor.toml")]
+    done = subprocess.run(command, capture_output=True, env=environment, check=True)
+    assert done.stdout.isascii()
+    assert b"#" * 24 in done.stdout
+    assert b"\x1b" not in done.stdout
+    assert done.stderr == b""
