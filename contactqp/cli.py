@@ -57,14 +57,17 @@ def run_command(
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
     displacements, forces and energies with its events, to FILE with "history" before the suffix.
     """
-    from contactqp.scene.arguments import case_files, read_knobs
+    from contactqp.scene.arguments import are_case_files, case_files, read_knobs
     from contactqp.scene.judging import Failure, Judgement, judge_all
     from contactqp.scene.loading import load_scene
     from contactqp.scene.printing import judgement_data, print_judgements
     from contactqp.scene.printing_paths import print_failure
-    from contactqp.study.friction_files import outcome_data, run_files, split_files
 
-    named, foreign = split_files(cases)
+    named, foreign = list(cases), list[str]()
+    if not are_case_files(cases):
+        from contactqp.study.friction_files import split_files
+
+        named, foreign = split_files(cases)
     scenes = [load_scene(file) for file in case_files(named)]
     knobs = read_knobs(penalty, perturbation, options)
     files = None
@@ -83,16 +86,21 @@ def run_command(
             print_judgements(console, [outcome for outcome in found if isinstance(outcome, Judgement)])
         for file in files.write(found) if files is not None else ():
             click.echo(f"written: {file}", err=as_json)
-    solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=sys.stderr.isatty())
-    for message in (outcome.failure for outcome in solved if outcome.failure is not None):
-        _complain(message)
-    if as_json:
-        _print_json([judgement_data(outcome) for outcome in outcomes] + [outcome_data(outcome) for outcome in solved])
-    elif solved:
+    data, met = [judgement_data(outcome) for outcome in outcomes] if as_json else [], all(o.met for o in outcomes)
+    if foreign:
+        from contactqp.study.friction_files import outcome_data, run_files
         from contactqp.study.friction_printing import print_outcomes
 
-        print_outcomes(console, solved)
-    met = all(outcome.met for outcome in outcomes) and all(outcome.passed for outcome in solved)
+        solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=sys.stderr.isatty())
+        for message in (outcome.failure for outcome in solved if outcome.failure is not None):
+            _complain(message)
+        if as_json:
+            data += [outcome_data(outcome) for outcome in solved]
+        else:
+            print_outcomes(console, solved)
+        met = met and all(outcome.passed for outcome in solved)
+    if as_json:
+        _print_json(data)
     sys.exit(0 if met else NOT_MET)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, overload
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
@@ -12,20 +12,19 @@ from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
-from contactqp.enforced_attempt import EnforcedAttempt
 from contactqp.errors import NotCertified, NotConverged, refuse_other
-from contactqp.friction_attempt import attempt_friction
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
 from contactqp.local_problem import LocalProblem
-from contactqp.local_solution import LocalSolution
-from contactqp.local_solving import solve_local
 from contactqp.methods import Method, Settings, find
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Raw, Solution, Work
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
 from contactqp.stages import METHOD, POLISH, stage
 from contactqp.widening import solve_among
+
+if TYPE_CHECKING:
+    from contactqp.local_solution import LocalSolution
 
 
 @overload
@@ -112,6 +111,8 @@ def solve(
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
     if isinstance(problem, LocalProblem):
+        from contactqp.local_solving import solve_local
+
         return solve_local(problem, method, warm_start=warm_start, **same)
     refuse_other("solve", problem, ContactProblem, LocalProblem)
     same["condense"] = condense
@@ -179,8 +180,12 @@ def begin(
     with problem.lock, one_blas_thread(problem), stage(METHOD):
         attempt: Attempt
         if problem.frictional and chosen.solve_friction is not None:
+            from contactqp.enforced_attempt import EnforcedAttempt
+
             attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
         elif problem.frictional:
+            from contactqp.friction_attempt import attempt_friction
+
             attempt = found = attempt_friction(problem, chosen, settings, algorithm)
             chosen = replace(chosen, name=found.name, exact=found.exact)
         else:

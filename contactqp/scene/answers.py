@@ -18,8 +18,8 @@ from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
-from contactqp.scene.deforming import DeformableModel, friction_along_axes
 from contactqp.scene.exact_numbers import point
+from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
 from contactqp.scene.schema import Scene
@@ -88,6 +88,8 @@ def _reaction(claim: Claim, answer: Answer) -> float:
     """r = K u + E_N' l_N + E_T' l_T + A' nu - f at a fixed unknown: the force of the support on the body."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
     if isinstance(solution, LargeSolution):
+        from contactqp.scene.deforming import DeformableModel
+
         return float(DeformableModel(answer.model).support_forces(solution)[exact.unknowns.place[at]])
     stiffness = sum(float(k) * answer.displacement(j) for (i, j), k in exact.stiffness.items() if i == at)
     rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
@@ -102,6 +104,8 @@ def _reaction(claim: Claim, answer: Answer) -> float:
 def _bar_force(claim: Claim, answer: Answer) -> float:
     scene = answer.scene
     if scene.large:
+        from contactqp.scene.deforming import DeformableModel
+
         return DeformableModel(answer.model).bar_force(str(claim.at), answer.solution.displacement)
     item = next(bar for bar in scene.bars if bar.name == claim.at)
     start, end = (point(scene, node) for node in item.nodes)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from contactqp.scene.claims import Claim
-from contactqp.scene.moving import momentum
 
 if TYPE_CHECKING:
     from contactqp.scene.answers import Answer
@@ -14,6 +13,8 @@ if TYPE_CHECKING:
 
 
 def _momentum(claim: Claim, answer: Answer | BodyAnswer) -> float:
+    from contactqp.scene.moving import momentum
+
     instant = answer.instant
     return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
 

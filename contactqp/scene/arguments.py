@@ -11,6 +11,11 @@ from contactqp.scene.judging import Knob
 from contactqp.scene.units import KINDS, read_quantity
 
 
+def are_case_files(arguments: Iterable[str]) -> bool:
+    """Whether all that is named is case files by their suffix."""
+    return all(Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir() for argument in arguments)
+
+
 def case_files(arguments: Iterable[str]) -> list[str]:
     """The files that are named, and all case files of the folders that are."""
     files: list[str] = []

@@ -18,7 +18,6 @@ from contactqp.analysis.large_deformation import large_deformation
 from contactqp.elements.bar_law import LAWS, LawOfEachBar
 from contactqp.elements.deformable import ContactGeometry
 from contactqp.elements.green_truss import NonlinearTruss
-from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
@@ -27,7 +26,6 @@ from contactqp.scene.corners import end_time
 from contactqp.scene.exact_numbers import point
 from contactqp.scene.obstacles import obstacle
 from contactqp.scene.unknowns import of_node
-from contactqp.solution import Solution
 
 Array = NDArray[np.float64]
 # Steps of a path that states none.
@@ -174,15 +172,3 @@ def _named(model: NodeModel, text: str) -> str:
     """Unknowns by their names in place of their numbers."""
     free = model.exact.unknowns.free
     return _BY_PLACE.sub(lambda found: free[int(found[1])], text)
-
-
-def friction_along_axes(model: NodeModel, solution: Solution) -> Array:
-    """lambda_T of each contact along the axes, (m, d), with tangents that at large deformations are those of now."""
-    force = solution.friction_force
-    if not isinstance(solution, LargeSolution) or force is None or solution.position is None:
-        return model.along_axes(force)
-    vectors = np.zeros(solution.position.shape)
-    for i, contact in enumerate(model.scene.contacts):
-        normals = obstacle(model.scene, str(contact.obstacle)).normals(solution.position[i : i + 1])
-        vectors[i] = force[i] @ tangent_frames(np.asarray(normals, dtype=float))[0]
-    return vectors

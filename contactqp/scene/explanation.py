@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from contactqp.analysis.load_path import DEFAULT_STEPS
 from contactqp.scene.corners import load_names
-from contactqp.scene.deforming import DEFAULT_STEPS as DEFAULT_LARGE_STEPS
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
@@ -45,6 +43,8 @@ def path_block(scene: Scene) -> BuildingBlock:
         return BuildingBlock("load path", False, constant)
     if scene.large:
         return BuildingBlock("load path", True, _large_path(scene.path))
+    from contactqp.analysis.load_path import DEFAULT_STEPS
+
     exactly = scene.path.events is not None
     steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
     steps = f"{scene.path.steps} steps" if scene.path.steps else steps
@@ -57,8 +57,10 @@ def path_block(scene: Scene) -> BuildingBlock:
 
 
 def _large_path(path: LoadPath) -> str:
+    from contactqp.scene.deforming import DEFAULT_STEPS
+
     control = path.control or "load"
-    steps = f"{path.steps or DEFAULT_LARGE_STEPS} steps"
+    steps = f"{path.steps or DEFAULT_STEPS} steps"
     if control == "load":
         grown = f"{len(path.corners)} corners" if path.corners else "the full loads"
         return f"load control: from nothing to {grown}, {steps} a leg; a jump is told with its load"

@@ -6,15 +6,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.motion.history import MotionHistory
+from contactqp.analysis.kinds import is_motion
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
+
+if TYPE_CHECKING:
+    from contactqp.analysis.motion.history import MotionHistory
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +64,7 @@ class Instant:
         if len(found) < number:
             what = {"closed": "close", "opened": "open", "stick": "stick", "slip": "slip"}[str(claim.event)]
             times = "" if number == 1 else f" {number} times"
-            way = "in the motion" if isinstance(self.history, MotionHistory) else "on the load path"
+            way = "in the motion" if is_motion(self.history) else "on the load path"
             seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in known) or "none"
             raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {way}; its events: {seen}")
         return found[claim.occurrence - (claim.occurrence > 0)]
@@ -78,8 +81,9 @@ class Instant:
 
     @property
     def motion(self) -> MotionHistory:
-        assert isinstance(self.history, MotionHistory)  # claims of motions are asked in motions only
-        return self.history
+        history = self.history
+        assert is_motion(history)  # claims of motions are asked in motions only
+        return history
 
     @property
     def velocity(self) -> Any:

@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.analysis.motion.history import Moving
 from contactqp.pictures.in_text import ROUNDING, bars
 from contactqp.scene.building import NodeModel
-from contactqp.scene.deforming import friction_along_axes
 from contactqp.scene.expectations import Comparison
+from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.printing_courses import print_courses
 from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
@@ -102,7 +102,7 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], fl
     solution, scene = judgement.solution, judgement.scene
     length, ends = scene.units.length, {node.name for node in scene.nodes}
     header, columns = ["unknown", f"displacement [{length}]"], [solution.displacement]
-    if isinstance(solution, Moving):
+    if is_moving(solution):
         header, columns = [*header, f"velocity [{length}/s]"], [*columns, solution.velocity]
     rows = zip(solution.problem.dof_names or (), *columns, strict=True)
     return header, [
@@ -223,7 +223,7 @@ def _way_data(judgement: Judgement) -> dict[str, Any]:
     """Energies and notes, and velocities at the end of a motion."""
     energies, solution = _energies(judgement), judgement.solution
     data: dict[str, Any] = {"energies": energies, "notes": list(judgement.history.notes)} if energies else {}
-    if isinstance(solution, Moving):
+    if is_moving(solution):
         data |= {"time": solution.time, "velocity": _named(solution.problem.dof_names, solution.velocity)}
     return data
 

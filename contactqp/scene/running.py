@@ -6,7 +6,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.analysis.history import History
-from contactqp.analysis.load_path import follow_path
 from contactqp.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
@@ -60,6 +59,8 @@ def _steps(model: Model, problem: ContactProblem, method: str, **options: Any) -
         from contactqp.scene.moving import move
 
         return move(model, problem, method, **options)
+    from contactqp.analysis.load_path import follow_path
+
     path = model.scene.path
     assert path is not None  # what has none is one instant
     corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.history import Moving
+from contactqp.analysis.kinds import is_moving
 from contactqp.scene.units import KINDS
 from contactqp.solution import Solution
 
@@ -27,7 +27,7 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
     pressure = system.label(KINDS["pressure"].dimension)
     fields = [model.displacement(solution)]
     header = ["body", "along", f"lowest displacement [{length}]", f"highest [{length}]"]
-    if isinstance(solution, Moving):
+    if is_moving(solution):
         fields.append(model.velocity(solution.velocity))
         header += [f"lowest velocity [{length}/s]", f"highest [{length}/s]"]
     rows: list[list[str | float]] = []

@@ -11,9 +11,10 @@ import pytest
 import contactqp as cq
 from contactqp.cli import main
 from contactqp.errors import NotConverged, SceneError, Unsupported
-from contactqp.scene.deforming import DeformableModel, friction_along_axes
+from contactqp.scene.deforming import DeformableModel
 from contactqp.scene.explaining import explain
 from contactqp.scene.explanation import report_methods
+from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data
