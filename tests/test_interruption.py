@@ -1,0 +1,75 @@
+"""Ctrl-C: exit code 130, one line, no traceback, and no file that is half written."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from contactqp.cli import main
+
+CASES = Path(__file__).parents[1] / "cases"
+WALL = str(CASES / "bar_wall.toml")
+
+
+def interrupt(*_, **__):
+    """What Ctrl-C does, in the middle of whatever calls this."""
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(5)
+    raise AssertionError("nothing was interrupted")
+
+
+def stopped(capsys, *arguments):
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    said = capsys.readouterr().err
+    assert exit_.value.code == 130
+    assert said.strip() == "contactqp: interrupted"
+
+
+@pytest.mark.parametrize(
+    ("place", "arguments"),
+    [
+        ("contactqp.scene.loading.Scene", ["run", WALL]),
+        ("contactqp.condensation.eliminate", ["run", WALL]),
+        ("contactqp.solving.certify", ["run", WALL, "--json"]),
+        ("contactqp.study.footprint.measuring.subprocess.run", ["explain", WALL]),
+        ("contactqp.solving.solve", ["oracle", WALL]),
+        ("contactqp.study.checking.check_case", ["check", WALL, "x.json"]),
+    ],
+    ids=["read", "run", "certify", "explain", "oracle", "check"],
+)
+def test_ctrl_c_is_one_line(place, arguments, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(place, interrupt)
+    stopped(capsys, *arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_a_picture_is_written_leaves_nothing(monkeypatch, capsys, tmp_path):
+    def half(self, file, **_):
+        Path(file).write_bytes(b"\x89PNG half a pict")
+        interrupt()
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
+    old = tmp_path / "bar.png"
+    old.write_bytes(b"the picture of the last time")
+    stopped(capsys, "run", WALL, "--plot", str(old))
+    assert list(tmp_path.iterdir()) == [old]
+    assert old.read_bytes() == b"the picture of the last time"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
+def test_a_process_that_is_interrupted_says_so_and_goes(tmp_path):
+    """A motion of a few seconds, stopped in its imports or its steps."""
+    command = [sys.executable, "-m", "contactqp", "run", str(CASES / "bar_bounces.toml"), "--plot", "bar.png"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.split("\n") == ["", "contactqp: interrupted", ""]
+    assert list(tmp_path.iterdir()) == []
