@@ -6,7 +6,7 @@ import difflib
 import sys
 from types import ModuleType
 
-from contactqp.errors import BackendMissing, Unsupported
+from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
 from contactqp.methods import (
     active_set,
     augmented_lagrangian,
@@ -21,7 +21,7 @@ from contactqp.methods import (
 )
 from contactqp.methods.method import Method, Settings
 
-__all__ = ["Method", "Settings", "find", "methods"]
+__all__ = ["Method", "Settings", "find", "methods", "register"]
 
 _MODULES = (
     active_set,
@@ -45,6 +45,19 @@ def methods() -> tuple[Method, ...]:
     True
     """
     return tuple(_REGISTRY.values())
+
+
+def register(method: Method) -> None:
+    """Add a method of one's own: `solve`, `compare` and `methods` know it by its name from then on.
+
+    Raises
+    ------
+    InvalidProblem
+        A method of that name is there.
+    """
+    if method.name in _REGISTRY:
+        raise InvalidProblem(f"method: expected a name of its own, got {method.name!r}, which another one has")
+    _REGISTRY[method.name] = method
 
 
 def find(name: str) -> Method:

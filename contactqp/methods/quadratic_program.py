@@ -142,8 +142,9 @@ def _note(backend: Backend) -> str:
     return "; ".join(note for note in (backend.note, timeless, dense) if note)
 
 
-METHODS = tuple(
-    Method(
+def method_of(backend: Backend) -> Method:
+    """The method that calls a backend, scaled before and polished after the call."""
+    return Method(
         name=backend.name,
         kind="quadratic program",
         solve=partial(solve_quadratic_program, backend),
@@ -156,5 +157,6 @@ METHODS = tuple(
         install=backend.install,
         note=_note(backend),
     )
-    for backend in BACKENDS
-)
+
+
+METHODS = tuple(method_of(backend) for backend in BACKENDS)
