@@ -1,6 +1,6 @@
 """Somebody's answer to a problem from a file, in whichever format: the registry of those who read them.
 
-A format is one module with a `READER`, and its line in `READERS` here.
+A format is one module with a `READER`, and its line in `READERS` here; `register` adds one from outside.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
 from contactqp.problem import ContactProblem
 
-READERS: tuple[AnswerReader, ...] = (
+READERS: list[AnswerReader] = [
     answer_json.READER,
     answer_tables.READER,
     answer_arrays.ARCHIVE,
@@ -22,9 +22,8 @@ READERS: tuple[AnswerReader, ...] = (
     calculix_results.FRD,
     calculix_results.DAT,
     ansys.RESULT_READER,
-)
+]
 HEAD = 512
-EXPECTED = "an answer: " + ", ".join(reader.name for reader in READERS)
 
 
 def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | None = None) -> AnswerFile:
@@ -71,12 +70,21 @@ def read_answer(path: Path, problem: ContactProblem, tie_names: Sequence[str] | 
     return found._replace(parts={**found.parts, "tie_force": found.parts["tie_force"][order]})
 
 
+def register(reader: AnswerReader) -> None:
+    """Add a format of one's own; it is asked before those that are here."""
+    READERS.insert(0, reader)
+
+
 def reader_of(path: Path) -> AnswerReader:
     """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain numbers."""
-    head = read_bytes(path, EXPECTED, HEAD)
+    head = read_bytes(path, _expected(), HEAD)
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:
         if reader.known is not None and reader.known(head):
             return reader
     by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not answer_tables.READER)
     return next(by_suffix, answer_arrays.ARRAY)
+
+
+def _expected() -> str:
+    return "an answer: " + ", ".join(reader.name for reader in READERS)

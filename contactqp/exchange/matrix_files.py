@@ -1,6 +1,6 @@
 """A matrix or a vector from a file, in whichever format: the registry of those who read them.
 
-A format is one module with a `READER`, and its line in `READERS` here.
+A format is one module with a `READER`, and its line in `READERS` here; `register` adds one from outside.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from contactqp.exchange import (
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.refusal import Path, read_bytes, wrong
 
-READERS: tuple[MatrixReader, ...] = (
+READERS: list[MatrixReader] = [
     abaqus_matrix.READER,  # .mtx without Matrix Market's banner
     matrix_market.READER,
     harwell_boeing.READER,
@@ -28,11 +28,10 @@ READERS: tuple[MatrixReader, ...] = (
     calculix_matrices.MASS,
     ansys.READER,
     text_matrix.READER,
-)
+]
 # First bytes that every format can be told by, where it can be told by its content.
 HEAD = 512
 GZIP = b"\x1f\x8b"
-EXPECTED = "a matrix: " + ", ".join(reader.name for reader in READERS)
 
 
 def read_matrix(path: Path) -> MatrixFile:
@@ -50,11 +49,16 @@ def read_matrix(path: Path) -> MatrixFile:
     return reader_of(path).read(path)
 
 
+def register(reader: MatrixReader) -> None:
+    """Add a format of one's own; it is asked before those that are here."""
+    READERS.insert(0, reader)
+
+
 def reader_of(path: Path) -> MatrixReader:
     """Who reads a file: by what is in it where that says so, otherwise by its suffix, otherwise as plain text."""
-    head = read_bytes(path, EXPECTED, HEAD)
+    head = read_bytes(path, _expected(), HEAD)
     if head.startswith(GZIP):
-        raise wrong(path, "content", EXPECTED, "a file compressed by gzip; expand it first")
+        raise wrong(path, "content", _expected(), "a file compressed by gzip; expand it first")
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:
         if reader.known is not None and reader.known(head):
@@ -70,3 +74,7 @@ def companions() -> frozenset[str]:
 def stiffness_suffixes() -> frozenset[str]:
     """Those of files that are a stiffness whatever they are called."""
     return frozenset(suffix for reader in READERS if reader.stiffness for suffix in reader.suffixes)
+
+
+def _expected() -> str:
+    return "a matrix: " + ", ".join(reader.name for reader in READERS)
