@@ -1,0 +1,60 @@
+"""The errata of the course chapter, and which case of this package holds each of them."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from contactqp.scene.loading import load_scene
+from docs.generating.tables import table
+
+DOCS = Path(__file__).parent.parent
+CASES = DOCS.parent / "cases"
+
+
+@dataclass(frozen=True)
+class Erratum:
+    """One place of the chapter."""
+
+    id: str
+    where: str
+    printed: str
+    right: str
+    why: str
+
+
+def listed() -> list[Erratum]:
+    """All that are known, in their order."""
+    found = tomllib.loads((DOCS / "errata.toml").read_text(encoding="utf-8"))["errata"]
+    return [Erratum(**entry) for entry in found]
+
+
+def held() -> dict[str, list[str]]:
+    """The cases that claim each erratum."""
+    found: dict[str, list[str]] = {}
+    for file in sorted(CASES.glob("*.toml")):
+        scene = load_scene(file)
+        for claim in (*scene.published, *scene.remarks):
+            cases = found.setdefault(str(claim.erratum), [])
+            if claim.erratum is not None and file.stem not in cases:
+                cases.append(file.stem)
+    found.pop("None", None)
+    return found
+
+
+def errata() -> str:
+    """The table, and what no case holds."""
+    by_case = held()
+    rows = [
+        (entry.id, entry.where, f"{entry.printed}", entry.right, entry.why, _cases(by_case.get(entry.id, [])))
+        for entry in listed()
+    ]
+    missing = [entry.id for entry in listed() if entry.id not in by_case]
+    counted = f"{len(rows)} places; {len(rows) - len(missing)} of them are held by a case."
+    none = f"No case holds {', '.join(missing)}: definitions, references and wording without a number of a scene."
+    return "\n\n".join([table(("", "where", "printed", "right", "why", "cases"), rows), counted, none])
+
+
+def _cases(names: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names) or "none"

@@ -1,0 +1,34 @@
+"""Every public name has its place in the API pages, once."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import contactqp as cq
+import contactqp.testing
+from tests.docs.blocks import DOCS
+
+DIRECTIVE = re.compile(r"^\.\. (?:py:function|autoclass|autofunction|autoexception|autodata):: ([\w.]+)", re.MULTILINE)
+
+
+def documented() -> Counter[str]:
+    return Counter(name for page in (DOCS / "api").glob("*.md") for name in DIRECTIVE.findall(page.read_text()))
+
+
+def test_every_public_name_is_documented_once() -> None:
+    public = {f"contactqp.{name}" for name in cq.__all__ if name != "__version__"}
+    public |= {f"contactqp.testing.{name}" for name in contactqp.testing.__all__}
+    found = documented()
+    assert public - set(found) == set()
+    assert set(found) - public == {
+        "contactqp.methods.Method",
+        "contactqp.methods.Settings",
+        "contactqp.methods.register",
+    }
+    assert max(found.values()) == 1
+
+
+def test_every_page_is_listed() -> None:
+    listed = set((DOCS / "api" / "index.md").read_text().split("```{toctree}\n")[1].split("```")[0].split())
+    assert listed == {page.stem for page in (DOCS / "api").glob("*.md")} - {"index"}
