@@ -12,6 +12,7 @@ from contactqp.solution import Candidate
 
 def doubled(problem: cq.ContactProblem, settings: Settings) -> Candidate:
     """Twice the right force."""
+    del settings
     right = cq.solve(problem)
     return Candidate(right.displacement, 2 * right.normal_force, right.tie_force)
 
