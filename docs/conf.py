@@ -27,8 +27,10 @@ myst_heading_anchors = 3
 
 # Docstrings are numpydoc's, `backticks` are code, and types stand in the text: what is left of a signature is names.
 default_role = "code"
+smartquotes = False  # u'Ku is a formula
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False
 
 # Cross-references resolve or are listed here.
@@ -53,4 +55,5 @@ html_theme_options = {
     "footer_end": [],
     "secondary_sidebar_items": ["page-toc"],
 }
+html_context = {"default_mode": "auto"}
 html_show_sourcelink = False

@@ -67,6 +67,7 @@ KIND_OF_FIELD = {
     "Fraction": "number",
     "Quantity": "number with its unit",
 }
+PLURAL = re.compile(r"^(text|number|length|acceleration)\b")
 
 
 def case_keys() -> str:
@@ -149,7 +150,7 @@ def _in_words(annotation: str, names: set[str]) -> str:
         return "one of " + text.removeprefix("Literal[").removesuffix("]").replace("'", '"')
     if text.startswith("tuple["):
         inside = text.removeprefix("tuple[").removesuffix("]").removesuffix(", ...")
-        return "list of " + re.sub("^text$", "texts", _in_words(inside, names))
+        return "list of " + PLURAL.sub(r"\1s", _in_words(inside, names))
     if " | " in text:
         return " or ".join(_in_words(part, names) for part in text.split(" | "))
     name = text.removeprefix("fields.")
