@@ -57,7 +57,7 @@ class Condensation:
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         if self._may_be_singular():
             self.rigid = null_space(self._sparse)
-            fixing = _fixing_unknowns(self.rigid.motions, touched, self._diagonal)
+            fixing = fixing_unknowns(self.rigid.motions, touched, self._diagonal)
             if fixing.size:
                 self._spent += self._elimination.half_substitutions
                 self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
@@ -280,7 +280,7 @@ def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
 
 
-def _fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
+def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
     """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
     from scipy.linalg import qr
 

@@ -23,7 +23,7 @@ from contactqp.solution import Solution
 from contactqp.solving import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row
-from contactqp.study.rungs import Rung
+from contactqp.study.rungs import Rung, condensable
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
 from contactqp.violations import FIGURES
 
@@ -80,7 +80,7 @@ def answer(
     """
     outcome = call(problem, rung, walk)
     unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
-    return _row(rung, outcome, truth, case, unmet)
+    return _row(problem, rung, outcome, truth, case, unmet)
 
 
 def timing(
@@ -110,9 +110,9 @@ def timed(row: Row, time: Timing) -> Row:
     return replace(row, seconds=time.seconds, repeats=time.repeats)
 
 
-def crashed(rung: Rung, case: str, message: str) -> Row:
+def crashed(problem: ContactProblem, rung: Rung, case: str, message: str) -> Row:
     """The row of a rung whose process died, or that never came to an end."""
-    return Row(**_of_rung(rung, case), verdict=rows.CRASHED, message=message)
+    return Row(**_of_rung(problem, rung, case), verdict=rows.CRASHED, message=message)
 
 
 def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outcome:
@@ -142,6 +142,7 @@ def _fresh(problem: ContactProblem) -> ContactProblem:
 
 
 def _row(
+    problem: ContactProblem,
     rung: Rung,
     outcome: Outcome,
     truth: Truth | None,
@@ -149,7 +150,7 @@ def _row(
     unmet: Sequence[str] | None,
 ) -> Row:
     solution = outcome.solution
-    known = _of_rung(rung, case)
+    known = _of_rung(problem, rung, case)
     if not isinstance(outcome.error, BackendMissing | Unsupported):
         known |= dict(seconds=outcome.seconds)
     errors = raw_errors = None
@@ -168,10 +169,17 @@ def _row(
     return Row(**known, verdict=_verdict(rung, outcome, errors), message=message)
 
 
-def _of_rung(rung: Rung, case: str) -> dict[str, Any]:
+def _of_rung(problem: ContactProblem, rung: Rung, case: str) -> dict[str, Any]:
     method = rung.method
-    known = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
-    return known | dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
+    known: dict[str, Any] = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
+    known |= dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
+    return known | dict(condensed=_condensed(problem, rung), unknowns=problem.dimension, contacts=problem.contacts)
+
+
+def _condensed(problem: ContactProblem, rung: Rung) -> str:
+    if rung.whole:
+        return rows.WHOLE
+    return rows.CONDENSED if condensable(problem, rung.method) else ""
 
 
 _OF_ERRORS = (
@@ -235,6 +243,7 @@ def _of_errors(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
         known |= dict(error_displacement=_finite(errors.displacement))
         known |= dict(error_displacement_max=_finite(errors.displacement_max))
         known |= dict(error_force=_finite(errors.force), error_measure=errors.measure)
+        known |= dict(error_judged=_finite(errors.judged), error_allowed=errors.allowed)
     if raw is not None:
         known |= dict(raw_error_displacement=_finite(raw.displacement), raw_error_force=_finite(raw.force))
     return known

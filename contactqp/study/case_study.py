@@ -16,7 +16,7 @@ from contactqp.problem import ContactProblem
 from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
 from contactqp.scene.expectations import compare_expectation
-from contactqp.scene.explanation import report_methods
+from contactqp.scene.explanation import report_methods, report_note
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import walk
@@ -26,7 +26,7 @@ from contactqp.solution import Solution
 from contactqp.study.attempt import Timing, Walk, answer, timing
 from contactqp.study.digest import digest
 from contactqp.study.rows import Row
-from contactqp.study.rungs import TOLERANCES, Rung, all_rungs
+from contactqp.study.rungs import TOLERANCES, Rung, all_rungs, left_out_of_all_unknowns, on_all_unknowns
 from contactqp.study.truth import Truth, of_solution, proven_solution
 
 # Expected values that are stated less exactly than this are no truth to measure errors against.
@@ -41,6 +41,7 @@ class CaseStudy:
     scene: Scene
     problem: ContactProblem
     rungs: tuple[Rung, ...]
+    left_out: tuple[str, ...] = ()  # of all that could be tried, in words
 
     @cached_property
     def expected(self) -> FullLoad:
@@ -154,15 +155,19 @@ def load_studies(
         except ContactQPError as error:
             raise type(error)(f"{path}: {error}") from None
         limit = report_methods(scene)
+        tried = tuple(method for method in methods if limit is None or method.name in limit[0])
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
-        rungs = tuple(
-            rung
-            for method in methods
-            if limit is None or method.name in limit[0]
-            for rung in all_rungs(problem, method, tolerances, stated_ladders(scene, method))
-        )
-        studies.append(CaseStudy(name, scene, problem, rungs))
+        rungs = tuple(rung for method in tried for rung in _rungs(scene, problem, method, tolerances))
+        left_out = report_note(scene), left_out_of_all_unknowns(problem, tried)
+        studies.append(CaseStudy(name, scene, problem, rungs, tuple(filter(None, left_out))))
     return tuple(studies)
+
+
+def _rungs(scene: Scene, problem: ContactProblem, method: Method, tolerances: Sequence[float]) -> Iterator[Rung]:
+    rungs = tuple(all_rungs(problem, method, tolerances, stated_ladders(scene, method)))
+    yield from rungs
+    if scene.motion is None and not scene.large:  # whose steps are problems of their own
+        yield from on_all_unknowns(problem, rungs)
 
 
 def stated_ladders(scene: Scene, method: Method) -> list[tuple[str, str, list[float]]]:

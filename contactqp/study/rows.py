@@ -18,6 +18,9 @@ MISSING = "missing"
 UNSUPPORTED = "unsupported"
 WRONG = "wrong but passed"
 
+# What `condensed` says where there is a choice.
+CONDENSED, WHOLE = "yes", "no"
+
 # In the order in which a reader wants them.
 VERDICTS: Mapping[str, str] = {
     RIGHT: "the certificate passes and the true error is small",
@@ -45,6 +48,11 @@ class Row:
     kind: str = _column("family of the method", "")
     promises_exact: bool = _column("whether the method promises the exact answer, or is approximate by design", True)
     variant: str = _column("raw, polished or uzawa, where the method has such variants", "")
+    condensed: str = _column(
+        "yes: the method worked on the contact unknowns alone; no: it was told to work on all unknowns; "
+        "empty: there is no choice",
+        "",
+    )
     knob: str = _column("what trades error for time: tolerance, penalty, perturbation, iterations", "")
     knob_value: float | None = _column("its value; stiffnesses in the case's units; none: the method's own default")
     verdict: str = _column("one of the verdicts listed below", "")
@@ -52,10 +60,19 @@ class Row:
     error_displacement_max: float | None = _column("largest true error of an unknown, relative to the largest unknown")
     error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
     error_measure: str = _column("relative, or which errors are absolute or measured otherwise, and why", "")
+    error_judged: float | None = _column(
+        "the worst of the errors that decide, each relative to a size that is not zero"
+    )
+    error_allowed: float | None = _column("error_judged up to which the answer is right: 1e-6 and rounding")
     seconds: float | None = _column(
         "run time of solve on a fresh problem, certificate not included; median of the repeats"
     )
     repeats: int = _column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
+    linear_solve_seconds: float | None = _column(
+        "one linear solve of the case's bodies without contact by the same sparse solver: the physical limit"
+    )
+    unknowns: int | None = _column("unknowns of the problem")
+    contacts: int | None = _column("contacts of the problem")
     claimed: bool | None = _column("whether the method itself called its raw answer solved")
     flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
     raw_error_displacement: float | None = _column("error_displacement before polish, where the answer was polished")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from contactqp.condensation import condense
+from contactqp.iteration import iterated
 from contactqp.methods import Method, find, methods
 from contactqp.problem import ContactProblem
 
@@ -18,6 +20,9 @@ TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 # Of solve() itself.
 DEFAULT_TOLERANCE = 1e-9
 UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
+# What is tried on all unknowns where the contact unknowns alone would do: every rung up to so many unknowns, from there
+# the methods that keep matrices sparse, at their default, up to so many.
+WHOLE_LADDER, WHOLE_DEFAULT = 1_000, 10_000
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,11 @@ class Rung:
     knob: str = ""
     value: float | None = None  # None: the method's own default
     options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of solve
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is to work on all unknowns, though fewer would do."""
+        return self.options.get("condense") is False
 
     @property
     def tolerance(self) -> float:
@@ -124,6 +134,39 @@ def ladder(method: Method, knob: str, values: Sequence[float], variant: str = ""
 
 
 _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa": {"update": "uzawa"}}
+
+
+def on_all_unknowns(problem: ContactProblem, rungs: Iterable[Rung]) -> Iterator[Rung]:
+    """Those of the rungs that are tried on the whole problem too, told so.
+
+    Up to 1000 unknowns all are, up to 10 000 those with the method's default, or with 1e-9, of methods that keep
+    matrices sparse: a dense solver of 5000 unknowns takes minutes. Where nothing is condensed there is no second way.
+    """
+    for rung in rungs:
+        small = problem.dimension <= WHOLE_LADDER
+        usual = rung.value in (None, DEFAULT_TOLERANCE) and rung.method.sparse
+        if (small or (usual and problem.dimension <= WHOLE_DEFAULT)) and condensable(problem, rung.method):
+            yield replace(rung, options={**rung.options, "condense": False})
+
+
+def left_out_of_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
+    """What `on_all_unknowns` leaves out of a problem, in words; empty where it leaves out nothing."""
+    n = problem.dimension
+    if n <= WHOLE_LADDER or not any(condensable(problem, method) for method in methods):
+        return ""
+    if n > WHOLE_DEFAULT:
+        return f"{n} unknowns: no method is tried on all of them, only on those of contact"
+    return f"{n} unknowns: on all of them only methods that keep matrices sparse are tried, at their default"
+
+
+def condensable(problem: ContactProblem, method: Method) -> bool:
+    """Whether `condense` of solve makes a difference to an installed method: not to the active set, whose every step
+    is one on the contact unknowns, and not to what finds friction."""
+    bare = not problem.contacts and not problem.ties
+    if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
+        return False
+    touched = np.union1d(problem.normal.indices, problem.tie.indices)
+    return len(touched) < problem.dimension or condense(problem).rigid.count > 0
 
 
 def stiffness_ladder(problem: ContactProblem) -> tuple[float, ...]:

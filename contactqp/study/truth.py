@@ -32,9 +32,14 @@ class Errors:
     allowance: float  # what rounding the answer to doubles adds to it
 
     @property
+    def allowed(self) -> float:
+        """`judged` up to which the answer is right."""
+        return ERROR_TOLERANCE + self.allowance
+
+    @property
     def small(self) -> bool:
         """Whether the answer is right."""
-        return self.judged <= ERROR_TOLERANCE + self.allowance
+        return self.judged <= self.allowed
 
 
 @dataclass(frozen=True, eq=False)

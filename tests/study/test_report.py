@@ -56,7 +56,7 @@ def test_csv_and_json_hold_the_same_rows(written: tuple[Path, report.ReportResul
     data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert rows.from_csv((folder / "results.csv").read_text(encoding="utf-8")) == result.rows
     assert tuple(rows.Row(**row) for row in data["rows"]) == result.rows
-    assert (data["schema"], data["schema_version"]) == ("contactqp-report", 1)
+    assert (data["schema"], data["schema_version"]) == ("contactqp-report", 2)
     assert data["columns"] == dict(rows.COLUMNS)
     assert {"numpy", "scipy", "contactqp", "osqp"} <= set(data["versions"])
     assert data["machine"]["python"]

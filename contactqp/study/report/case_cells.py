@@ -11,6 +11,7 @@ from contactqp.problem import Vector
 from contactqp.scene.schema import Scene
 from contactqp.study.attempt import Timing
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.linear_solve import linear_solve_seconds
 from contactqp.study.report.case_record import CaseRecord, record
 from contactqp.study.rows import Row
 from contactqp.study.rungs import Rung
@@ -58,6 +59,13 @@ class FoundTruth:
         return Truth(study.problem, *values, self.source, self.unique_forces, self.free)
 
 
+@dataclass(frozen=True)
+class LinearSolve:
+    """What one linear solve takes; see `contactqp.study.linear_solve`."""
+
+    seconds: float | None
+
+
 def ticket_of(study: CaseStudy) -> Ticket:
     return Ticket(study.name, study.digest, study.scene)
 
@@ -82,6 +90,11 @@ def timing_cell(study: CaseStudy, rung: Rung, first: float, repeats: int, cost: 
     """A rung timed, whose first call took so long."""
     arguments = (ticket_of(study), rung, first, repeats)
     return Cell(f"{study.name}/{_name(rung)}/time", take_time, arguments, Timing, study.digest, cost)
+
+
+def limit_cell(study: CaseStudy) -> Cell:
+    """One linear solve of the case's bodies timed."""
+    return _cell(study, "linear solve", time_linear_solve, (ticket_of(study),), LinearSolve)
 
 
 def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...], result: type) -> Cell:
@@ -115,6 +128,10 @@ def take_time(ticket: Ticket, rung: Rung, first: float, repeats: int) -> Timing:
     warm = tried in _WARM
     _WARM.add(tried)
     return _study(ticket).timing(rung, first, repeats, warm)
+
+
+def time_linear_solve(ticket: Ticket) -> LinearSolve:
+    return LinearSolve(linear_solve_seconds(_study(ticket).problem))
 
 
 _WARM: set[tuple[str, str]] = set()

@@ -65,6 +65,7 @@ class CaseRecord:
     history_picture: bytes | None = None  # PNG of a path or a motion
     no_picture: str = ""  # why there is no picture
     scheme: str = ""  # by which a motion is stepped
+    linear_solve: float | None = None  # seconds of one linear solve of the bodies without contact
 
 
 def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:

@@ -8,7 +8,7 @@ from math import ceil
 
 from contactqp.study.attempt import ENOUGH, LONG, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
-from contactqp.study.report.case_cells import FoundTruth, answer_cells, record_cell, timing_cell, truth_cell
+from contactqp.study.report.case_cells import FoundTruth, answer_cells, limit_cell, record_cell, timing_cell, truth_cell
 from contactqp.study.report.case_record import CaseRecord, unjudged
 from contactqp.study.rows import CRASHED, Row
 from contactqp.study.rungs import Rung
@@ -79,9 +79,11 @@ class Collector:
         found = self._run("answers", [*told, *(one.cell for one in tries)], later=self._timing_left)
         rows = {one.cell.key: _row(one, found[one.cell.key]) for one in tries}
         rows = self._times(tries, rows)
+        limits = self._limits(studies)
+        rows = {one.cell.key: replace(rows[one.cell.key], linear_solve_seconds=limits[one.study.name]) for one in tries}
         of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
         records = {
-            study.name: _record(study, truths[study.name], found[cell.key])
+            study.name: replace(_record(study, truths[study.name], found[cell.key]), linear_solve=limits[study.name])
             for study, cell in zip(studies, told, strict=True)
         }
         names = [study.name for study in self._studies]
@@ -110,6 +112,13 @@ class Collector:
         }
         found = self._run("times", list(cells.values()), later=lambda: 0.0, alone=True)
         return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
+
+    def _limits(self, studies: Sequence[CaseStudy]) -> dict[str, float | None]:
+        """Seconds of one linear solve of each case; None where it crashed, as the case's rows will have too."""
+        cells = {study.name: limit_cell(study) for study in studies}
+        found = self._run("linear solves", list(cells.values()), later=lambda: 0.0, alone=True)
+        results = {name: found[cell.key] for name, cell in cells.items()}
+        return {name: None if isinstance(one, Crash) else one.seconds for name, one in results.items()}
 
     def _run(
         self, what: str, cells: Sequence[Cell], later: Callable[[], float], alone: bool = False
@@ -160,7 +169,7 @@ def _record(study: CaseStudy, truth: FoundTruth, found: CaseRecord | Crash) -> C
 
 
 def _row(one: _Try, found: Row | Crash) -> Row:
-    return crashed(one.rung, one.study.name, found.message) if isinstance(found, Crash) else found
+    return crashed(one.study.problem, one.rung, one.study.name, found.message) if isinstance(found, Crash) else found
 
 
 def _timed(row: Row, found: Timing | Crash) -> Row:

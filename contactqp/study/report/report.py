@@ -13,7 +13,6 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
-from contactqp.scene.explanation import report_note
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.digest import source_digest
@@ -125,6 +124,7 @@ def write_report(
             versions=workers.ask(partial(versions, chosen)),
             settings=_settings(tolerances, repeats, workers),
             seeds="none: nothing is random",
+            left_out=list(_limited(studies)),
         )
         conditions = facts | dict(source=source_digest())
         with unfinished(folder, conditions, running.fresh) as journal, progress(running.shown) as bar:
@@ -167,10 +167,10 @@ def _settings(tolerances: Sequence[float], repeats: int, workers: Workers) -> di
 
 
 def _limited(studies: Sequence[CaseStudy]) -> Iterator[str]:
-    """Which cases keep methods out of the report."""
+    """What is not tried on which case."""
     for study in studies:
-        if report_note(study.scene):
-            yield f"{study.name}: {report_note(study.scene)}"
+        for text in study.left_out:
+            yield f"{study.name}: {text}"
 
 
 def _crashed(rows: Sequence[Row]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from contactqp.study.report.case_record import CaseRecord
 from contactqp.study.report.summary import Summary
 from contactqp.study.rows import COLUMNS, VERDICTS, Row, as_dicts
 
-SCHEMA, SCHEMA_VERSION = "contactqp-report", 1
+SCHEMA, SCHEMA_VERSION = "contactqp-report", 2
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ def _case(case: CaseRecord) -> dict[str, Any]:
         title=case.title,
         units=dict(length=case.length, force=case.force),
         **asdict(case.sizes),
+        linear_solve_seconds=case.linear_solve,
         truth=case.truth,
         unmet=list(case.unmet),
         judgements=list(case.judgements),

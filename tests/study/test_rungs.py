@@ -1,0 +1,83 @@
+"""What is tried on the contact unknowns, on all of them, or not at all, and said so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.methods import find
+from contactqp.problem import ContactProblem
+from contactqp.study import rungs
+from contactqp.study.attempt import attempt
+from contactqp.study.case_study import CaseStudy, load_studies
+
+CASES = Path(__file__).parents[2] / "cases"
+
+
+def _study(name: str, *methods: str) -> CaseStudy:
+    (study,) = load_studies([CASES / f"{name}.toml"], rungs.chosen_methods(methods), (1e-3, 1e-9))
+    return study
+
+
+def _chain(size: int) -> ContactProblem:
+    from scipy.sparse import diags
+
+    row = np.zeros((1, size))
+    row[0, 0] = -1.0
+    chain = diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(size, size), format="csc")
+    return ContactProblem(stiffness=chain, load=-np.ones(size), normal=row, gap=[0.0])
+
+
+def test_where_there_is_an_interior_every_rung_is_tried_on_all_unknowns_too() -> None:
+    study = _study("cantilever_stop", "active-set", "osqp", "penalty")
+    whole = [rung for rung in study.rungs if rung.whole]
+    usual = [rung for rung in study.rungs if not rung.whole]
+    assert [(r.method.name, r.variant, r.value) for r in whole] == [
+        (r.method.name, r.variant, r.value) for r in usual if r.method.name != "active-set"
+    ]
+    truth = study.truth()
+    for rung in whole[:1]:
+        row = attempt(study.problem, rung, truth)
+        assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
+    condensed = next(rung for rung in usual if rung.method.name == "osqp")
+    assert attempt(study.problem, condensed, truth).condensed == "yes"
+    assert attempt(study.problem, usual[0], truth).condensed == ""  # the active set works on contacts by itself
+
+
+@pytest.mark.parametrize("name", ["two_bars", "klarbring_slides_back", "bar_impact"])
+def test_where_nothing_is_condensed_there_is_no_second_way(name: str) -> None:
+    assert not any(rung.whole for rung in _study(name, "active-set", "osqp").rungs)
+
+
+def test_bodies_that_float_are_condensed_where_nothing_lies_inside() -> None:
+    assert any(rung.whole for rung in _study("tie_beam_section", "osqp").rungs)
+
+
+def test_large_problems_are_left_out_in_the_open() -> None:
+    methods = [find("clarabel"), find("daqp")]
+    values = {}
+    for size in (3, 1100, 10100):
+        problem = _chain(size)
+        tried = [rung for method in methods for rung in rungs.all_rungs(problem, method)]
+        values[size] = [(r.method.name, r.value) for r in rungs.on_all_unknowns(problem, tried)]
+        assert bool(rungs.left_out_of_all_unknowns(problem, methods)) == (size > 1000)
+    assert len(values[3]) == 16
+    assert values[1100] == [("clarabel", 1e-9), ("clarabel", 1e-9)]
+    assert values[10100] == []
+
+
+def test_a_study_says_what_it_leaves_out() -> None:
+    assert _study("two_bars", "osqp").left_out == ()
+    said = _study("hertz_line", "active-set", "clarabel").left_out
+    assert len(said) == 2
+    assert said[0].startswith("only active-set, clarabel")
+    assert "4961 unknowns" in said[1]
+
+
+def test_a_missing_method_is_asked_once() -> None:
+    missing = [method for method in cq.methods() if not method.installed]
+    for method in missing:
+        assert [rung.whole for rung in _study("cantilever_stop", method.name).rungs] == [False]
