@@ -162,6 +162,8 @@ def _row(
         known |= _of_certificate(solution.certificate) | _of_work(solution)
     claimed = _claimed(rung, outcome)
     known |= _of_errors(errors, raw_errors)
+    if errors is not None:
+        known |= dict(error_asked=_asked(rung, errors))
     known |= dict(claimed=claimed, flag_wrong=_flag_wrong(rung, claimed, raw_errors or errors))
     if unmet is not None:
         known |= dict(expectations_unmet=len(unmet))
@@ -211,8 +213,11 @@ def _flag_wrong(rung: Rung, claimed: bool | None, errors: Errors | None) -> bool
     """Claimed, and worse than both the certificate's error tolerance and what was asked of the method, generously."""
     if claimed is None or errors is None or not rung.method.exact:
         return None
-    allowed = max(ERROR_TOLERANCE, GENEROSITY * rung.tolerance) + errors.allowance
-    return claimed and errors.judged > allowed
+    return claimed and errors.judged > _asked(rung, errors)
+
+
+def _asked(rung: Rung, errors: Errors) -> float:
+    return max(ERROR_TOLERANCE, GENEROSITY * rung.tolerance) + errors.allowance
 
 
 def _of_certificate(certificate: Certificate) -> dict[str, Any]:

@@ -64,6 +64,7 @@ class Row:
         "the worst of the errors that decide, each relative to a size that is not zero"
     )
     error_allowed: float | None = _column("error_judged up to which the answer is right: 1e-6 and rounding")
+    error_asked: float | None = _column("error_judged up to which a method that calls its answer solved is not wrong")
     seconds: float | None = _column(
         "run time of solve on a fresh problem, certificate not included; median of the repeats"
     )

@@ -12,7 +12,7 @@ import contactqp as cq
 from benchmarks import friction_runs, published_friction, siconos_peer
 from benchmarks.friction_runs import Published, Run
 from benchmarks.friction_score import Arrays, projection, score
-from benchmarks.performance_profiles import draw, profile, ratios
+from benchmarks.performance_profiles import draw
 from benchmarks.siconos_process import block_text
 from contactqp.exchange.siconos_text import read_siconos
 from contactqp.local_certificate import certify_local
@@ -83,13 +83,6 @@ def test_siconos_reads_the_problem_that_was_written(tmp_path):
     assert np.array_equal(again.delassus.toarray(), local.delassus.toarray() / largest)
     assert np.array_equal(again.offset, scaled.offset)
     assert np.array_equal(again.friction, local.friction)
-
-
-def test_profiles_of_two_solvers():
-    found = ratios({"a": [1.0, 4.0, np.inf], "b": [3.0, np.inf, np.inf]})
-    assert [list(values) for values in found.values()] == [[1.0, 1.0, np.inf], [3.0, np.inf, np.inf]]
-    assert list(profile(found["a"], np.array([1.0, 10.0]))) == [2 / 3, 2 / 3]
-    assert list(profile(found["b"], np.array([1.0, 2.9, 3.0]))) == [0.0, 0.0, 1 / 3]
 
 
 def test_profiles_are_drawn_also_where_nothing_is_solved(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any
 from contactqp.study.report.case_record import CaseRecord
 from contactqp.study.report.summary import Summary
 from contactqp.study.rows import COLUMNS, VERDICTS, Row, as_dicts
+from contactqp.study.statistics.overview import overview, overview_data
 
 SCHEMA, SCHEMA_VERSION = "contactqp-report", 2
 
@@ -32,6 +33,7 @@ def as_json(data: ReportData) -> str:
     """results.json."""
     written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **data.facts)
     written |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=asdict(data.summary))
+    written |= dict(overview=overview_data(overview(data.rows)))
     written["cases"] = [_case(case) for case in data.cases]
     written["rows"] = as_dicts(data.rows)
     return json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

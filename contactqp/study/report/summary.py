@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass, fields
 
 from contactqp.study import rows
 from contactqp.study.rows import Row
+from contactqp.study.statistics.rates import Rates, method_rates
 
 
 @dataclass(frozen=True)
@@ -20,8 +21,10 @@ class MethodSummary:
     refused: int  # refused, not converged, failed, crashed or unsupported
     approximate: int
     wrong_but_passed: int
-    claimed: int  # raw answers that the method itself called solved
-    silently_wrong: int  # of these, those that are wrong
+    own_answers: int  # before polish and certificate; of methods that promise exact ones and have a flag
+    claimed: int  # of these, those that the method itself called solved
+    own_right: int  # of the own answers, those that are right, by what was asked of them
+    silently_wrong: int  # of the claimed, those that are wrong
 
 
 @dataclass(frozen=True)
@@ -53,8 +56,7 @@ class Summary:
 
 def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
     """Counts by method. A raw answer is counted once: on its own row where it has one, else on that of the method."""
-    names = dict.fromkeys(row.method for row in all_rows)
-    methods = tuple(_of_method(name, [row for row in all_rows if row.method == name]) for name in names)
+    methods = tuple(_of_method(rates, all_rows) for rates in method_rates(all_rows))
     of_rows = (f"{row.case}: {row.method}: {row.message}" for row in all_rows if row.expectations_unmet)
     return Summary(
         methods=methods,
@@ -64,18 +66,19 @@ def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
     )
 
 
-def _of_method(name: str, mine: Sequence[Row]) -> MethodSummary:
-    own = [row for row in mine if row.variant == "raw"] or mine
-    verdicts = [row.verdict for row in mine]
+def _of_method(rates: Rates, all_rows: Sequence[Row]) -> MethodSummary:
+    verdicts = [row.verdict for row in all_rows if row.method == rates.method]
     failed = (rows.REFUSED, rows.NOT_CONVERGED, rows.BACKEND_FAILED, rows.CRASHED, rows.UNSUPPORTED)
     return MethodSummary(
-        method=name,
-        installed=rows.MISSING not in verdicts,
-        tried=len(mine) - verdicts.count(rows.MISSING),
+        method=rates.method,
+        installed=rates.installed,
+        tried=len(verdicts) - verdicts.count(rows.MISSING),
         right=verdicts.count(rows.RIGHT),
         refused=sum(verdicts.count(verdict) for verdict in failed),
         approximate=verdicts.count(rows.APPROXIMATE),
-        wrong_but_passed=verdicts.count(rows.WRONG),
-        claimed=sum(row.claimed is True for row in own),
-        silently_wrong=sum(row.flag_wrong is True for row in own),
+        wrong_but_passed=rates.wrong_but_passed,
+        own_answers=rates.own,
+        claimed=rates.claimed,
+        own_right=rates.right,
+        silently_wrong=rates.silently_wrong,
     )
