@@ -18,6 +18,9 @@ from contactqp.solving import solve
 ROUNDING = 64 * float(np.finfo(float).eps)
 # True errors above this are wrong: the certificate's own tolerance of errors.
 ERROR_TOLERANCE = 1e-6
+# What `Errors.measure` says of errors that are not relative.
+ABSOLUTE_ENERGY = "u absolute in the energy norm (the true energy vanishes)"
+ABSOLUTE_FORCE = "λ absolute (the truth is zero)"
 
 
 @dataclass(frozen=True)
@@ -127,13 +130,13 @@ class Truth:
     def _measure(self, energy: _Measured, largest: _Measured, force: _Measured | None) -> str:
         said = []
         if not energy.relative:
-            said.append("u absolute in the energy norm (the true energy vanishes)")
+            said.append(ABSOLUTE_ENERGY)
         if not largest.relative:
             said.append("max-norm of u absolute (the truth is zero)")
         if not self.unique_forces:
             said.append(f"redundant contacts: λ {'as resultants on the unknowns' if force else 'not unique'}")
         if force and not force.relative:
-            said.append("λ absolute (the truth is zero)")
+            said.append(ABSOLUTE_FORCE)
         return "; ".join(said) or "relative"
 
 

@@ -1,0 +1,47 @@
+"""Methods compared over all cases: rates, wrong flags, performance profiles, mean times, medians."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from contactqp.study.charts.curves import TABLE
+from contactqp.study.charts.numbers import plural
+from contactqp.study.charts.rate_bars import rates_chart, silently_wrong_chart
+from contactqp.study.charts.time_charts import means_chart, profile_charts
+from contactqp.study.charts.work_precision import QUANTITIES, Quantity, table, work_precision
+from contactqp.study.report.chart import Chart
+from contactqp.study.report.report_data import ReportData
+from contactqp.study.rows import Row
+from contactqp.study.statistics.medians import median_cases, median_rows
+from contactqp.study.statistics.overview import overview
+
+
+def overview_charts(data: ReportData) -> tuple[Chart, ...]:
+    """Of all cases; what compares methods is left out where no case was put to all of them."""
+    found, wrong = overview(data.rows), silently_wrong_chart(data.rows)
+    if not found.cases:
+        return (wrong,)
+    return rates_chart(found), wrong, *profile_charts(found), means_chart(found), *_medians(data.rows)
+
+
+def _medians(all_rows: Sequence[Row]) -> Iterator[Chart]:
+    cases, middle = median_cases(all_rows), median_rows(all_rows)
+    for quantity in QUANTITIES:
+        figure = work_precision(middle, quantity, f"{quantity.measure} [1]", "", None)
+        if len(cases) > 1 and figure is not None:
+            yield _median_chart(cases, middle, quantity, figure)
+
+
+def _median_chart(cases: Sequence[str], middle: Sequence[Row], quantity: Quantity, figure: Mapping[str, Any]) -> Chart:
+    return Chart(
+        name=f"median-error-{'u' if quantity.name == 'u' else 'force'}",
+        title=f"{quantity.title.capitalize()} against run time, median over {plural(len(cases), 'case')}",
+        caption=f"Of each value of a knob, the median time and the median error over the {len(cases)} cases that every "
+        "method was put to and whose errors are relative. An answer that failed has infinite errors and takes "
+        "infinitely long; what fails in more than half of the cases has no point. Penalties have units, differ from "
+        "case to case, and are left out.",
+        figure=figure,
+        headings=(*TABLE, f"error in {quantity.name}, {quantity.measure} [1]", ""),
+        lines=table(middle, quantity, ""),
+    )
