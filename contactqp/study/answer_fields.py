@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import beam
-from contactqp.pictures.contact_fields import ContactFields, contact_fields
+from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
+from contactqp.pictures.membrane_drawing import MembraneFields
 from contactqp.problem import Units
 from contactqp.scene.building import exact_problem
 from contactqp.scene.obstacles import obstacle
@@ -54,6 +55,27 @@ def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
         members=tuple(_members(scene, value)),
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),
+    )
+
+
+def fields_of_membranes(scene: Scene, solution: Solution) -> MembraneFields:
+    """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
+    from contactqp.scene.bodies import body_model
+
+    model = body_model(scene)
+    structure, pairings = model.structure, [contact.pairing for contact in model.contacts]
+    w, kept = model.system.expand(solution.displacement), model.system.free_contacts(pairings)
+    position = np.concatenate([np.zeros((0, 3)), *(pairing.points for pairing in pairings)])
+    force, status = np.full(len(position), np.nan), np.full(len(position), HELD, dtype="<U8")
+    force[kept], status[kept] = solution.normal_force, solution.contact_status
+    first = [structure.first(body.name) for body in structure.bodies]
+    return MembraneFields(
+        meshes=tuple(body.mesh for body in structure.bodies),
+        deflections=tuple(w[i : i + body.size] for i, body in zip(first, structure.bodies, strict=True)),
+        position=position[:, :2],
+        force=force,
+        status=status,
+        units=solution.problem.units,
     )
 
 

@@ -59,16 +59,15 @@ class AnswerFiles:
         return written
 
     def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
-        fields = fields_of(judgement.scene, judgement.solution)
         written = []
         if self.plot is not None:
             written.append(_named(self.plot, names))
             title = f"{judgement.scene.title}, {judgement.trial}"
-            save(answer_figure(fields, large=judgement.scene.large, title=title), written[-1])
+            save(answer_figure(judgement.scene, judgement.solution, title=title), written[-1])
             written += self._write_history(judgement.history, title, names)
         if self.vtu is not None:
             written.append(_named(self.vtu, names))
-            write_vtu(fields, written[-1])
+            write_vtu(fields_of(judgement.scene, judgement.solution), written[-1])
         return written
 
     def _write_history(self, history: History, title: str, names: Sequence[str]) -> list[Path]:

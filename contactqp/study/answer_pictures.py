@@ -11,11 +11,13 @@ from contactqp.errors import ContactQPError
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import structure_figure
-from contactqp.pictures.frame_fields import FrameFields
 from contactqp.pictures.history_drawing import history_figure
+from contactqp.pictures.membrane_drawing import membrane_figure
 from contactqp.pictures.small_png import small_png
 from contactqp.scene.judging import Failure, Judgement
-from contactqp.study.answer_fields import fields_of
+from contactqp.scene.schema import Scene
+from contactqp.solution import Solution
+from contactqp.study.answer_fields import fields_of, fields_of_membranes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,11 +28,14 @@ TIME_UNIT = "s"
 DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
-def answer_figure(fields: ContactFields | FrameFields, *, large: bool, title: str = "") -> Figure:
+def answer_figure(scene: Scene, solution: Solution, *, title: str = "") -> Figure:
     """Geometry, deformed shape and contact forces; magnified, large displacements would be others."""
+    if scene.membranes:
+        return membrane_figure(fields_of_membranes(scene, solution), title=title)
+    fields = fields_of(scene, solution)
     if isinstance(fields, ContactFields):
         return figure(fields, title=title)
-    return structure_figure(fields, scale=1.0 if large else None, title=title)
+    return structure_figure(fields, scale=1.0 if scene.large else None, title=title)
 
 
 @dataclass(frozen=True)
@@ -50,11 +55,10 @@ def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
     if isinstance(outcome, Failure):
         return AnswerPictures(history=history, why_not=outcome.message)
     try:
-        fields = fields_of(outcome.scene, outcome.solution)
+        drawn = answer_figure(outcome.scene, outcome.solution)
     except ContactQPError as error:
         return AnswerPictures(history=history, why_not=str(error))
-    dpi = DPI_OF_BODIES if isinstance(fields, ContactFields) else DPI
-    return AnswerPictures(small_png(answer_figure(fields, large=outcome.scene.large), dpi), history)
+    return AnswerPictures(small_png(drawn, DPI_OF_BODIES if outcome.scene.meshed else DPI), history)
 
 
 def _history(history: History) -> bytes | None:

@@ -1,0 +1,41 @@
+"""Membranes: the surface is where its nodes are, and dots are where forces push, as large as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.pictures.membrane_drawing import DOTS, membrane_figure
+from contactqp.study.answer_fields import fields_of_membranes
+
+pytest.importorskip("matplotlib")
+CASE = Path(__file__).parents[2] / "cases" / "membrane_ball.toml"
+
+
+def test_a_membrane_over_a_ball() -> None:
+    scene = cq.load_scene(CASE)
+    solution = cq.solve(scene.problem())
+    fields = fields_of_membranes(scene, solution)
+    figure = membrane_figure(fields, title="A membrane")
+    space, plane = figure.axes[:2]
+    (surface,) = [item for item in space.collections if item.get_gid() == "surface"]
+    heights = np.concatenate([np.asarray(triangle)[:, 2] for triangle in surface._faces])
+    assert heights.max() == pytest.approx(1.0)  # the ball's top
+    assert heights.min() == pytest.approx(0.0, abs=1e-12)  # the rim
+    (dots,) = [item for item in plane.collections if item.get_gid() == "forces"]
+    assert len(dots.get_offsets()) == np.count_nonzero(solution.normal_force > 0)
+    assert np.linalg.norm(dots.get_offsets(), axis=1).max() < 0.8  # the contact's radius is 0.698
+    assert dots.get_sizes().max() == pytest.approx(DOTS[1])
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert any(label.startswith("closed (") for label in labels)
+    assert labels[-1].endswith(" N")
+    assert [axes.get_xlabel() for axes in (space, plane)] == ["x [m]", "x [m]"]
+
+
+def test_supported_nodes_have_no_force() -> None:
+    scene = cq.load_scene(CASE)
+    fields = fields_of_membranes(scene, cq.solve(scene.problem()))
+    assert np.all(np.isnan(fields.force) == (fields.status == "held"))
