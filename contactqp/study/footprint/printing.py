@@ -15,30 +15,33 @@ MEBIBYTE = 2**20
 
 def print_footprint(console: Console, footprint: Footprint) -> None:
     """What the answer took, line by line, and the time of each stage."""
-    console.print(escape(f"solved by {footprint.method} in a fresh interpreter: {_outcome(footprint)}"))
+    console.print(escape(f"solved by {footprint.method} in a fresh interpreter: {footprint_outcome(footprint)}"))
     if footprint.seconds is None:
         return
     rows = [
-        [stage.name, f"{1e3 * stage.seconds:.4g}", _share(stage.seconds / footprint.seconds)]
+        [stage.name, f"{1e3 * stage.seconds:.4g}", share_text(stage.seconds / footprint.seconds)]
         for stage in footprint.stages
     ]
     print_table(console, ["stage", "time [ms]", "share"], [*rows, ["total", f"{1e3 * footprint.seconds:.4g}", ""]])
-    for line in _lines(footprint):
+    for line in footprint_lines(footprint):
         console.print(escape(line), soft_wrap=True)
 
 
-def _share(part: float) -> str:
+def share_text(part: float) -> str:
+    """A part of the whole in percent."""
     return "< 1 %" if part < 0.005 else f"{100 * part:.0f} %"
 
 
-def _outcome(footprint: Footprint) -> str:
+def footprint_outcome(footprint: Footprint) -> str:
+    """How it ended."""
     if footprint.failure is not None:
         return f"no answer: {footprint.failure}"
     count = f"{footprint.instants} instants, " if footprint.instants > 1 else ""
     return count + ("certificate passed" if footprint.certified else "the certificate refuses the answer")
 
 
-def _lines(footprint: Footprint) -> Iterator[str]:
+def footprint_lines(footprint: Footprint) -> Iterator[str]:
+    """Work, contacts, memory and modules, one sentence each."""
     factorisations, right_hand_sides = footprint.factorisations, footprint.back_substitutions
     yield f"work: {factorisations} {_many('factorisation', factorisations)} of the stiffness, {right_hand_sides} " + (
         _many("back-substitution", right_hand_sides)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.scene.tables import MOST_ROWS, shown, written
+from contactqp.study.footprint.printing import footprint_lines, footprint_outcome, share_text
 from contactqp.study.page.formulation import Formulation, formulation
 from contactqp.study.page.tables import Line, Table, plain_table, table_of_rows
 from contactqp.study.report.case_record import CaseRecord
@@ -16,6 +17,15 @@ from contactqp.study.rows import Row
 
 _HELD = ("method", "expected of the answer", "value", "got", "unit", "error", "allowed", "verdict", "derivation")
 _PRINTED = ("method", "the source prints", "value", "ours", "unit", "difference", "half a digit", "verdict", "why")
+
+
+@dataclass(frozen=True)
+class FootprintView:
+    """What one answer takes in a process of its own, in words and times."""
+
+    outcome: str
+    stages: Table | None
+    lines: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,7 @@ class CaseView:
     published: Table | None
     failures: tuple[str, ...]  # trials without an answer
     rows: Table
+    footprint: FootprintView | None
 
     @property
     def headline(self) -> str:
@@ -74,6 +85,7 @@ def case_view(anchor: str, case: CaseRecord, rows: Sequence[Row]) -> CaseView:
         published=_comparisons(f"{case.title}: what the source prints", _PRINTED, judged, "published"),
         failures=tuple(str(trial["failure"]) for trial in case.judgements if "failure" in trial),
         rows=table_of_rows(f"{case.title}: every method with every value of its knob", rows),
+        footprint=_footprint(case),
     )
 
 
@@ -84,6 +96,19 @@ def _parts(case: CaseRecord) -> Iterator[tuple[str, str]]:
         if items:
             more = f"; and {len(items) - MOST_ROWS} more" if len(items) > MOST_ROWS else ""
             yield f"{name}: {len(items)}", "; ".join(items[:MOST_ROWS]) + more
+
+
+def _footprint(case: CaseRecord) -> FootprintView | None:
+    found = case.footprint
+    if found is None:
+        return None
+    outcome, whole = f"By {found.method} in a fresh interpreter: {footprint_outcome(found)}.", found.seconds
+    if whole is None:
+        return FootprintView(outcome, None, ())
+    stages = [(stage.name, f"{1e3 * stage.seconds:.4g}", share_text(stage.seconds / whole)) for stage in found.stages]
+    label, headings = f"{case.title}: time of each stage", ("stage", "time [ms]", "share")
+    table = plain_table(label, headings, [*stages, ("total", f"{1e3 * whole:.4g}", "")])
+    return FootprintView(outcome, table, tuple(footprint_lines(found)))
 
 
 def _comparisons(label: str, headings: tuple[str, ...], judged: Sequence[Mapping[str, Any]], key: str) -> Table | None:

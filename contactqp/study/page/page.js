@@ -18,8 +18,17 @@
     return figures.get(plot);
   }
 
+  // What is filtered out is not drawn; of a group whose entry in the legend goes with it, the next one gets the entry.
   function traces(plot) {
-    return figureOf(plot).data.map((trace) => (isOff(trace.meta) ? { ...trace, visible: false } : trace));
+    const all = figureOf(plot).data, named = new Set();
+    const grouped = new Set(all.filter((trace) => trace.legendgroup && trace.showlegend !== false).map((trace) => trace.legendgroup));
+    return all.map((trace) => {
+      if (isOff(trace.meta)) return { ...trace, visible: false };
+      if (!grouped.has(trace.legendgroup)) return trace;
+      const first = !named.has(trace.legendgroup);
+      named.add(trace.legendgroup);
+      return { ...trace, showlegend: first };
+    });
   }
 
   function layout(plot, width) {
@@ -29,9 +38,20 @@
     made.margin = { t: 40, b: 60, l: 80, r: 20, ...given.margin };
     const named = given.showlegend === false ? [] : figureOf(plot).data.filter((trace) => trace.showlegend !== false && trace.name);
     // A legend that is cut off cannot be read on paper.
+    if (given.legend?.orientation === "h") {
+      made.height = (given.height ?? 480) + (linesOf(named, width) - linesOf(named, PAPER)) * LINE;
+      return made;
+    }
     made.height = Math.max(given.height ?? 480, named.length * LINE + 130);
     if (width < NARROW && named.length && !plot.classList.contains("panels")) legendBelow(made, named, width);
     return made;
+  }
+
+  // Of a legend that lies across the chart.
+  function linesOf(named, width) {
+    if (!named.length) return 0;
+    const longest = Math.max(...named.map((trace) => trace.name.length));
+    return Math.ceil(named.length / Math.max(Math.floor((width - 80) / (longest * LETTER + 50)), 1));
   }
 
   function legendBelow(made, named, width) {

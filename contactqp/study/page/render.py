@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.study.page.case_view import CaseView, case_view
 from contactqp.study.page.mathematics import mathml
-from contactqp.study.page.tables import FACETS, Line, Table, marked, plain_table, table_of_chart
+from contactqp.study.page.section import Section
+from contactqp.study.page.tables import FACETS, Line, Table, facets_of, marked, plain_table, table_of_chart
 from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
 _LEGENDS = {"method": "Methods", "variant": "Variants", "verdict": "Verdicts"}
-_VARIANTS = {"": "without variants", "raw": "raw, before polish", "polished": "polished", "uzawa": "Uzawa's iteration"}
+_VARIANTS = {"final": "final answers", "raw": "raw answers, before polish", "Uzawa": "Uzawa's iteration"}
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def render(
     data: ReportData,
     overview: Sequence[Chart] = (),
     by_case: Mapping[str, Sequence[Chart]] | None = None,
-    stability: Sequence[Chart] = (),
+    stability: Sequence[Section] = (),
     notes: Sequence[str] = (),
 ) -> str:
     """The page.
@@ -79,8 +80,8 @@ def render(
     overview : sequence of Chart
         About all cases together.
     by_case : mapping of case names to sequences of Chart
-    stability : sequence of Chart
-        A chart without a figure is its caption and its table.
+    stability : sequence of Section
+        Of the study of stability, where it was made.
     notes : sequence of str
         Limitations of this report, besides those of any.
 
@@ -107,7 +108,7 @@ def render(
         script=Markup(_own("page.js")),
         plotly=Markup(get_plotlyjs()),
         overview=_items("all", overview),
-        stability=_items("stability", stability),
+        stability=tuple(_sections(stability)),
         views=tuple(_views(data, by_case or {})),
         tiles=_tiles(data),
         parts=_parts(bool(overview), bool(stability)),
@@ -151,6 +152,21 @@ def _items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
     )
 
 
+@dataclass(frozen=True)
+class SectionView:
+    """A section, ready for its template."""
+
+    section: Section
+    charts: tuple[ChartItem, ...]
+    tables: tuple[tuple[str, Table], ...]  # with their titles
+
+
+def _sections(sections: Sequence[Section]) -> Iterator[SectionView]:
+    for number, section in enumerate(sections, start=1):
+        tables = ((table.title, plain_table(table.title, table.headings, table.lines)) for table in section.tables)
+        yield SectionView(section, _items(f"stability-{number}", section.charts), tuple(tables))
+
+
 def _json(figure: Mapping[str, Any]) -> Markup:
     """JSON that ends no element of HTML, whatever texts are in it."""
     from markupsafe import Markup
@@ -189,7 +205,7 @@ def _facets(data: ReportData) -> tuple[Facet, ...]:
     """The values that rows have, in the order in which they come."""
     facets = []
     for name in FACETS:
-        values = dict.fromkeys(str(getattr(row, name)) for row in data.rows)
+        values = dict.fromkeys(facets_of(row)[name] for row in data.rows)
         labels = {value: _label(name, value) for value in values}
         facets.append(Facet(name, _LEGENDS[name], tuple(labels.items())))
     return tuple(facets)

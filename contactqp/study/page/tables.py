@@ -9,8 +9,14 @@ from contactqp.study import rows
 from contactqp.study.report.chart import Chart
 from contactqp.study.rows import READABLE, Row, readable
 
-# What the filters of a page choose by: fields of a row, `meta` of a trace, headings of a chart's table.
-FACETS = ("method", "variant", "verdict")
+# What the filters of a page choose by: of a row, by `meta` of a trace, by the headings of a chart's table.
+FACETS: Mapping[str, tuple[str, ...]] = {
+    "method": ("method",),
+    "variant": ("answer", "variant"),
+    "verdict": ("verdict",),
+}
+# A method that does not polish hands its answer over as it is.
+_VARIANTS: Mapping[str, str] = {"": "final", "polished": "final", "uzawa": "Uzawa"}
 # A verdict is told by its word and its sign, not by colour alone.
 MARKS: Mapping[str, str] = {
     rows.RIGHT: "✓",
@@ -20,9 +26,10 @@ MARKS: Mapping[str, str] = {
     rows.BACKEND_FAILED: "✗",
     rows.UNSUPPORTED: "∅",
     rows.MISSING: "□",
+    rows.CRASHED: "†",
     rows.WRONG: "‼",
 }
-OTHER_MARK = "✗"
+OTHER_MARK = "?"
 
 
 @dataclass(frozen=True)
@@ -59,15 +66,21 @@ def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
 def _line(row: Row, cells: list[str], shown: Sequence[str]) -> Line:
     if "verdict" in shown:
         cells[shown.index("verdict")] = marked(row.verdict)
-    facets = {name: str(getattr(row, name)) for name in FACETS}
-    return Line(tuple(cells), facets, row.verdict == rows.WRONG or bool(row.expectations_unmet))
+    return Line(tuple(cells), facets_of(row), row.verdict == rows.WRONG or bool(row.expectations_unmet))
+
+
+def facets_of(row: Row) -> dict[str, str]:
+    """What the filters choose a row by."""
+    variant = _VARIANTS.get(row.variant, row.variant)
+    return {"method": row.method, "variant": variant, "verdict": row.verdict}
 
 
 def table_of_chart(chart: Chart) -> Table | None:
     """The numbers of a chart; columns that are named like a facet are what filters go by."""
     if not chart.lines:
         return None
-    places = {name: chart.headings.index(name) for name in FACETS if name in chart.headings}
+    columns = [(name, heading) for name, headings in FACETS.items() for heading in headings]
+    places = {name: chart.headings.index(heading) for name, heading in columns if heading in chart.headings}
     lines = (Line(line, {name: line[place] for name, place in places.items()}) for line in chart.lines)
     return Table(f"numbers of: {chart.title}", chart.headings, tuple(lines))
 

@@ -17,6 +17,7 @@ from contactqp.scene.printing import judgement_data
 from contactqp.scene.schema import Scene
 from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.footprint.footprint import Footprint
 from contactqp.study.truth import Truth
 
 
@@ -66,6 +67,7 @@ class CaseRecord:
     no_picture: str = ""  # why there is no picture
     scheme: str = ""  # by which a motion is stepped
     linear_solve: float | None = None  # seconds of one linear solve of the bodies without contact
+    footprint: Footprint | None = None  # what one answer takes in a process of its own
 
 
 def record(study: CaseStudy, truth: Truth | None) -> CaseRecord:

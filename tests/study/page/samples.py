@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from contactqp.scene.explaining import explain
 from contactqp.study.case_study import load_studies
-from contactqp.study.report.case_record import CaseRecord, Sizes, record
+from contactqp.study.page.tables import facets_of
+from contactqp.study.report.case_record import CaseRecord, record, unjudged
 from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.report.summary import summarise
@@ -38,20 +38,7 @@ def data_of(*names: str) -> ReportData:
 def bare_record(name: str) -> CaseRecord:
     """What is known of a case before anything is solved."""
     (study,) = load_studies([CASES / f"{name}.toml"], [])
-    motion, told = study.scene.motion, explain(study.scene)
-    texts = dict(file="", source="", about="", truth="", scheme="" if motion is None else motion.scheme)
-    units = dict(length=study.scene.units.length, force=study.scene.units.force)
-    return CaseRecord(
-        name,
-        study.scene.title,
-        **texts,
-        **units,
-        sizes=Sizes.of(study),
-        explanation=told,
-        judgements=(),
-        unmet=(),
-        remarks=(),
-    )
+    return unjudged(study, "nothing")
 
 
 def report_of(cases: list[CaseRecord], rows: list[Row]) -> ReportData:
@@ -74,14 +61,14 @@ def chart(rows: tuple[Row, ...], name: str = "force", title: str = "Error in the
     found: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.seconds is not None and row.error_force is not None:
-            found.setdefault((row.method, row.variant), []).append(row)
+            found.setdefault((row.method, facets_of(row)["variant"]), []).append(row)
     traces = [_trace(method, variant, points) for (method, variant), points in found.items()]
     axes = dict(xaxis=_axis("run time [ms]"), yaxis=_axis("true error in λ, relative [1]"))
     lines = tuple(
         (method, variant, f"{row.error_force:.1e}") for (method, variant), points in found.items() for row in points
     )
     figure = dict(data=traces, layout=axes)
-    return Chart(name, title, "Down and to the left is better.", figure, ("method", "variant", "error [1]"), lines)
+    return Chart(name, title, "Down and to the left is better.", figure, ("method", "answer", "error [1]"), lines)
 
 
 def _trace(method: str, variant: str, points: list[Row]) -> dict[str, Any]:
