@@ -107,7 +107,8 @@ def _rotations(exact: ExactProblem) -> BuildingBlock:
 
 def _supports(exact: ExactProblem) -> BuildingBlock:
     count = len(exact.unknowns.fixed)
-    return counted("supports", count, "fixed unknown left out of the system", "nothing is fixed")
+    some = f"{count} fixed unknown{'s' * (count > 1)}, left out of the system"
+    return BuildingBlock("supports", count > 0, some if count else "nothing is fixed")
 
 
 def _condensation(exact: ExactProblem) -> BuildingBlock:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from contactqp.scene.explaining import shortened
 from contactqp.scene.tables import MOST_ROWS, shown, written
 from contactqp.study.footprint.printing import footprint_lines, footprint_outcome, share_text
 from contactqp.study.page.formulation import Formulation, formulation
@@ -91,8 +92,10 @@ def case_view(anchor: str, case: CaseRecord, rows: Sequence[Row]) -> CaseView:
 
 def _parts(case: CaseRecord) -> Iterator[tuple[str, str]]:
     told = case.explanation
-    parts = (("Unknowns", told.unknowns), ("Fixed", told.fixed), ("Contacts", told.contacts), ("Ties", told.ties))
-    for name, items in parts:
+    for name, items in (("Unknowns", told.unknowns), ("Fixed", told.fixed)):
+        if items:
+            yield f"{name}: {len(items)}", shortened(items)
+    for name, items in (("Contacts", told.contacts), ("Ties", told.ties)):
         if items:
             more = f"; and {len(items) - MOST_ROWS} more" if len(items) > MOST_ROWS else ""
             yield f"{name}: {len(items)}", "; ".join(items[:MOST_ROWS]) + more

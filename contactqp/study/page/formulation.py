@@ -19,7 +19,7 @@ PATH, TIME, NEWTON, ROTATIONS = "load path", "time stepping", "Newton loop", "ro
 
 @dataclass(frozen=True)
 class Formula:
-    """One equation, in LaTeX, and what it says."""
+    """Equations in LaTeX, one a line, and what they say."""
 
     name: str
     latex: str
@@ -122,7 +122,7 @@ def _motion(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     )
     yield from _constraints(case)
     if case.scheme in STEPS:
-        yield Formula(f"One step of h by {case.scheme}", STEPS[case.scheme], blocks[TIME])
+        yield Formula(f"One step of h by {case.scheme}", "\n".join(STEPS[case.scheme]), blocks[TIME])
 
 
 def _large(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
