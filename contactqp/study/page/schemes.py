@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 _FORCES = r"E_N^T \lambda_N"
-# Several equations each, which lead from (u, v) to (u⁺, v⁺) in a step of h; u⁻ is a step earlier. Ties and friction come
-# in as in equilibrium.
+# Several equations each, which lead from (u, v) to (u⁺, v⁺) in a step of h; u⁻ is a step earlier. Ties and friction
+# come in as in equilibrium.
 STEPS: Mapping[str, tuple[str, ...]] = {
     "moreau-jean": (
         r"M (v^+ - v) + h K (\theta u^+ + (1 - \theta) u) + E_N^T P_N = h f",
