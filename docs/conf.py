@@ -25,21 +25,17 @@ exclude_patterns = ["extensions"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# Docstrings are numpydoc's, `backticks` are code, and types stand in the text: what is left of a signature is names.
-default_role = "code"
+# Docstrings are numpydoc's, `backticks` are code or a public name, and types stand in the text: what is left of a
+# signature is names.
+default_role = "code-or-name"
 smartquotes = False  # u'Ku is a formula
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False
 
-# Cross-references resolve or are listed here.
+# Cross-references resolve, all of them.
 nitpicky = True
-nitpick_ignore = [
-    ("py:class", "tuple"),  # a base of NamedTuple classes; Python's own pages are not fetched
-    ("py:class", "ValueError"),
-    ("py:class", "ImportError"),
-]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "contactqp"

@@ -21,6 +21,7 @@ class Erratum:
     printed: str
     right: str
     why: str
+    elsewhere: str = ""  # what shows it, where no case does
 
 
 def listed() -> list[Erratum]:
@@ -44,14 +45,14 @@ def errata() -> str:
     """The table, and what no case holds."""
     by_case = held()
     rows = [
-        (entry.id, entry.where, f"{entry.printed}", entry.right, entry.why, _cases(by_case.get(entry.id, [])))
+        (entry.id, entry.where, f"{entry.printed}", entry.right, entry.why, _shown(entry, by_case.get(entry.id, [])))
         for entry in listed()
     ]
     missing = [entry.id for entry in listed() if entry.id not in by_case]
     counted = f"{len(rows)} places; {len(rows) - len(missing)} of them are held by a case."
-    none = f"No case holds {', '.join(missing)}: definitions, references and wording without a number of a scene."
+    none = f"No case holds {', '.join(missing)}: definitions, references and wording, which no scene has."
     return "\n\n".join([table(("", "where", "printed", "right", "why", "cases"), rows), counted, none])
 
 
-def _cases(names: list[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names) or "none"
+def _shown(entry: Erratum, cases: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in cases) or entry.elsewhere or "none"

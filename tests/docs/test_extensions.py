@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
+import pytest
+
 from tests.docs.blocks import DOCS
 
 sys.path.insert(0, str(DOCS / "extensions"))
@@ -34,3 +36,30 @@ def test_fields_are_described_by_the_comments_behind_them() -> None:
 def test_absolute_values_are_escaped_outside_of_literals_only() -> None:
     lines = ["|x| and `|y|`", "formula::", "", "    |z|", "", "after |w|", ">>> a | b"]
     assert escaped(lines) == ["\\|x\\| and `|y|`", "formula::", "", "    |z|", "", "after \\|w\\|", ">>> a | b"]
+
+
+def test_public_names_are_told_from_words() -> None:
+    pytest.importorskip("sphinx", reason="the extra docs")
+    from public_names import public_name
+
+    named = ["Solution", "contactqp.solve", "cq.certify", "exact()", "problems()"]
+    assert [public_name(text) for text in named] == [
+        "contactqp.Solution",
+        "contactqp.solve",
+        "contactqp.certify",
+        "contactqp.exact",
+        "contactqp.testing.problems",
+    ]
+    words = ["exact", "solve", "Nobody", "history.pair", "contactqp.bounds", "u'Ku"]
+    assert [text for text in words if public_name(text)] == []
+
+
+@pytest.mark.parametrize(
+    ("formula", "understood"), [(r"\frac{u}{2}", True), (r"\begin{aligned} u &= 1 \end{aligned}", False)]
+)
+def test_a_formula_that_is_not_understood_is_noticed(formula: str, understood: bool) -> None:
+    pytest.importorskip("sphinx", reason="the extra docs")
+    from latex2mathml.converter import convert
+    from mathml import LEFT_OVER
+
+    assert (LEFT_OVER.search(convert(formula)) is None) == understood
