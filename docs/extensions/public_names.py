@@ -1,4 +1,4 @@
-"""`ContactProblem`, `contactqp.solve` and `solve()` in a docstring lead to where these are documented; other `code` is code.
+"""`ContactProblem`, `contactqp.solve` and `solve()` in a docstring lead to where these are documented.
 
 Docstrings name classes by the modules that hold them, too; readers know them by their public names.
 """

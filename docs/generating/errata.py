@@ -45,13 +45,19 @@ def errata() -> str:
     """The table, and what no case holds."""
     by_case = held()
     rows = [
-        (entry.id, entry.where, f"{entry.printed}", entry.right, entry.why, _shown(entry, by_case.get(entry.id, [])))
+        (
+            entry.id,
+            entry.where,
+            entry.printed,
+            f"{entry.right}<br>*{entry.why}*",
+            _shown(entry, by_case.get(entry.id, [])),
+        )
         for entry in listed()
     ]
     missing = [entry.id for entry in listed() if entry.id not in by_case]
     counted = f"{len(rows)} places; {len(rows) - len(missing)} of them are held by a case."
     none = f"No case holds {', '.join(missing)}: definitions, references and wording, which no scene has."
-    return "\n\n".join([table(("", "where", "printed", "right", "why", "cases"), rows), counted, none])
+    return "\n\n".join([table(("", "where", "printed", "right, *and why*", "cases"), rows), counted, none])
 
 
 def _shown(entry: Erratum, cases: list[str]) -> str:
