@@ -34,7 +34,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
     force, tie = extend(answer.normal_force), extend(answer.tie_force)
     outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
     # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
-    stray = np.array([abs((rows.stiffness @ extend(z)).double()) @ abs(answer.displacement) for z in rigid.motions.T])
+    stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
     size = outer_forces(problem, answer)
     body = bodies(problem)
     # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
@@ -49,6 +49,16 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
         worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))
     return worst
+
+
+def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
+    """|K z| (r, n), formed once for the motions of a stiffness."""
+    known = problem._shared.get("left_of_stiffness")
+    if known is None or known[0] is not rigid:
+        rows = extended_rows(problem)
+        known = rigid, np.array([abs((rows.stiffness @ extend(z)).double()) for z in rigid.motions.T])
+        problem._shared["left_of_stiffness"] = known
+    return np.asarray(known[1])
 
 
 def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:

@@ -9,7 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.analysis.anchoring import Mask, State
+from contactqp.balance import balance
 from contactqp.blas_threads import one_blas_thread
+from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.factorization import Array
@@ -17,18 +19,21 @@ from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Leng
 from contactqp.friction.newton import combination_of, search
 from contactqp.friction.states import OPEN, STICK, Status
 from contactqp.friction_attempt import attempt_on
+from contactqp.iteration import iterated
 from contactqp.metering import Meter
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.solving import Begun, solve
 from contactqp.stages import METHOD, POLISH, stage
-from contactqp.violations import own_compliance
+from contactqp.violations import Answer, own_compliance
 
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
 # Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
 WIDENED = 1e3
+# A load of which this part is left on a body that nothing holds drives it.
+DRIVEN = 1e-6
 # Displacements that differ by this part of the largest are one.
 SAME = 1e-8
 
@@ -169,6 +174,8 @@ class SolveStepper:
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        if np.all(held_open):
+            _refuse_driven(problem)
         solution = self._solved(_widened(problem, held_open), self._before)
         if np.any(solution.normal_force[held_open] > 0):
             raise NoEquilibrium("a contact that is held open closes")
@@ -198,6 +205,15 @@ class SolveStepper:
 
 def _between(start: Vector, end: Vector, fraction: float) -> Vector:
     return end if fraction == 1 else start + fraction * (end - start)
+
+
+def _refuse_driven(problem: ContactProblem) -> None:
+    """Raise where the load drives a body that no contact is to hold: it would move until one does."""
+    if problem.ties or iterated(problem) or first_candidates(problem) is not None:
+        return
+    nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
+    if balance(problem, nothing, condense(problem).rigid) > DRIVEN:
+        raise NoEquilibrium("the load drives a body whose contacts are held open")
 
 
 def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:

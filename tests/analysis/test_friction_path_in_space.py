@@ -180,3 +180,21 @@ def test_each_step_starts_from_the_one_before(monkeypatch: pytest.MonkeyPatch) -
     cold, warm = cq.solve(last.problem), cq.solve(last.problem, warm_start=history[-2])
     assert warm.work.iterations < cold.work.iterations
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=1e-14)
+
+
+@pytest.mark.parametrize(("lift", "searched"), [(0.0, False), (50.0, True)])
+def test_where_a_body_that_nothing_holds_closes_is_not_searched_for(
+    lift: float, searched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a spring off the plane any load drives the block onto it; with one it arrives at a load."""
+    real, widened = friction_stepping.solve, []
+
+    def solve(one: cq.ContactProblem, method: str, **options: object) -> cq.Solution:
+        widened.append(one.gap[0] > 1.0)
+        return real(one, method, **options)
+
+    monkeypatch.setattr(friction_stepping, "solve", solve)
+    stiffness = np.diag([2.0, 2.0, lift])
+    history = cq.follow_path(block([0.0, 0.0], stiffness=stiffness, gap=[0.1]), [PRESS], steps=1)
+    assert any(widened) is searched
+    np.testing.assert_allclose(history[-1].normal_force, [10.0 - 0.1 * lift])
