@@ -31,21 +31,22 @@ def test_loads_of_one_body_in_threads(solver, monkeypatch):
 
 
 def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
-    pytest.importorskip("threadpoolctl")
+    threadpoolctl = pytest.importorskip("threadpoolctl")
     monkeypatch.setattr(blas_threads, "WORTHWHILE", 1)
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 
     def threads() -> list[int]:
         return [library["num_threads"] for library in blas_threads._openblas().info()]
 
-    before = threads()
-    first, second = blas_threads.one_blas_thread(problem), blas_threads.one_blas_thread(problem)
-    first.__enter__(), second.__enter__()
-    assert set(threads()) <= {1}
-    first.__exit__(None, None, None)
-    assert set(threads()) <= {1}
-    second.__exit__(None, None, None)
-    assert threads() == before
+    with threadpoolctl.threadpool_limits(2, "blas"):
+        before = threads()
+        first, second = blas_threads.one_blas_thread(problem), blas_threads.one_blas_thread(problem)
+        first.__enter__(), second.__enter__()
+        assert set(threads()) <= {1}
+        first.__exit__(None, None, None)
+        assert set(threads()) <= {1}
+        second.__exit__(None, None, None)
+        assert threads() == before
 
 
 def test_copies_are_problems_without_what_was_computed():
