@@ -15,14 +15,12 @@ twice the move of r and once that of u + mu |u_T| e_N.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import natural_map
 from contactqp.problem import ContactProblem, Vector
+from contactqp.row_sizes import contact_entries
 from contactqp.violations import Answer, Violations
 
 # The other figures imply this one up to this factor.
@@ -55,39 +53,9 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     return np.asarray(np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu))
 
 
-@dataclass(frozen=True, eq=False)
-class _Entries:
-    """The entries of the w rows of every contact, at every unknown that one of them touches."""
-
-    contact: NDArray[np.intp]  # (z,)
-    unknown: NDArray[np.intp]  # (z,)
-    values: NDArray[np.float64]  # (w, z)
-    contacts: int
-
-    def over(self, meeting: Vector) -> NDArray[np.float64]:
-        """E_ij / F_j (w, z); where no force meets, and so none acts, as much as the contact's largest."""
-        F = meeting[self.unknown]
-        scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
-        if not np.all(F > 0):
-            largest = self.largest(scaled)
-            idle = np.where(largest > 0, largest, 1.0)[self.contact] * np.sign(self.values)
-            scaled = np.where(F > 0, scaled, idle)
-        return scaled
-
-    def largest(self, values: NDArray[np.float64]) -> Vector:
-        """The largest size (m,) of values (w, z), contact by contact."""
-        found = np.zeros(self.contacts)
-        np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
-        return found
-
-    def sums(self, values: NDArray[np.float64]) -> Vector:
-        """Sums (m,) of (z,) values, contact by contact."""
-        return np.asarray(np.bincount(self.contact, weights=values, minlength=self.contacts), dtype=float)
-
-
 def _normal_force(problem: ContactProblem, meeting: Vector) -> Vector:
     """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
-    entries = _entries(problem, "normal")
+    entries = contact_entries(problem, "normal")
     return _inverse(entries.largest(entries.over(meeting)))
 
 
@@ -96,7 +64,7 @@ def _tangential_force(problem: ContactProblem, meeting: Vector) -> tuple[Vector,
 
     max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
     """
-    entries = _entries(problem, "tangent")
+    entries = contact_entries(problem, "tangent")
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
     unit = _inverse(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]
@@ -109,23 +77,6 @@ def _tangential_force(problem: ContactProblem, meeting: Vector) -> tuple[Vector,
     largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
     smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
     return unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
-
-
-def _entries(problem: ContactProblem, name: str) -> _Entries:
-    """Those of `normal` or `tangent`, laid out once for the rows."""
-    key = f"entries_of_{name}"
-    if key not in problem._shared:
-        rows, m = sp.csr_matrix(getattr(problem, name)), problem.contacts
-        width = rows.shape[0] // m if m else 1
-        pattern = sp.csr_matrix(sum(abs(rows[k::width]) for k in range(width)))
-        pattern.sum_duplicates()
-        contact = np.repeat(np.arange(m), np.diff(pattern.indptr))
-        values = np.zeros((width, pattern.nnz))
-        if pattern.nnz:
-            values[:] = [np.asarray(rows[k::width][contact, pattern.indices]).ravel() for k in range(width)]
-        problem._shared[key] = _Entries(contact, pattern.indices.astype(np.intp), values, m)
-    entries: _Entries = problem._shared[key]
-    return entries
 
 
 def _inverse(size: Vector) -> Vector:

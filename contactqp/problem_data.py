@@ -85,7 +85,7 @@ def refuse_zero_rows(name: str, rows: Any, called: Callable[[int], str]) -> None
     empty = np.flatnonzero(np.diff(rows.indptr) == 0)
     if empty.size:
         raise InvalidProblem(f"{name}: the row of {called(int(empty[0]))} is zero; it constrains nothing")
-    largest = abs(rows).max(axis=1).toarray().ravel() if rows.shape[0] else np.ones(1)
+    largest = np.maximum.reduceat(abs(rows.data), rows.indptr[:-1]) if rows.shape[0] else np.ones(1)
     extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
     if extreme.size:
         i = int(extreme[0])
@@ -94,8 +94,11 @@ def refuse_zero_rows(name: str, rows: Any, called: Callable[[int], str]) -> None
 
 def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Callable[[int], str]) -> None:
     """Raise where sum_j E_ij^2 / K_jj, what a row finds at its own unknowns, is no double."""
+    if not rows.shape[0]:
+        return
     with np.errstate(all="ignore"):
-        squares = rows.multiply(rows)
+        squares = rows.copy()
+        squares.data **= 2
         elastic = np.where(diagonal > 0, diagonal, np.inf)
         compliance = np.asarray(squares @ (1.0 / elastic))
     on_elastic = np.asarray(squares @ np.isinf(elastic).astype(float)) == 0

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import directions, lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
+from contactqp.row_sizes import contact_entries, row_sizes
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
@@ -148,10 +148,10 @@ def stiffness_sizes(problem: ContactProblem) -> Any:
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     """F without |K||u|: what acts on the bodies from outside."""
-    outer = problem.load_size + abs(problem.normal).T @ abs(answer.normal_force)
-    outer = outer + abs(problem.tie).T @ abs(answer.tie_force)
+    outer = problem.load_size + row_sizes(problem, problem.normal).transposed @ abs(answer.normal_force)
+    outer = outer + row_sizes(problem, problem.tie).transposed @ abs(answer.tie_force)
     if problem.tangent is not None and answer.friction_force is not None:
-        outer = outer + abs(problem.tangent).T @ abs(answer.friction_force).ravel()
+        outer = outer + row_sizes(problem, problem.tangent).transposed @ abs(answer.friction_force).ravel()
     return np.asarray(outer)
 
 
@@ -164,8 +164,9 @@ def lengths_that_meet(
     row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
     measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
     """
-    length = abs(rows) @ abs(displacement) + abs(limit)
-    least = rounding * np.sqrt(own_compliance(problem, rows))
+    sizes = row_sizes(problem, rows)
+    length = sizes.size @ abs(displacement) + abs(limit)
+    least = rounding * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if np.any(length <= least * np.max(size, initial=0.0)):
         length = np.where(length <= least * _largest_of_bodies(problem, rows, size), np.inf, length)
@@ -187,9 +188,8 @@ def _largest_of_bodies(problem: ContactProblem, rows: Any, size: Vector) -> Vect
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
     np.maximum.at(largest, body, size)
-    entries = rows.tocoo()
     touched = np.zeros(rows.shape[0])
-    np.maximum.at(touched, entries.row, largest[body[entries.col]])
+    np.maximum.at(touched, _row_of_entries(rows), largest[body[rows.indices]])
     return touched
 
 
@@ -205,9 +205,7 @@ def bodies(problem: ContactProblem) -> NDArray[np.intp]:
 
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
     """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
-    diagonal = problem.diagonal
-    compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
-    return np.asarray(rows.multiply(rows) @ compliance)
+    return row_sizes(problem, rows).compliance
 
 
 def ratio(size: Vector, scale: Vector) -> Vector:
@@ -217,11 +215,15 @@ def ratio(size: Vector, scale: Vector) -> Vector:
 
 def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
     """max_j |E_ij l_i| / F_j for every row i."""
-    entries = abs(rows).tocoo()
-    part = ratio(entries.data * abs(force)[entries.row], meeting[entries.col])
+    row = _row_of_entries(rows)
     measure = np.zeros(rows.shape[0])
-    np.maximum.at(measure, entries.row, part)
+    np.maximum.at(measure, row, ratio(abs(rows.data) * abs(force)[row], meeting[rows.indices]))
     return measure
+
+
+def _row_of_entries(rows: Any) -> NDArray[np.intp]:
+    """Of every entry of rows in CSR."""
+    return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
 
 
 def _friction(problem: ContactProblem, answer: Answer, F: Vector, length: Vector) -> tuple[Vector, Vector, Vector]:
@@ -246,12 +248,7 @@ def _friction(problem: ContactProblem, answer: Answer, F: Vector, length: Vector
 
 def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:
     """max_j |E_T' v|_j / F_j of one tangential force vector v a contact."""
-    width = force.shape[1]
-    blocks = sp.csr_matrix(
-        (force.ravel(), (np.repeat(np.arange(len(force)), width), np.arange(force.size))),
-        shape=(len(force), force.size),
-    )
-    spread = abs(blocks @ sp.csr_matrix(problem.tangent)).tocoo()
+    entries = contact_entries(problem, "tangent")
     measure = np.zeros(len(force))
-    np.maximum.at(measure, spread.row, ratio(spread.data, F[spread.col]))
+    np.maximum.at(measure, entries.contact, ratio(abs(entries.forces(force)), F[entries.unknown]))
     return measure

@@ -39,6 +39,7 @@ LAYERS = (
     "nonnegative",
     "range_space",
     "saddle",
+    "row_sizes",
     "violations",
     "coulomb_residual",
     "contact_compliance",

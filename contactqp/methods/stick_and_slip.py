@@ -48,7 +48,7 @@ def coefficients(problem: ContactProblem) -> Vector:
     """(m,) mu, zero where every unknown of the tangential row is supported: such a contact cannot slide."""
     if problem.tangent is None or problem.friction is None:
         return np.zeros(problem.contacts)
-    return np.where(np.diff(sp.csr_array(problem.tangent).indptr) > 0, problem.friction, 0.0)
+    return np.where(np.diff(problem.tangent.indptr) > 0, problem.friction, 0.0)
 
 
 def origins(problem: ContactProblem) -> Vector:
@@ -118,16 +118,16 @@ def status_rows(
     closed = preference[(status != OPEN)[preference]]
     stuck = closed[status[closed] == STICK]
     held = _stacked(problem.tie[ties], E_N[closed], E_T[stuck])
-    if independent:
-        kept = independent_rows(held)
+    if independent and len(kept := independent_rows(held)) < held.shape[0]:
         normal = kept[(kept >= ties.size) & (kept < ties.size + closed.size)] - ties.size
         tangential = stuck[kept[kept >= ties.size + closed.size] - ties.size - closed.size]
         closed = closed[normal]
         stuck = tangential[np.isin(tangential, closed)]
         held = _stacked(problem.tie[ties], E_N[closed], E_T[stuck])
         status = np.where(np.isin(np.arange(problem.contacts), closed), status, OPEN).astype(np.int8)
-    drag = np.where(status == STICK, 0, status)[closed] * coefficients(problem)[closed]
-    pushed = _stacked(problem.tie[ties], E_N[closed] + sp.diags(drag) @ E_T[closed], E_T[stuck])
+    drag, pushed = np.where(status == STICK, 0, status)[closed] * coefficients(problem)[closed], held
+    if np.any(drag):
+        pushed = _stacked(problem.tie[ties], E_N[closed] + sp.diags(drag) @ E_T[closed], E_T[stuck])
     values = np.concatenate([problem.tie_value[ties], problem.gap[closed], origins(problem)[stuck]])
     return StatusRows(problem, status, held, pushed, values, ties, closed, stuck)
 
