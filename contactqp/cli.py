@@ -230,6 +230,7 @@ def methods_command(as_json: bool) -> None:
 @command.command("report")
 @click.argument("cases", nargs=-1, metavar="[CASE...]")
 @click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
+@click.option("--stability", is_flag=True, help="The stability study; without CASE nothing else.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes side by side; all cores by default.")
 @click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler instead: tcp://host:8786.")
 @click.option("--fresh", is_flag=True, help="Forget what an interrupted report left in DIR.")
@@ -242,17 +243,34 @@ def methods_command(as_json: bool) -> None:
     help="Of one answer; it is stopped then, and its row says so.",
 )
 def report_command(
-    cases: tuple[str, ...], output: str, jobs: int | None, dask: str | None, fresh: bool, time_limit: float
+    cases: tuple[str, ...],
+    output: str,
+    stability: bool,
+    jobs: int | None,
+    dask: str | None,
+    fresh: bool,
+    time_limit: float,
 ) -> None:
     """Run every case by every method and every value of its knob, and write errors and run times to DIR.
 
     Answers are found side by side, then timed one after the other. What is found streams to DIR; a report that was
     interrupted goes on from there by the same command.
+
+    With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write stability.csv and
+    stability.json to DIR.
     """
-    from contactqp.study.report.report import report
     from contactqp.study.running.running import Running
 
-    sys.exit(report(cases, output, Running(jobs, dask, fresh, time_limit, shown=True)))
+    running, codes = Running(jobs, dask, fresh, time_limit, shown=True), []
+    if cases or not stability:
+        from contactqp.study.report.report import report
+
+        codes.append(report(cases, output, running))
+    if stability:
+        from contactqp.study.stability.study import report_stability
+
+        codes.append(report_stability(output))
+    sys.exit(max(codes))
 
 
 @command.command("gallery")

@@ -1,0 +1,43 @@
+"""An axis of difficulty: a name, its values, and a function from a value to a problem with its truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from contactqp.study.stability.posed import Posed
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis.
+
+    `pose` returns the same problem for the same value, always. Values are powers of two where that keeps the data
+    doubles.
+    """
+
+    name: str
+    title: str
+    quantity: str  # what the values are, with its unit: the title of an axis of a chart
+    values: tuple[float, ...]
+    pose: Callable[[float], Posed] = field(repr=False)
+    about: str = ""  # what is swept, and why
+    labels: tuple[str, ...] = ()  # of the values, where they are no numbers
+    # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.
+    knobs: Mapping[str, str] = field(default_factory=dict)
+    # The largest value that a method is tried with, and the one for all that are not named.
+    largest: Mapping[str, float] = field(default_factory=dict)
+    largest_of_others: float = float("inf")
+
+    def label(self, value: float) -> str:
+        """The value in words."""
+        return self.labels[self.values.index(value)] if self.labels else f"{value:.6g}"
+
+    def limit(self, method: str) -> float:
+        """The largest value that a method is tried with."""
+        return self.largest.get(method, self.largest_of_others)
+
+
+def powers_of_two(*exponents: int) -> tuple[float, ...]:
+    """2^e for each exponent."""
+    return tuple(2.0**e for e in exponents)

@@ -1,0 +1,136 @@
+"""What rounding can do to a method: condition numbers of what it solves, and the errors that they predict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from contactqp.friction.exact_algebra import ZERO, Row, dot
+from contactqp.methods import Method
+from contactqp.study.stability.exact_answer import Rows, fractions, rows_of
+from contactqp.study.stability.posed import Posed
+from contactqp.study.stability.systems import AUGMENTED, PENALTY, PERTURBED, SADDLE, Blocks, inverse_of, system_of
+
+# Half of the spacing of doubles in [1, 2): the largest relative error of one rounding.
+UNIT_ROUNDOFF = 2.0**-53
+# An inverse in rational numbers takes a second at this size.
+SMALL = 26
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What is known of a method on a problem before it is run; None where it does not apply, or `missing` says why."""
+
+    system: str  # the matrix that it factorises
+    condition: float | None = None  # κ = ‖A‖₂ ‖A⁻¹‖₂
+    # Skeel's: the relative change of the largest force by relative changes of one part in every entry of A and b.
+    force_condition: float | None = None
+    modelling: float | None = None  # relative error in λ of an approximate method in exact arithmetic, S / (S + β)
+    rounding: float | None = (
+        None  # relative error in λ by rounding: β ulp / λ of the penalty method, else u times Skeel's
+    )
+    missing: str = ""
+
+    @property
+    def digits_lost(self) -> float | None:
+        """log₁₀ κ."""
+        return None if not self.condition else math.log10(self.condition)
+
+    @property
+    def error(self) -> float | None:
+        """The predicted relative error in λ."""
+        return None if self.rounding is None else self.rounding + (self.modelling or 0.0)
+
+
+def predict(posed: Posed, method: Method, variant: str, stiffness: float | None) -> Prediction:
+    """For the right set of closed contacts; `stiffness` is β or κ of a method that has one, and 0 if it is None."""
+    return _predict(posed, system_of(method, variant), variant == "" and not method.exact, stiffness or 0.0)
+
+
+@lru_cache(maxsize=128)
+def _predict(posed: Posed, system: str, approximate: bool, stiffness: float) -> Prediction:
+    size = posed.problem.dimension + len(posed.closed)
+    if posed.held is None or posed.pushed is None or size > SMALL:
+        return Prediction(system, missing=f"{size} rows are too many for an inverse in rational numbers")
+    blocks, beta = _blocks(posed), Fraction(stiffness)
+    matrix = blocks.matrix(system, beta)
+    if matrix is None:
+        return Prediction(system, missing="K is singular")
+    if not matrix:
+        return Prediction(system, missing="nothing is left to solve")
+    inverse = inverse_of(matrix)
+    if inverse is None:
+        return Prediction(system, missing="it is singular")
+    return Prediction(system, _norm(matrix) * _norm(inverse), **_of_forces(blocks, system, approximate, beta))
+
+
+def _blocks(posed: Posed) -> Blocks:
+    problem, u = posed.problem, fractions(posed.truth.displacement)
+    held, pushed = rows_of(posed.held), rows_of(posed.pushed)
+    return Blocks(rows_of(problem.stiffness), held, pushed, fractions(problem.load), [dot(row, u) for row in held])
+
+
+def _norm(matrix: Rows) -> float:
+    """The spectral norm; the entries' rounding to doubles changes it by one part in 1e15."""
+    largest = max((abs(x) for row in matrix for x in row), default=ZERO)
+    scaled = np.array([[float(x / largest) for x in row] for row in matrix]) if largest else np.zeros((1, 1))
+    return float(np.linalg.norm(scaled, 2)) * float(largest)
+
+
+def _of_forces(blocks: Blocks, system: str, approximate: bool, beta: Fraction) -> dict[str, Any]:
+    """Skeel's condition number, modelling and rounding; those of the saddle point system for methods that solve it in
+    steps."""
+    exact = _solved(blocks, SADDLE, beta)
+    if exact is None or not any(exact.forces):
+        return {}
+    name = system if system in (PENALTY, PERTURBED, AUGMENTED) else SADDLE
+    solved = _solved(blocks, name, beta)
+    if solved is None:
+        return {}
+    largest = max(abs(x) for x in exact.forces)
+    number = float(max(solved.force_changes) / largest)
+    modelling = None
+    if approximate:
+        off = max(abs(x - y) for x, y in zip(solved.forces, exact.forces, strict=True))
+        modelling = float(off / largest)
+    rounding = UNIT_ROUNDOFF * number
+    if name == PENALTY:
+        rounding = float(beta) * _last_place(blocks, exact.displacement) / float(largest)
+    return dict(force_condition=number, modelling=modelling, rounding=rounding)
+
+
+def _last_place(blocks: Blocks, u: Row) -> float:
+    """ulp of the largest length that meets at a closed contact."""
+    lengths = [abs(x * y) for row in blocks.held for x, y in zip(row, u, strict=True)]
+    return float(np.spacing(float(max([*lengths, *(abs(g) for g in blocks.gap)]))))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    displacement: Row
+    forces: Row
+    force_changes: Row  # what relative changes of one part make of the forces
+
+
+def _solved(blocks: Blocks, name: str, beta: Fraction) -> _Solved | None:
+    matrix = blocks.matrix(name, beta)
+    inverse = None if matrix is None else inverse_of(matrix)
+    if matrix is None or inverse is None:
+        return None
+    right = blocks.right_hand_side(name, beta)
+    x = [dot(row, right) for row in inverse]
+    sizes = [dot([abs(a) for a in row], [abs(b) for b in x]) + abs(r) for row, r in zip(matrix, right, strict=True)]
+    changes = [dot([abs(a) for a in row], sizes) for row in inverse]
+    n = len(blocks.stiffness)
+    if name != PENALTY:
+        return _Solved(x[:n], x[n:], changes[n:])
+    forces = [beta * (dot(row, x) - g) for row, g in zip(blocks.held, blocks.gap, strict=True)]
+    moved = [
+        beta * (dot([abs(a) for a in row], changes) + abs(g)) for row, g in zip(blocks.held, blocks.gap, strict=True)
+    ]
+    return _Solved(x, forces, moved)

@@ -1,0 +1,134 @@
+"""The table of the study: a flat row for each method at each value of an axis."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from contactqp.study import rows as report_rows
+from contactqp.study.stability.condition import UNIT_ROUNDOFF
+from contactqp.study.truth import ERROR_TOLERANCE
+
+CUT_OFF, STATED = "cut off", "stated"
+VERDICTS: Mapping[str, str] = {
+    **report_rows.VERDICTS,
+    STATED: (
+        "the certificate passes, the true error is above 1e-6, and the certificate says so itself: its force bound "
+        "is as large, or it says that single forces cannot be told apart, or that there are other equilibria"
+    ),
+    CUT_OFF: "not tried: at this size the method takes longer than the study allows; the message says how large",
+}
+# All digits of a double.
+ALL_DIGITS = -math.log10(UNIT_ROUNDOFF)
+
+
+def digits_lost(error: float | None) -> float | None:
+    """log₁₀ of the error over 2⁻⁵³, from 0 to 15.95, where none is left; None without an error."""
+    if error is None or math.isnan(error):
+        return None
+    if error <= UNIT_ROUNDOFF:
+        return 0.0
+    return min(math.log10(error) + ALL_DIGITS, ALL_DIGITS) if math.isfinite(error) else ALL_DIGITS
+
+
+def _column(meaning: str, default: Any = None) -> Any:
+    return field(default=default, metadata={"meaning": meaning})
+
+
+@dataclass(frozen=True)
+class StabilityRow:
+    """One method at one value of an axis. What does not apply, or is not finite, is None."""
+
+    axis: str = _column("name of the axis", "")
+    value: float = _column("where on the axis; of units, their place in the list", 0.0)
+    label: str = _column("the value in words", "")
+    method: str = _column("name of the method", "")
+    kind: str = _column("family of the method", "")
+    promises_exact: bool = _column("whether the method promises the exact answer, or is approximate by design", True)
+    variant: str = _column("uzawa, or empty: the method as solve runs it", "")
+    knob: str = _column("tolerance, penalty or perturbation, where the method has such a knob", "")
+    knob_value: float | None = _column("its value, in the problem's units")
+    unknowns: int = _column("n", 0)
+    contacts: int = _column("m", 0)
+    equilibria: int | None = _column("how many answers the problem has; none: one, as the problem is convex")
+    verdict: str = _column("one of the verdicts listed below", "")
+    error_displacement: float | None = _column(
+        "true error in u: energy norm, and where K is singular the largest unknown, relative"
+    )
+    error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
+    error_measure: str = _column("relative, or which errors are measured otherwise, and why", "")
+    digits_lost_displacement: float | None = _column("log₁₀ of error_displacement over 2⁻⁵³, from 0 to 15.95")
+    digits_lost_force: float | None = _column("log₁₀ of error_force over 2⁻⁵³, from 0 to 15.95")
+    raw_digits_lost_displacement: float | None = _column("the same of u before polish, where the answer was polished")
+    raw_digits_lost_force: float | None = _column("the same of λ before polish, where the answer was polished")
+    refused_right: bool | None = _column("the method was refused, or gave up, and its answer is right to 1e-6")
+    claimed: bool | None = _column("whether the method itself called its raw answer solved")
+    flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
+    certificate_passed: bool | None = _column("verdict of the certificate")
+    bound_force: float | None = _column("the certificate's bound on the relative error in the forces, energy norm")
+    system: str = _column("the matrix that the method factorises for the right contacts", "")
+    condition: float | None = _column("its condition number κ = ‖A‖₂ ‖A⁻¹‖₂, by an inverse in rational numbers")
+    condition_missing: str = _column("why there is no condition number", "")
+    predicted_digits_lost: float | None = _column("log₁₀ of the condition number")
+    force_condition: float | None = _column(
+        "Skeel's condition number of the forces: what relative changes of one part in all entries make of them"
+    )
+    predicted_modelling: float | None = _column("relative error in λ by β or κ in exact arithmetic, S / (S + β)")
+    predicted_error_force: float | None = _column(
+        "predicted_modelling, and rounding: β ulp / λ of the penalty method, 2⁻⁵³ force_condition of the others"
+    )
+    seconds: float | None = _column("run time of one call, certificate not included")
+    message: str = _column("what the method, the certificate or the error says", "")
+
+    @property
+    def name(self) -> str:
+        """The method with its variant."""
+        return f"{self.method} ({self.variant})" if self.variant else self.method
+
+    @property
+    def error(self) -> float | None:
+        """The larger of the errors in u and in λ."""
+        known = [x for x in (self.error_displacement, self.error_force) if x is not None]
+        return max(known, default=None)
+
+    @property
+    def right(self) -> bool:
+        """Whether it ended as it should."""
+        return self.verdict == report_rows.RIGHT
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the certificate passed what is wrong: must never happen."""
+        return self.verdict == report_rows.WRONG
+
+
+COLUMNS: Mapping[str, str] = {column.name: column.metadata["meaning"] for column in fields(StabilityRow)}
+
+
+def is_small(error: float | None) -> bool:
+    """Whether an error is one that a certificate must let pass."""
+    return error is not None and error <= ERROR_TOLERANCE
+
+
+def as_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
+    """Rows as plain data, one key a column."""
+    return [asdict(row) for row in rows]
+
+
+def to_csv(rows: Iterable[StabilityRow]) -> str:
+    """Comma-separated values with a header; numbers with all their digits, None as nothing."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in as_dicts(rows))
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)

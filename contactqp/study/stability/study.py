@@ -1,0 +1,194 @@
+"""The study: all cells, what they come to, its files, and its words on the terminal."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from contactqp.errors import SceneError
+from contactqp.study import rows as report_rows
+from contactqp.study.report.machine import machine, versions
+from contactqp.study.rows import aligned
+from contactqp.study.rungs import chosen_methods
+from contactqp.study.stability.axes import AXES
+from contactqp.study.stability.axis import Axis
+from contactqp.study.stability.best_penalty import of_truss
+from contactqp.study.stability.cells import PATIENCE, STIFFENING, cells, stability_row
+from contactqp.study.stability.ranges import SafeRange, safe_ranges
+from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, as_dicts, to_csv
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+SCHEMA, SCHEMA_VERSION = "contactqp-stability", 1
+
+
+@dataclass(frozen=True)
+class StabilityStudy:
+    """The axes, and every method at each of their values."""
+
+    axes: tuple[Axis, ...]
+    rows: tuple[StabilityRow, ...]
+    facts: Mapping[str, Any]  # created, machine, versions, settings
+
+    def rows_of(self, axis: Axis) -> tuple[StabilityRow, ...]:
+        """Those of one axis."""
+        return tuple(row for row in self.rows if row.axis == axis.name)
+
+    def ranges(self, axis: Axis) -> tuple[SafeRange, ...]:
+        """Where each method is right."""
+        return safe_ranges(axis, self.rows_of(axis))
+
+    @property
+    def wrong(self) -> tuple[StabilityRow, ...]:
+        """What passed and is wrong, and the certificate says nothing: there must be none."""
+        return tuple(row for row in self.rows if row.wrong)
+
+    @property
+    def flags_wrong(self) -> int:
+        """How often a method's own flag was wrong."""
+        return sum(row.flag_wrong is True for row in self.rows)
+
+    @property
+    def refused_right(self) -> tuple[StabilityRow, ...]:
+        """Answers that are right and were refused."""
+        return tuple(row for row in self.rows if row.refused_right)
+
+    @property
+    def exit_code(self) -> int:
+        """1 if anything of ours is wrong and passed, else 0."""
+        return 1 if self.wrong else 0
+
+    def cells(self) -> list[list[str]]:
+        """A table of the axes: how many rows ended how; headings first."""
+        endings = [name for name in VERDICTS if name != report_rows.MISSING]
+        table = [["axis", "from", "to", *endings, "right answers refused"]]
+        for axis in self.axes:
+            mine = self.rows_of(axis)
+            counts = Counter(row.verdict for row in mine)
+            refused = sum(row.refused_right is True for row in mine)
+            ends = [axis.label(axis.values[0]), axis.label(axis.values[-1])]
+            table.append([axis.name, *ends, *(str(counts[name] or "") for name in endings), str(refused or "")])
+        return table
+
+    def __str__(self) -> str:
+        counts = Counter(row.verdict for row in self.rows)
+        return (
+            f"{len(self.rows)} rows; wrong but passed: {len(self.wrong)}; errors that the certificate states: "
+            f"{counts[STATED]}; right answers refused: {len(self.refused_right)}; cut off: {counts[CUT_OFF]}; "
+            f"backends silently wrong by themselves: {self.flags_wrong}"
+        )
+
+
+def run_study(
+    axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None, *, progress: bool = False
+) -> StabilityStudy:
+    """Every method at every value of every axis, one cell after the other."""
+    todo = list(cells(axes, methods))
+    with _progress(progress) as bar:
+        task = bar.add_task("", total=len(todo))
+        found = []
+        for cell in todo:
+            bar.update(task, description=f"stability: {cell.axis}")
+            found.append(stability_row(*cell.arguments))
+            bar.advance(task)
+    return study_of(found, axes, methods)
+
+
+def study_of(
+    rows: Sequence[StabilityRow], axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None
+) -> StabilityStudy:
+    """A study of rows, wherever they were made."""
+    facts: dict[str, Any] = dict(
+        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        machine=machine(),
+        versions=versions(chosen_methods(methods)),
+        settings=dict(patience=PATIENCE, stiffening=STIFFENING),
+        seeds="none: nothing is random",
+    )
+    return StabilityStudy(tuple(axes), tuple(rows), facts)
+
+
+def _progress(shown: bool) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown)
+
+
+def as_json(study: StabilityStudy) -> str:
+    """stability.json."""
+    written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **study.facts)
+    written |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=_summary(study))
+    written["axes"] = [_axis(study, axis) for axis in study.axes]
+    written["rows"] = as_dicts(study.rows)
+    return json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _summary(study: StabilityStudy) -> dict[str, Any]:
+    best = of_truss()
+    return dict(
+        rows=len(study.rows),
+        verdicts=dict(Counter(row.verdict for row in study.rows)),
+        wrong_but_passed=len(study.wrong),
+        refused_right=len(study.refused_right),
+        backends_silently_wrong=study.flags_wrong,
+        best_penalty=dict(asdict(best), penalty=best.penalty, error=best.error),
+    )
+
+
+def _axis(study: StabilityStudy, axis: Axis) -> dict[str, Any]:
+    known: dict[str, Any] = dict(name=axis.name, title=axis.title, quantity=axis.quantity, about=axis.about)
+    known |= dict(values=list(axis.values), labels=list(axis.labels))
+    return known | dict(ranges=[asdict(found) for found in study.ranges(axis)])
+
+
+def write_study(study: StabilityStudy, output: str | Path) -> tuple[Path, ...]:
+    """stability.csv and stability.json in a folder, made if need be; each appears complete or not at all.
+
+    Raises
+    ------
+    SceneError
+        The folder cannot be written.
+    """
+    folder = Path(output)
+    texts = {"stability.csv": to_csv(study.rows), "stability.json": as_json(study)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            with tempfile.NamedTemporaryFile("w", encoding="utf-8", newline="\n", dir=folder, delete=False) as made:
+                made.write(text)
+            os.replace(made.name, folder / name)
+    except OSError as error:
+        raise SceneError(f"{folder}: expected a folder that can be written, got: {error.strerror}") from None
+    return tuple(folder / name for name in texts)
+
+
+def report_stability(output: str) -> int:
+    """The study of the command line: runs, writes, says what it found, and returns the exit code."""
+    study = run_study(progress=True)
+    files = write_study(study, output)
+    print("\n".join(lines(study)))
+    print(f"written: {', '.join(str(file) for file in files)}")
+    return study.exit_code
+
+
+def lines(study: StabilityStudy) -> Iterator[str]:
+    """What the terminal gets to see."""
+    yield aligned(study.cells())
+    for axis in study.axes:
+        yield f"\n{axis.title} ({axis.quantity})"
+        yield from (f"  {found.words}" for found in study.ranges(axis) if not found.everywhere)
+        whole = [found.method for found in study.ranges(axis) if found.everywhere]
+        yield f"  at all values tried: {', '.join(whole) or 'no method'}"
+    for row in study.wrong:
+        yield f"WRONG BUT PASSED: {row.axis} = {row.label}: {row.name}: error {row.error}: {row.message}"
+    yield str(study)
