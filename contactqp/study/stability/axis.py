@@ -25,17 +25,13 @@ class Axis:
     labels: tuple[str, ...] = ()  # of the values, where they are no numbers
     # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.
     knobs: Mapping[str, str] = field(default_factory=dict)
-    # The largest value that a method is tried with, and the one for all that are not named.
-    largest: Mapping[str, float] = field(default_factory=dict)
-    largest_of_others: float = float("inf")
+    # The largest value that is tried, and why: beyond it the study would take too long.
+    largest: float = float("inf")
+    why_largest: str = ""
 
     def label(self, value: float) -> str:
         """The value in words."""
         return self.labels[self.values.index(value)] if self.labels else f"{value:.6g}"
-
-    def limit(self, method: str) -> float:
-        """The largest value that a method is tried with."""
-        return self.largest.get(method, self.largest_of_others)
 
 
 def powers_of_two(*exponents: int) -> tuple[float, ...]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from contactqp.methods import Method
 from contactqp.solution import Solution
 from contactqp.study import rows as report_rows
@@ -65,9 +67,9 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
     swept, [chosen] = find_axis(axis), chosen_methods([method])
     known: dict[str, Any] = dict(axis=axis, value=value, label=swept.label(value), variant=variant)
     known |= dict(method=chosen.name, kind=chosen.kind, promises_exact=chosen.exact)
-    if value > swept.limit(method):
-        largest = f"{swept.limit(method):.6g}"
-        return StabilityRow(**known, verdict=CUT_OFF, message=f"tried up to {largest} {swept.quantity}")
+    if chosen.installed and value > swept.largest:
+        message = f"tried up to {swept.largest:.6g} {swept.quantity}: {swept.why_largest}"
+        return StabilityRow(**known, verdict=CUT_OFF, message=message)
     posed = _posed(axis, value)
     rung = _rung(posed, swept, value, chosen, variant)
     solutions: list[Solution] = []
@@ -109,7 +111,7 @@ def _of_problem(posed: Posed) -> dict[str, Any]:
 
 def _of_attempt(found: Row, posed: Posed, solutions: Sequence[Solution]) -> dict[str, Any]:
     verdict, said = _verdict(found, posed, solutions)
-    known = dict(
+    known: dict[str, Any] = dict(
         knob=found.knob,
         knob_value=found.knob_value,
         verdict=verdict,
@@ -127,6 +129,8 @@ def _of_attempt(found: Row, posed: Posed, solutions: Sequence[Solution]) -> dict
         seconds=found.seconds,
         message=said or found.message,
     )
+    if solutions:
+        known["largest_force"] = _finite(float(np.max(solutions[0].normal_force, initial=0.0)))
     refused = found.verdict in (report_rows.REFUSED, report_rows.NOT_CONVERGED)
     if refused and posed.truth.exists and found.error_displacement is not None:
         known["refused_right"] = is_small(found.error_displacement) and is_small(found.error_force)

@@ -26,6 +26,11 @@ class SweptTruth(Truth):
 
     others: tuple[Truth, ...] = ()
     exists: bool = True
+    held: bool = False  # known to be held without its contacts: nobody needs to look for rigid motions
+
+    @property
+    def _singular(self) -> bool:
+        return not self.held and super()._singular
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
         """The errors of the answer: of u the worst of the measures that decide, of λ the largest contact's."""

@@ -61,6 +61,7 @@ class StabilityRow:
     )
     error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
     error_measure: str = _column("relative, or which errors are measured otherwise, and why", "")
+    largest_force: float | None = _column("the largest contact force that was returned, in the problem's units")
     digits_lost_displacement: float | None = _column("log₁₀ of error_displacement over 2⁻⁵³, from 0 to 15.95")
     digits_lost_force: float | None = _column("log₁₀ of error_force over 2⁻⁵³, from 0 to 15.95")
     raw_digits_lost_displacement: float | None = _column("the same of u before polish, where the answer was polished")

@@ -1,0 +1,209 @@
+"""Rows, verdicts, ranges, files, charts, and the exit code."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import contactqp as cq
+from contactqp import methods as registry
+from contactqp.cli import command
+from contactqp.methods.method import Method, Settings
+from contactqp.solution import Candidate
+from contactqp.study import rows as report_rows
+from contactqp.study.stability import study as study_module
+from contactqp.study.stability.axes import AXES, find_axis
+from contactqp.study.stability.cells import cells, stability_row
+from contactqp.study.stability.heat_maps import LETTERS
+from contactqp.study.stability.ranges import safe_ranges
+from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, digits_lost
+from contactqp.study.stability.sections import stability_charts, stability_sections
+from contactqp.study.stability.study import StabilityStudy, lines, run_study, write_study
+
+ROOT = Path(__file__).parents[3]
+FEW = ("active-set", "penalty", "lagrange-multiplier", "pyqpmad")
+
+
+@pytest.fixture(scope="module")
+def small() -> StabilityStudy:
+    """Few values of each axis, few methods."""
+    axes = [dataclasses.replace(axis, values=axis.values[:: max(1, len(axis.values) // 3)][:4]) for axis in AXES[:4]]
+    return run_study(axes, FEW)
+
+
+def test_every_method_is_tried_at_every_value_or_the_row_says_why() -> None:
+    keys = [cell.key for cell in cells()]
+    assert len(keys) == len(set(keys))
+    for axis in AXES:
+        mine = {(cell.method, cell.value) for cell in cells([axis])}
+        names = set(axis.knobs) if axis.knobs else {method.name for method in cq.methods()}
+        assert mine == {(name, value) for name in names for value in axis.values}
+    missing = stability_row("redundancy", 1.0, "gurobi")
+    assert missing.verdict in (report_rows.MISSING, report_rows.RIGHT)
+    slow = stability_row("closed-contacts", 1e5, "active-set")
+    assert slow.verdict == CUT_OFF
+    assert "tried up to" in slow.message
+
+
+# A value of each axis at which a method breaks, which one, and how.
+BREAKS = (
+    ("penalty", 1e20, "penalty", report_rows.APPROXIMATE),
+    ("stiffness-contrast", 2.0**52, "lagrange-multiplier", report_rows.REFUSED),
+    ("singular-stiffness", 2.0**-60, "projected-gauss-seidel", report_rows.UNSUPPORTED),
+    ("mesh-grading", 2.0**60, "lagrange-multiplier", report_rows.REFUSED),
+    ("gap-ratio", 2.0**-50, "penalty", report_rows.APPROXIMATE),
+    ("load-ratio", 2.0**540, "active-set", report_rows.REFUSED),
+    ("grazing", 2.0**-1, "penalty", report_rows.APPROXIMATE),
+    ("redundancy", 2.0**-30, "lagrange-multiplier", report_rows.REFUSED),
+    ("friction", 1.0 - 2.0**-40, "active-set", STATED),
+    ("incline", 0.5, "penalty", report_rows.NOT_CONVERGED),
+    ("mass-ratio", 2.0**60, "projected-gauss-seidel", report_rows.REFUSED),
+    ("unit-systems", 0.0, "penalty", report_rows.APPROXIMATE),
+    ("contacts", 1e2, "penalty", report_rows.APPROXIMATE),
+    ("closed-contacts", 1e5, "active-set", CUT_OFF),
+)
+
+
+def test_each_axis_breaks_some_method() -> None:
+    assert {axis for axis, *_ in BREAKS} == {axis.name for axis in AXES}
+
+
+@pytest.mark.parametrize(("axis", "value", "method", "verdict"), BREAKS)
+def test_methods_break_and_the_row_says_so(axis: str, value: float, method: str, verdict: str) -> None:
+    row = stability_row(axis, value, method)
+    assert row.verdict == verdict
+    assert row.message
+    assert not row.wrong
+
+
+def test_an_equilibrium_that_does_not_exist_is_refused() -> None:
+    row = stability_row("incline", 0.5, "active-set")
+    assert row.verdict == report_rows.RIGHT
+    assert "drives a rigid motion" in row.message
+
+
+def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
+        return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
+
+    monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
+    assert stability_row("mesh-grading", 1.0, "liar").verdict == report_rows.REFUSED
+    honest = cq.certify
+
+    def blind(*args: Any, **options: Any) -> cq.Certificate:
+        return dataclasses.replace(honest(*args, **options), passed=True, failures=(), force_bound=np.zeros(1))
+
+    monkeypatch.setattr("contactqp.solving.certify", blind)
+    axis = dataclasses.replace(find_axis("mesh-grading"), values=(1.0,))
+    study = run_study([axis], ["liar"])
+    assert [row.verdict for row in study.rows] == [report_rows.WRONG]
+    assert study.exit_code == 1
+    assert any("WRONG BUT PASSED" in line for line in lines(study))
+
+
+def test_ranges_follow_the_rows() -> None:
+    axis = find_axis("stiffness-contrast")
+
+    def row(value: float, verdict: str) -> StabilityRow:
+        return StabilityRow(axis=axis.name, value=value, method="some", verdict=verdict, error_force=1e-15)
+
+    verdicts = [report_rows.RIGHT] * 5 + [report_rows.REFUSED] * (len(axis.values) - 5)
+    [found] = safe_ranges(axis, [row(*pair) for pair in zip(axis.values, verdicts, strict=True)])
+    assert (found.lowest, found.highest, found.everywhere) == (axis.values[0], axis.values[4], False)
+    assert found.refused == axis.values[5:]
+    assert "right from 1 to 8192" in found.words
+    assert "refused at" in found.words
+    verdicts[4] = report_rows.NOT_CONVERGED
+    [shorter] = safe_ranges(axis, [row(*pair) for pair in zip(axis.values, verdicts, strict=True)])
+    assert shorter.highest == axis.values[3]
+    [nowhere] = safe_ranges(axis, [row(value, report_rows.REFUSED) for value in axis.values])
+    assert "nowhere right" in nowhere.words
+    [whole] = safe_ranges(axis, [row(value, report_rows.RIGHT) for value in axis.values])
+    assert whole.everywhere
+
+
+def test_digits_are_those_of_a_double() -> None:
+    assert digits_lost(0.0) == digits_lost(2.0**-53) == 0.0
+    assert digits_lost(1.0) == digits_lost(7.0) == digits_lost(float("inf")) == pytest.approx(15.9546)
+    assert digits_lost(2.0**-53 * 100) == pytest.approx(2.0)
+    assert digits_lost(None) is None
+
+
+def test_files_hold_the_rows_and_their_columns(small: StabilityStudy, tmp_path: Path) -> None:
+    write_study(small, tmp_path / "out")
+    data = json.loads((tmp_path / "out" / "stability.json").read_text(encoding="utf-8"))
+    assert (data["schema"], data["schema_version"]) == ("contactqp-stability", 1)
+    assert tuple(StabilityRow(**row) for row in data["rows"]) == small.rows
+    assert data["columns"] == dict(COLUMNS)
+    assert data["summary"]["wrong_but_passed"] == 0
+    assert [axis["name"] for axis in data["axes"]] == [axis.name for axis in small.axes]
+    written = list(csv.DictReader(io.StringIO((tmp_path / "out" / "stability.csv").read_text(encoding="utf-8"))))
+    assert list(written[0]) == list(COLUMNS)
+    assert len(written) == len(small.rows)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"stability.csv", "stability.json"}
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(cq.SceneError, match="folder"):
+        write_study(small, blocked)
+
+
+def test_columns_verdicts_and_axes_are_documented() -> None:
+    text = (ROOT / "docs" / "stability.md").read_text(encoding="utf-8")
+    table = text.partition("## Columns")[2].partition("\n## ")[0]
+    assert dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", table, flags=re.MULTILINE)) == dict(COLUMNS)
+    table = text.partition("## Verdicts")[2].partition("\n## ")[0]
+    documented = dict(re.findall(r"^\| (\w) \| ([\w ]+) \| .+ \|$", table, flags=re.MULTILINE))
+    assert documented == {letter: name for name, (letter, _) in LETTERS.items()}
+    assert set(LETTERS) | {report_rows.MISSING} <= set(VERDICTS)
+    table = text.partition("## Axes")[2].partition("\n## ")[0]
+    assert re.findall(r"^\| `([\w-]+)` \|", table, flags=re.MULTILINE) == [axis.name for axis in AXES]
+
+
+def test_charts_are_plotlys(small: StabilityStudy) -> None:
+    graph_objects = pytest.importorskip("plotly.graph_objects")
+    charts = stability_charts(small)
+    assert len({chart.name for chart in charts}) == len(charts) == 3 * len(small.axes) + 1
+    for chart in charts:
+        graph_objects.Figure(chart.figure)  # refuses what Plotly does not know
+        json.dumps(chart.figure, allow_nan=False)
+        assert chart.caption
+        layout = chart.figure["layout"]
+        assert layout["xaxis"]["title"]["text"]
+        assert layout["yaxis"]["title"]["text"]
+        assert all(len(line) == len(chart.headings) for line in chart.lines)
+    valley = next(chart for chart in charts if chart.name == "stability-penalty-valley")
+    assert "21.684" in valley.caption
+    assert "21.684" in valley.figure["layout"]["annotations"][0]["text"]
+
+
+def test_cells_of_a_verdict_map_have_letters(small: StabilityStudy) -> None:
+    chart = next(chart for chart in stability_charts(small) if chart.name == "stability-mesh-grading-verdicts")
+    [trace] = chart.figure["data"]
+    assert set(np.ravel(trace["text"])) <= {letter for letter, _ in LETTERS.values()}
+    assert [line[0] for line in chart.lines] == ["active-set", "penalty", "lagrange-multiplier"]
+
+
+def test_sections_say_where_ranges_end(small: StabilityStudy) -> None:
+    sections = stability_sections(small)
+    assert [section.heading for section in sections[1:5]] == [axis.title for axis in small.axes]
+    assert any("error below 0.001" in words for words in sections[1].words)
+    assert any("predicted" in words for words in sections[1].words)
+
+
+def test_the_command_line_runs_the_study_alone(
+    small: StabilityStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(study_module, "run_study", lambda **_: small)
+    done = CliRunner().invoke(command, ["report", "--stability", "-o", str(tmp_path / "found")])
+    assert done.exit_code == 0
+    assert "wrong but passed: 0" in done.output
+    assert {path.name for path in (tmp_path / "found").iterdir()} == {"stability.csv", "stability.json"}

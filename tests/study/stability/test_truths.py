@@ -1,0 +1,141 @@
+"""The truths of the axes: against closed forms, against elimination in rational numbers, and in print."""
+
+from __future__ import annotations
+
+import dataclasses
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.study.stability.axes import AXES, contact_count, find_axis, friction, incline, penalty_stiffness
+from contactqp.study.stability.axes.unit_systems import UNITS
+from contactqp.study.stability.exact_answer import ExactAnswer, answer_with_closed, refuse_wrong
+from contactqp.study.stability.posed import NO_EQUILIBRIUM
+
+
+@pytest.mark.parametrize("axis", AXES, ids=lambda axis: axis.name)
+def test_every_value_has_a_problem_and_the_same_one_every_time(axis) -> None:
+    values = axis.values if not axis.name.endswith("contacts") else axis.values[:3]
+    assert list(axis.values) == sorted(set(axis.values))
+    for value in values:
+        posed = axis.pose(value)
+        for answer in posed.exact:
+            refuse_wrong(posed.problem, answer)
+    again, first = axis.pose(values[1]), axis.pose(values[1])
+    assert np.array_equal(again.problem.load, first.problem.load)
+    assert np.array_equal(again.truth.displacement, first.truth.displacement)
+
+
+def test_the_truss_has_its_closed_form_and_the_chapters_number() -> None:
+    [answer] = penalty_stiffness.pose(1.0).exact
+    assert answer == penalty_stiffness.closed_form()
+    # Of the printed decimals, 30.2549928366469910 kN; of their doubles the same to rounding.
+    printed = Fraction(180933933661, 5980300000)
+    assert abs(answer.normal_force[0] / printed - 1) < Fraction(1, 10**15)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 2.0**20, 2.0**53 - 1])
+def test_two_stops_in_a_chain_of_soft_and_stiff_springs(contrast: float) -> None:
+    c = Fraction(contrast)
+    [answer] = find_axis("stiffness-contrast").pose(contrast).exact
+    u0 = c / (1 + c)  # springs 1 and c between the ground and the stop at 1
+    u2 = (1 + 2 * c) / (1 + c)
+    assert answer.displacement == (u0, 1, u2, 2)
+    assert answer.normal_force == (4 - c * (1 - u0) + (u2 - 1), 8 - c * (2 - u2))
+
+
+def test_a_stack_of_masses_carries_what_is_above() -> None:
+    [answer] = find_axis("mass-ratio").pose(1024.0).exact
+    assert answer.displacement == (Fraction(-1, 4),) * 8
+    assert answer.normal_force == tuple(Fraction(3, 4) * (7 - i + 1024) for i in range(8))
+
+
+def test_bodies_that_travel_far_meet_with_one_half() -> None:
+    for gap in (2.0**-52, 2.0**-20, 1.0, 2.0**20):
+        [answer] = find_axis("gap-ratio").pose(gap).exact
+        assert answer.displacement == (Fraction(1, 2), 1 + Fraction(gap), 1, Fraction(1, 2))
+        assert answer.normal_force == (Fraction(1, 2),)
+    [rounded] = find_axis("gap-ratio").pose(2.0**-60).exact  # of the rounded load, as it stands
+    assert rounded.normal_force != (Fraction(1, 2),)
+
+
+def test_two_contacts_of_a_small_angle() -> None:
+    for angle in (2.0**-50, 1.0):
+        [answer] = find_axis("redundancy").pose(angle).exact
+        assert answer == ExactAnswer((Fraction(0), Fraction(-1)), (Fraction(3), Fraction(5)))
+
+
+def test_a_grazing_contact_carries_what_the_load_exceeds() -> None:
+    for distance in (0.5, 2.0**-20):
+        [answer] = find_axis("grazing").pose(distance).exact
+        excess = Fraction(float(Fraction(35, 16)) * (1 + distance)) - Fraction(35, 16)
+        assert answer.normal_force[1] == excess
+    assert find_axis("grazing").pose(0.0).exact[0].normal_force[1] == 0
+    assert find_axis("grazing").pose(-0.5).closed == (0,)
+
+
+def test_a_support_that_softens_takes_what_the_wall_does_not() -> None:
+    [answer] = find_axis("singular-stiffness").pose(2.0**-10).exact
+    assert answer.normal_force[0] == 3 - Fraction(1, 1024) * answer.displacement[0]
+    [floating] = find_axis("singular-stiffness").pose(2.0**-60).exact
+    assert floating.normal_force == (3,)
+
+
+def test_past_the_critical_coefficient_there_are_three_answers() -> None:
+    assert len(friction.pose(0.75).exact) == 1
+    posed = friction.pose(1.5)
+    assert len(posed.exact) == 3
+    listed = cq.exact_equilibria(posed.problem)
+    assert {tuple(e.displacement) for e in listed} == {answer.displacement for answer in posed.exact}
+    for answer in posed.truth.others:  # each of them is right
+        assert posed.truth.errors(answer.displacement, answer.normal_force, None).small
+    between = (posed.truth.displacement + posed.truth.others[0].displacement) / 2
+    assert not posed.truth.errors(between, posed.truth.normal_force, None).small
+
+
+def test_below_the_slope_nothing_holds() -> None:
+    below, above = incline.pose(1.0 - 2.0**-50), incline.pose(1.0)
+    assert not below.exact
+    assert below.truth.errors(np.zeros(2), np.array([4.0]), None) == NO_EQUILIBRIUM
+    assert above.truth.errors(np.zeros(2), np.array([4.0]), None).small
+
+
+def test_constructed_strings_agree_with_rational_elimination() -> None:
+    for axis in (contact_count.CONTACTS, contact_count.CLOSED_CONTACTS):
+        for count in (1.0, 10.0):
+            posed = axis.pose(count)
+            answer = answer_with_closed(posed.problem, posed.closed)
+            assert [float(x) for x in answer.displacement] == posed.truth.displacement.tolist()
+            assert [float(x) for x in answer.normal_force] == posed.truth.normal_force.tolist()
+    large = contact_count.CONTACTS.pose(1e5)
+    assert large.problem.contacts == 100_000
+    assert np.count_nonzero(large.truth.normal_force) == 4
+
+
+def test_the_beam_answers_the_same_in_every_unit() -> None:
+    axis, forces = find_axis("unit-systems"), []
+    for value, (_, force) in zip(axis.values, UNITS.values(), strict=True):
+        forces.append(axis.pose(value).truth.normal_force / force)
+    assert np.allclose(forces, forces[0], rtol=1e-13)
+
+
+def test_a_wrong_answer_is_refused() -> None:
+    problem = penalty_stiffness.truss()
+    right = penalty_stiffness.closed_form()
+    refuse_wrong(problem, right)
+    for change in (
+        dict(normal_force=(right.normal_force[0] * (1 + Fraction(1, 10**30)),)),
+        dict(displacement=(right.displacement[0], right.displacement[1] + Fraction(1, 10**30))),
+    ):
+        with pytest.raises(ArithmeticError, match="equilibrium"):
+            refuse_wrong(problem, dataclasses.replace(right, **change))
+    with pytest.raises(ArithmeticError, match="penetrates"):
+        answer_with_closed(problem, [])
+    posed = friction.pose(1.5)
+    slides, sticks, _ = posed.exact
+    with pytest.raises(ArithmeticError, match="Coulomb"):
+        refuse_wrong(posed.problem.replace(friction=0.1), sticks)
+    with pytest.raises(ArithmeticError):
+        refuse_wrong(posed.problem, dataclasses.replace(slides, friction_force=(-slides.friction_force[0],)))
