@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.factorization import DENSE_SIZE, Array, Factorization, factorise
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.problem import Vector
@@ -122,7 +122,26 @@ class LastBlock:
 
 
 def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
-    """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain."""
+    """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain.
+
+    Raises
+    ------
+    InvalidProblem
+        The environment names a solver that is none.
+    Unsupported
+        S does not fit into memory.
+    """
+    try:
+        return _eliminate(stiffness, retained)
+    except MemoryError:
+        count = len(retained)
+        size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"
+        raise Unsupported(
+            f"{count} unknowns at contacts and ties that may act: their dense stiffness takes {size}, and memory is full"
+        ) from None
+
+
+def _eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in CHOICES:
         raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {chosen!r}")

@@ -12,7 +12,7 @@ from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.elimination import BackSubstitution, LastBlock, eliminate
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.trailing_block import TrailingBlock
 
@@ -118,3 +118,13 @@ def test_large_bodies_take_pardiso_and_few_back_substitutions(monkeypatch):
     assert solution.work.back_substitutions <= 5
     again = cq.solve(problem.replace(load=1.1 * problem.load))
     assert again.work.factorisations == 0
+
+
+def test_contacts_whose_dense_stiffness_does_not_fit_are_refused_in_one_line(monkeypatch):
+    def full(*_):
+        raise MemoryError("Unable to allocate 74.5 GiB")
+
+    monkeypatch.setattr(BackSubstitution, "_schur_complement", full)
+    springs = cq.ContactProblem(np.eye(4), np.ones(4), np.eye(4), np.zeros(4))
+    with pytest.raises(Unsupported, match="4 unknowns at contacts .* memory is full"):
+        cq.solve(springs)

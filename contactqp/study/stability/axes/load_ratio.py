@@ -23,7 +23,7 @@ AXIS = Axis(
     name="load-ratio",
     title="Load / stiffness",
     quantity="load / (spring times unit length) [1]; the gap closes above 1/8",
-    values=powers_of_two(-540, -500, -300, -100, -50, -30, -20, -10, -5, -4, 0, 5, 10, 20, 30, 50, 100, 300, 500, 540),
+    values=powers_of_two(-540, -100, -50, -30, -20, -10, -5, -4, 0, 5, 10, 20, 30, 50, 100, 300, 500, 540),
     pose=pose,
     about="The same two bodies under loads from nothing to far beyond what numbers can square.",
 )
