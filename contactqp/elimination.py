@@ -137,7 +137,8 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
         count = len(retained)
         size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"
         raise Unsupported(
-            f"{count} unknowns at contacts and ties that may act: their dense stiffness takes {size}, and memory is full"
+            f"{count} unknowns at contacts and ties that may act: their dense stiffness takes {size}, and memory is "
+            "full"
         ) from None
 
 

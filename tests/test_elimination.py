@@ -126,5 +126,5 @@ def test_contacts_whose_dense_stiffness_does_not_fit_are_refused_in_one_line(mon
 
     monkeypatch.setattr(BackSubstitution, "_schur_complement", full)
     springs = cq.ContactProblem(np.eye(4), np.ones(4), np.eye(4), np.zeros(4))
-    with pytest.raises(Unsupported, match="4 unknowns at contacts .* memory is full"):
+    with pytest.raises(Unsupported, match=r"4 unknowns at contacts .* memory is full"):
         cq.solve(springs)

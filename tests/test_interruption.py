@@ -50,7 +50,7 @@ def test_ctrl_c_is_one_line(place, arguments, monkeypatch, capsys, tmp_path):
 
 
 def test_ctrl_c_while_a_picture_is_written_leaves_nothing(monkeypatch, capsys, tmp_path):
-    def half(self, file, **_):
+    def half(_, file, **__):
         Path(file).write_bytes(b"\x89PNG half a pict")
         interrupt()
 

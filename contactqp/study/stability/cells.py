@@ -14,7 +14,7 @@ import numpy as np
 from contactqp.methods import Method
 from contactqp.solution import Solution
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import attempt
+from contactqp.study.attempt import answer
 from contactqp.study.rows import Row
 from contactqp.study.rungs import DEFAULT_TOLERANCE, Rung, chosen_methods, contact_stiffness
 from contactqp.study.stability.axes import AXES, find_axis
@@ -75,7 +75,7 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
     solutions: list[Solution] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # numbers overflow at the ends of some axes: that is swept
-        found = attempt(posed.problem, rung, posed.truth, repeats=0, judge=solutions.append)
+        found = answer(posed.problem, rung, posed.truth, judge=solutions.append)
     stiffness = None if rung.knob == "tolerance" else rung.value
     prediction = predict(posed, chosen, variant, stiffness) if chosen.installed else Prediction("")
     return StabilityRow(
