@@ -100,7 +100,7 @@ class Collector:
 
     def _truths(self, studies: Sequence[CaseStudy]) -> dict[str, FoundTruth]:
         cells = {study.name: truth_cell(study) for study in studies}
-        found = self._run("truths", list(cells.values()), later=lambda: 0.0)
+        found = self._run("truths", list(cells.values()), later=None)
         return {name: _truth(found[cell.key]) for name, cell in cells.items()}
 
     def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row]) -> dict[str, Row]:
@@ -121,7 +121,7 @@ class Collector:
         return {name: None if isinstance(one, Crash) else one.seconds for name, one in results.items()}
 
     def _run(
-        self, what: str, cells: Sequence[Cell], later: Callable[[], float], alone: bool = False
+        self, what: str, cells: Sequence[Cell], later: Callable[[], float] | None, alone: bool = False
     ) -> dict[str, Result]:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
         self._progress.part(what, later)

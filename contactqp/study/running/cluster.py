@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.study.digest import source_digest
-from contactqp.study.running.workers import Slot
+from contactqp.study.running.child import stop_children
+from contactqp.study.running.workers import ONE_THREAD, Crew
 
 INSTALL = "pip install 'contactqp[dask]'"
 # Seconds until a scheduler must have answered.
@@ -58,87 +58,41 @@ def _refuse_others(client: Any, address: str) -> None:
 class Cluster:
     """All threads of a cluster's workers side by side, and one worker for what is timed.
 
-    What others compute on the cluster meanwhile is nothing that a study could know of.
+    Cells run in processes that the workers start, so that no worker dies of them. What others compute on the cluster
+    meanwhile is nothing that a study could know of.
     """
 
-    how = "by the workers of a Dask cluster"
+    how = "by the workers of a Dask cluster, in processes of one thread each"
 
     def __init__(self, client: Any, threads: Mapping[str, int]) -> None:
-        self._client = client
-        self._threads = sum(threads.values())
-        self.notes: tuple[str, ...] = (f"run by {len(threads)} workers of Dask with {self._threads} threads",)
-
-    @contextmanager
-    def concurrent(self) -> Iterator[Sequence[Slot]]:
-        """On any worker."""
-        yield [_Anywhere(self._client) for _ in range(self._threads)]
-
-    @contextmanager
-    def alone(self) -> Iterator[Sequence[Slot]]:
-        """On one worker, as long as it lives."""
-        yield [_OnOne(self._client)]
-
-    def ask(self, function: Callable[[], Any]) -> Any:
-        return self._client.submit(function, pure=False, workers=_first(self._client)).result()
-
-
-class _Anywhere:
-    """One task of the cluster at a time."""
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._task: Any = None
-
-    def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
-        future: Future[Any] = Future()
-        self._task = self._client.submit(function, *arguments, pure=False, **self._where())
-        self._task.add_done_callback(lambda task: _hand_over(task, future))
-        return future
-
-    def _where(self) -> dict[str, Any]:
-        return {}
-
-    def death(self, error: BaseException, /) -> str | None:
-        """Dask has tried a task on several workers by then."""
         from distributed import KilledWorker
 
-        return "the Dask workers that ran it died" if isinstance(error, KilledWorker) else None
+        self._client = client
+        self._threads = sum(threads.values())
+        self._first = min(threads)
+        self.notes: tuple[str, ...] = (f"run by {len(threads)} workers of Dask with {self._threads} threads",)
+        self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
 
-    def restart(self) -> None:
-        """A task cannot be stopped, but its worker can where a nanny looks after it."""
-        if self._task is None or self._task.done():
-            return
-        busy = [worker for worker, keys in self._client.processing().items() if self._task.key in keys]
-        self._task.release()
-        with suppress(ValueError, TimeoutError):  # no nanny
-            self._client.restart_workers(busy, raise_for_error=False)
+    @contextmanager
+    def side_by_side(self) -> Iterator[Crew]:
+        """On any worker."""
+        with self._executor() as executor:
+            yield Crew(executor, self._threads, ONE_THREAD)
 
+    @contextmanager
+    def alone(self) -> Iterator[Crew]:
+        """On one worker; on any other one should that be lost."""
+        with self._executor(workers=[self._first], allow_other_workers=True) as executor:
+            yield Crew(executor, 1, {})
 
-class _OnOne(_Anywhere):
-    """Tasks for one worker; should it die, for one other."""
+    @contextmanager
+    def _executor(self, **where: Any) -> Iterator[Any]:
+        executor = self._client.get_executor(pure=False, **where)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)  # and cancelled, what has not begun
+            self._client.run(stop_children, on_error="ignore")
 
-    def __init__(self, client: Any) -> None:
-        super().__init__(client)
-        self._worker = _first(client)
-
-    def _where(self) -> dict[str, Any]:
-        return dict(workers=self._worker, allow_other_workers=True)
-
-    def restart(self) -> None:
-        super().restart()
-        self._worker = _first(self._client)
-
-
-def _first(client: Any) -> list[str]:
-    return sorted(client.nthreads())[:1]
-
-
-def _hand_over(task: Any, future: Future[Any]) -> None:
-    """What a task of Dask has become is what becomes of the future."""
-    if task.status == "finished":
-        future.set_result(task.result())
-    elif task.status == "error":
-        future.set_exception(task.exception())
-    else:
-        future.set_exception(InvalidProblem(f"--dask: the scheduler was lost, the task is {task.status}"))
-    task.release()
+    def ask(self, function: Callable[[], Any]) -> Any:
+        return self._client.submit(function, pure=False, workers=[self._first]).result()

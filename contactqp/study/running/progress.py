@@ -33,12 +33,11 @@ class Progress:
     def __init__(self, display: Display) -> None:
         self._display = display
         self._what = ""
-        self.later: Callable[[], float] = lambda: 0.0
+        self._later: Callable[[], float] | None = None
 
-    def part(self, what: str, later: Callable[[], float] = lambda: 0.0) -> Progress:
-        """Name the part that begins, and what the parts after it are expected to take [s]."""
-        self._what, self.later = what, later
-        return self
+    def part(self, what: str, later: Callable[[], float] | None = None) -> None:
+        """Name the part that begins, and what the parts after it are expected to take [s], where that is known."""
+        self._what, self._later = what, later
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
         self._total, self._done = len(cells), len(found)
@@ -57,10 +56,10 @@ class Progress:
 
     def _time_left(self) -> str:
         elapsed = time.monotonic() - self._started
-        if self._left > 0 and not self._spent:
+        if self._later is None or (self._left > 0 and not self._spent):
             return ""
         here = elapsed / self._spent * max(self._left, 0.0) if self._spent else 0.0
-        return f"about {in_words(here + self.later())} left"
+        return f"about {in_words(here + self._later())} left"
 
 
 def in_words(seconds: float) -> str:

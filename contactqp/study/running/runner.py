@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass
 from typing import Any, Protocol
 
-from contactqp.errors import ContactQPError
+from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.study.running.cells import Cell, Crash, Result, refuse_twins
+from contactqp.study.running.child import Death, Late, Raised
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.progress import Progress, nothing
-from contactqp.study.running.workers import Slot, Workers
+from contactqp.study.running.workers import Crew, Workers
 
 # Seconds after which a cell is stopped: far more than anything in a report takes, and less than anybody waits.
 TIME_LIMIT = 600.0
@@ -73,79 +72,51 @@ def run_cells(
     left = [cell for cell in cells if cell.key not in found]
     watcher.begin(cells, found)
     if left:
-        with workers.alone() if alone else workers.concurrent() as slots:
-            for cell, result in _twice_if_it_dies(left, slots, watcher, time_limit):
+        with workers.alone() if alone else workers.side_by_side() as crew:
+            for cell, result in _Run(crew, workers.deaths, watcher, time_limit).results(left):
                 found[cell.key] = journal.write(cell, result) if journal else result
                 watcher.done(cell, found[cell.key])
     return {cell.key: found[cell.key] for cell in cells}
 
 
-@dataclass(frozen=True)
-class _Death:
-    """Of the process that ran a cell."""
+class _Run:
+    """Cells run by one crew."""
 
-    message: str
+    def __init__(self, crew: Crew, deaths: tuple[type[BaseException], ...], watcher: Watcher, limit: float) -> None:
+        self._crew, self._deaths, self._watcher, self._limit = crew, deaths, watcher, limit
 
+    def results(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Result]]:
+        """Of all cells as they come; those whose process died are run again at the end, one by one."""
+        suspects = []
+        for cell, result in self._once(cells, self._crew.size):
+            if isinstance(result, Death):
+                suspects.append(cell)
+            else:
+                yield cell, result
+        for cell, result in self._once(suspects, 1):
+            yield cell, Crash(result.message) if isinstance(result, Death) else result
 
-@dataclass(frozen=True)
-class _Task:
-    """A cell that runs."""
+    def _once(self, cells: Sequence[Cell], size: int) -> Iterator[tuple[Cell, Result | Death]]:
+        waiting = deque(cells)
+        running: dict[Future[Any], Cell] = {}
+        while waiting or running:
+            while waiting and len(running) < size:
+                cell = waiting.popleft()
+                running[self._crew.start(cell.function, cell.arguments, self._limit)] = cell
+            done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
+            self._watcher.tick()
+            for future in done:
+                yield running.pop(future), self._outcome(future)
 
-    cell: Cell
-    slot: Slot
-    deadline: float
-
-
-def _twice_if_it_dies(
-    cells: Sequence[Cell], slots: Sequence[Slot], watcher: Watcher, time_limit: float
-) -> Iterator[tuple[Cell, Result]]:
-    suspects = []
-    for cell, result in _side_by_side(cells, slots, watcher, time_limit):
-        if isinstance(result, _Death):
-            suspects.append(cell)
-        else:
-            yield cell, result
-    for cell in suspects:
-        slots[0].restart()
-        for _, result in _side_by_side([cell], slots[:1], watcher, time_limit):
-            yield cell, Crash(result.message) if isinstance(result, _Death) else result
-
-
-def _side_by_side(
-    cells: Sequence[Cell], slots: Sequence[Slot], watcher: Watcher, time_limit: float
-) -> Iterator[tuple[Cell, Result | _Death]]:
-    waiting, idle = deque(cells), list(slots)
-    running: dict[Future[Any], _Task] = {}
-    while waiting or running:
-        while waiting and idle:
-            cell, slot = waiting.popleft(), idle.pop()
-            running[slot.submit(cell.function, cell.arguments)] = _Task(cell, slot, time.monotonic() + time_limit)
-        done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
-        watcher.tick()
-        for future in [*done, *_late(running, done)]:
-            task = running.pop(future)
-            idle.append(task.slot)
-            yield task.cell, _outcome(task.slot, future) if future in done else _stopped(task.slot, time_limit)
-
-
-def _late(running: dict[Future[Any], _Task], done: set[Future[Any]]) -> list[Future[Any]]:
-    now = time.monotonic()
-    return [future for future, task in running.items() if future not in done and now > task.deadline]
-
-
-def _stopped(slot: Slot, time_limit: float) -> Crash:
-    slot.restart()
-    return Crash(f"stopped after {time_limit:g} s without an answer")
-
-
-def _outcome(slot: Slot, future: Future[Any]) -> Result | _Death:
-    error = future.exception()
-    if error is None:
-        return future.result()
-    death = slot.death(error)
-    if death is not None:
-        slot.restart()
-        return _Death(death)
-    if isinstance(error, ContactQPError):
-        raise error
-    return Crash(f"raised {type(error).__name__}: {error}")
+    def _outcome(self, future: Future[Any]) -> Result | Death:
+        if future.cancelled():
+            raise InvalidProblem("the cluster was lost; the same command goes on from there")
+        error = future.exception()
+        if isinstance(error, self._deaths):
+            return Death(str(error))
+        result = future.result() if error is None else Raised(error)
+        if isinstance(result, Raised):
+            if isinstance(result.error, ContactQPError):
+                raise result.error
+            return Crash(f"raised {type(result.error).__name__}: {result.error}")
+        return Crash(result.message) if isinstance(result, Late) else result

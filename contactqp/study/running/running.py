@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from contactqp.errors import InvalidProblem
-from contactqp.study.running.processes import local_workers
 from contactqp.study.running.runner import TIME_LIMIT
-from contactqp.study.running.workers import Workers
+from contactqp.study.running.workers import Processes, ThisProcess, Workers
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,14 @@ class Running:
 def workers_of(running: Running) -> Iterator[Workers]:
     """The workers that a user asks for."""
     if running.dask is None:
-        yield local_workers(running.jobs)
+        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or _cores())
         return
     from contactqp.study.running.cluster import cluster
 
     with cluster(running.dask) as workers:
         yield workers
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

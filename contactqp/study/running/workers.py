@@ -1,24 +1,32 @@
-"""Where cells run: the interface of a slot, which runs one cell at a time, and the slot of this process."""
+"""Where cells run: executors as those of the standard library, side by side or alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+from contactqp.study.running.child import in_child, stop_children
 
-class Slot(Protocol):
-    """Runs one cell at a time, mostly in a process of its own."""
+# Side by side: more threads than one each only wait for each other.
+ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-    def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
-        """Start a cell; the slot before has finished its last one, or was restarted."""
 
-    def death(self, error: BaseException, /) -> str | None:
-        """How the process died, in words, if that is what the error of a future says."""
+@dataclass(frozen=True)
+class Crew:
+    """An executor, and how many cells it runs at a time."""
 
-    def restart(self) -> None:
-        """A new process in place of one that is dead, or that takes too long."""
+    executor: Executor
+    size: int
+    environment: Mapping[str, str] | None  # of the processes that cells run in; None: no processes of their own
+
+    def start(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Future[Any]:
+        """A cell begins."""
+        if self.environment is None:
+            return self.executor.submit(function, *arguments)
+        return self.executor.submit(in_child, function, arguments, time_limit, self.environment)
 
 
 class Workers(Protocol):
@@ -26,12 +34,13 @@ class Workers(Protocol):
 
     notes: tuple[str, ...]  # for the user
     how: str  # cells run, as far as results depend on it
+    deaths: tuple[type[BaseException], ...]  # errors that say that a worker died, with all it had
 
-    def concurrent(self) -> AbstractContextManager[Sequence[Slot]]:
-        """Slots that run side by side. No process of theirs is left at the end, whatever happens."""
+    def side_by_side(self) -> AbstractContextManager[Crew]:
+        """For answers. No process is left at the end, whatever happens."""
 
-    def alone(self) -> AbstractContextManager[Sequence[Slot]]:
-        """One slot for what is timed, while nothing else runs."""
+    def alone(self) -> AbstractContextManager[Crew]:
+        """One cell at a time in one process, for what is timed."""
 
     def ask(self, function: Callable[[], Any]) -> Any:
         """What a function says where cells run."""
@@ -40,34 +49,65 @@ class Workers(Protocol):
 class ThisProcess:
     """One cell after the other, here: a crash is everybody's, and nothing can be stopped."""
 
+    notes: tuple[str, ...] = ()
     how = "in one process"
-
-    def __init__(self, *notes: str) -> None:
-        self.notes = notes
+    deaths: tuple[type[BaseException], ...] = ()
 
     @contextmanager
-    def concurrent(self) -> Iterator[Sequence[Slot]]:
-        yield (_SlotHere(),)
+    def side_by_side(self) -> Iterator[Crew]:
+        yield Crew(_AtOnce(), 1, None)
 
-    @contextmanager
-    def alone(self) -> Iterator[Sequence[Slot]]:
-        yield (_SlotHere(),)
+    alone = side_by_side
 
     def ask(self, function: Callable[[], Any]) -> Any:
         return function()
 
 
-class _SlotHere:
-    def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+class _AtOnce(Executor):
+    """Runs what is submitted while it is submitted."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         try:
-            future.set_result(function(*arguments))
+            future.set_result(fn(*args, **kwargs))
         except Exception as error:  # noqa: BLE001  it is the future's, as in every executor
             future.set_exception(error)
         return future
 
-    def death(self, _: BaseException) -> str | None:
-        return None
 
-    def restart(self) -> None:
-        return None
+class Processes:
+    """So many processes of this machine side by side, and one for what is timed."""
+
+    notes: tuple[str, ...] = ()
+    how = "in processes of one thread each"
+    deaths: tuple[type[BaseException], ...] = ()
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+
+    @contextmanager
+    def side_by_side(self) -> Iterator[Crew]:
+        """With one thread each."""
+        with _threads(self.jobs) as executor:
+            yield Crew(executor, self.jobs, ONE_THREAD)
+
+    @contextmanager
+    def alone(self) -> Iterator[Crew]:
+        """With as many threads as everybody gets here."""
+        with _threads(1) as executor:
+            yield Crew(executor, 1, {})
+
+    def ask(self, function: Callable[[], Any]) -> Any:
+        return function()
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[Executor]:
+    """Threads that have a process each."""
+    executor = ThreadPoolExecutor(count)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        stop_children()
+        executor.shutdown(wait=True)
