@@ -22,6 +22,7 @@ from typing import Any
 from contactqp.study.running.crashes import died_of
 from contactqp.study.running.serving import framed
 
+_STOPPED = "the study was stopped"
 _COMMAND = (sys.executable, "-P", "-c", "from contactqp.study.running.serving import serve; serve()")
 
 
@@ -46,34 +47,44 @@ class Raised:
     error: BaseException
 
 
-def in_child(
-    function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float, environment: Mapping[str, str]
-) -> Any:
-    """What a function returns in the process of this thread, or Raised, Death or Late.
+class Children:
+    """A process for each thread that asks."""
 
-    Parameters
-    ----------
-    function : callable
-        Of a module that can be imported.
-    arguments : tuple
-    time_limit : float
-        Seconds until the process is killed.
-    environment : mapping
-        Environment variables of the process, where it has to be started.
-    """
-    with _LOCK:
-        child = _CHILDREN.setdefault(threading.get_ident(), Child(environment))
-    return child.ask(function, arguments, time_limit)
+    def __init__(self) -> None:
+        self._lock, self._closed = threading.Lock(), False
+        self._of_thread: dict[int, Child] = {}
 
+    def ask(
+        self,
+        function: Callable[..., Any],
+        arguments: tuple[Any, ...],
+        time_limit: float,
+        environment: Mapping[str, str],
+    ) -> Any:
+        """What a function returns in the process of this thread, or Raised, Death or Late.
 
-def stop_children() -> None:
-    """Kill all processes that `in_child` has started here."""
-    with _LOCK:
-        while _CHILDREN:
-            _CHILDREN.popitem()[1].stop()
+        Parameters
+        ----------
+        function : callable
+            Of a module that can be imported.
+        arguments : tuple
+        time_limit : float
+            Seconds until the process is killed.
+        environment : mapping
+            Environment variables of the process, where it has to be started.
+        """
+        with self._lock:
+            if self._closed:
+                return Death(_STOPPED)
+            child = self._of_thread.setdefault(threading.get_ident(), Child(environment))
+        return child.ask(function, arguments, time_limit)
 
-
-_LOCK = threading.Lock()
+    def close(self) -> None:
+        """Kill all of them; from now on there are none."""
+        with self._lock:
+            self._closed = True
+        for child in self._of_thread.values():
+            child.close()
 
 
 class Child:
@@ -81,18 +92,21 @@ class Child:
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = os.environ | {"PYTHONPATH": os.pathsep.join(_paths())} | dict(environment)
+        self._lock, self._closed = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
 
     def ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Any:
         """What the function returns there, or Raised, Death or Late."""
         order = pickle.dumps((function, arguments))
-        process = self._process = self._process or self._started()
+        process = self._started()
+        if process is None:
+            return Death(_STOPPED)
         timer, started = threading.Timer(time_limit, process.kill), time.monotonic()
         timer.start()
         try:
             answered, answer = _exchange(process, order)
         except (EOFError, OSError):
-            self.stop()
+            self._end(process)
             if time.monotonic() - started >= time_limit:
                 return Late(f"stopped after {time_limit:g} s without an answer")
             return Death(died_of(process.returncode))
@@ -100,23 +114,29 @@ class Child:
             timer.cancel()
         return answer if answered else Raised(answer)
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        with _interrupts_blocked():
-            return subprocess.Popen(_COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=self._environment)
+    def _started(self) -> subprocess.Popen[bytes] | None:
+        with self._lock, _interrupts_blocked():
+            if self._process is None and not self._closed:
+                pipe = subprocess.PIPE
+                self._process = subprocess.Popen(_COMMAND, stdin=pipe, stdout=pipe, env=self._environment)
+            return self._process
 
-    def stop(self) -> None:
-        """Kill the process."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            process.wait()
-            for stream in (process.stdin, process.stdout):
-                with suppress(OSError):  # what was not sent yet is sent nowhere
-                    if stream is not None:
-                        stream.close()
+    def close(self) -> None:
+        """Kill the process; there will be no other one."""
+        with self._lock:
+            self._closed = True
+        if self._process is not None:
+            self._end(self._process)
 
-
-_CHILDREN: dict[int, Child] = {}
+    def _end(self, process: subprocess.Popen[bytes]) -> None:
+        process.kill()
+        process.wait()
+        with self._lock:
+            self._process = None
+        for stream in (process.stdin, process.stdout):
+            with suppress(OSError):  # what was not sent yet is sent nowhere
+                if stream is not None:
+                    stream.close()
 
 
 def _exchange(process: subprocess.Popen[bytes], order: bytes) -> Any:

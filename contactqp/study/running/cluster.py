@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.study.digest import source_digest
-from contactqp.study.running.child import stop_children
+from contactqp.study.running.child import Children
 from contactqp.study.running.workers import ONE_THREAD, Crew
 
 INSTALL = "pip install 'contactqp[dask]'"
@@ -55,6 +57,28 @@ def _refuse_others(client: Any, address: str) -> None:
             raise InvalidProblem(f"--dask {address}: expected this contactqp on every worker, got on {worker} {what}")
 
 
+def in_child(
+    function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float, environment: Mapping[str, str]
+) -> Any:
+    """What a task does on a worker; see `contactqp.study.running.child.Children.ask`."""
+    with _LOCK:
+        children = _CHILDREN[-1]
+    return children.ask(function, arguments, time_limit, environment)
+
+
+def stop_children() -> None:
+    """End all that this worker has started; the next study starts others."""
+    with _LOCK:
+        _CHILDREN.append(Children())
+        children = _CHILDREN.pop(0)
+    children.close()
+
+
+# Of a worker, one for all of its threads.
+_LOCK = threading.Lock()
+_CHILDREN = [Children()]
+
+
 class Cluster:
     """All threads of a cluster's workers side by side, and one worker for what is timed.
 
@@ -77,13 +101,13 @@ class Cluster:
     def side_by_side(self) -> Iterator[Crew]:
         """On any worker."""
         with self._executor() as executor:
-            yield Crew(executor, self._threads, ONE_THREAD)
+            yield Crew(executor, self._threads, partial(in_child, environment=ONE_THREAD))
 
     @contextmanager
     def alone(self) -> Iterator[Crew]:
         """On one worker; on any other one should that be lost."""
         with self._executor(workers=[self._first], allow_other_workers=True) as executor:
-            yield Crew(executor, 1, {})
+            yield Crew(executor, 1, partial(in_child, environment={}))
 
     @contextmanager
     def _executor(self, **where: Any) -> Iterator[Any]:

@@ -6,27 +6,30 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
-from contactqp.study.running.child import in_child, stop_children
+from contactqp.study.running.child import Children
 
 # Side by side: more threads than one each only wait for each other.
 ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+# From a function, its arguments and a time limit to what it returns, or Raised, Death or Late.
+Ask = Callable[[Callable[..., Any], tuple[Any, ...], float], Any]
+
+
 @dataclass(frozen=True)
 class Crew:
-    """An executor, and how many cells it runs at a time."""
+    """An executor, how many cells it runs at a time, and what it runs for each."""
 
     executor: Executor
     size: int
-    environment: Mapping[str, str] | None  # of the processes that cells run in; None: no processes of their own
+    ask: Ask
 
     def start(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Future[Any]:
         """A cell begins."""
-        if self.environment is None:
-            return self.executor.submit(function, *arguments)
-        return self.executor.submit(in_child, function, arguments, time_limit, self.environment)
+        return self.executor.submit(self.ask, function, arguments, time_limit)
 
 
 class Workers(Protocol):
@@ -55,12 +58,16 @@ class ThisProcess:
 
     @contextmanager
     def side_by_side(self) -> Iterator[Crew]:
-        yield Crew(_AtOnce(), 1, None)
+        yield Crew(_AtOnce(), 1, _here)
 
     alone = side_by_side
 
     def ask(self, function: Callable[[], Any]) -> Any:
         return function()
+
+
+def _here(function: Callable[..., Any], arguments: tuple[Any, ...], _: float) -> Any:
+    return function(*arguments)
 
 
 class _AtOnce(Executor):
@@ -88,26 +95,26 @@ class Processes:
     @contextmanager
     def side_by_side(self) -> Iterator[Crew]:
         """With one thread each."""
-        with _threads(self.jobs) as executor:
-            yield Crew(executor, self.jobs, ONE_THREAD)
+        with _crew(self.jobs, ONE_THREAD) as crew:
+            yield crew
 
     @contextmanager
     def alone(self) -> Iterator[Crew]:
         """With as many threads as everybody gets here."""
-        with _threads(1) as executor:
-            yield Crew(executor, 1, {})
+        with _crew(1, {}) as crew:
+            yield crew
 
     def ask(self, function: Callable[[], Any]) -> Any:
         return function()
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[Executor]:
+def _crew(size: int, environment: Mapping[str, str]) -> Iterator[Crew]:
     """Threads that have a process each."""
-    executor = ThreadPoolExecutor(count)
+    executor, children = ThreadPoolExecutor(size), Children()
     try:
-        yield executor
+        yield Crew(executor, size, partial(children.ask, environment=environment))
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
-        stop_children()
+        children.close()
         executor.shutdown(wait=True)
