@@ -16,7 +16,7 @@ from contactqp.study.running.cells import Cell, Crash, Result
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.progress import Progress
 from contactqp.study.running.runner import run_cells
-from contactqp.study.running.workers import Workers
+from contactqp.study.running.workers import Crew, Workers
 
 # Seconds that a cell takes beside what it is there for.
 OVERHEAD = 1e-3
@@ -73,21 +73,22 @@ class Collector:
         """
         # The largest first: at the end no process waits for another one's long cell.
         studies = sorted(self._studies, key=lambda study: -study.problem.dimension)
-        truths = self._truths(studies)
-        tries = [_Try(study, *each) for study in studies for each in answer_cells(study, truths[study.name])]
-        told = [record_cell(study, truths[study.name]) for study in studies]
-        found = self._run("answers", [*told, *(one.cell for one in tries)], later=self._timing_left)
-        rows = {one.cell.key: _row(one, found[one.cell.key]) for one in tries}
-        rows = self._times(tries, rows)
-        limits = self._limits(studies)
+        with self._workers.side_by_side() as crew:
+            truths = self._truths(studies, crew)
+            tries = [_Try(study, *each) for study in studies for each in answer_cells(study, truths[study.name])]
+            told = {study.name: record_cell(study, truths[study.name]) for study in studies}
+            answers = [*told.values(), *(one.cell for one in tries)]
+            found = self._run("answers", answers, crew, later=self._timing_left)
+        with self._workers.alone() as crew:
+            limits = self._limits(studies, crew)
+            rows = self._times(tries, {one.cell.key: _row(one, found[one.cell.key]) for one in tries}, crew)
         rows = {one.cell.key: replace(rows[one.cell.key], linear_solve_seconds=limits[one.study.name]) for one in tries}
         of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
-        records = {
-            study.name: replace(_record(study, truths[study.name], found[cell.key]), linear_solve=limits[study.name])
-            for study, cell in zip(studies, told, strict=True)
-        }
-        names = [study.name for study in self._studies]
-        return tuple(records[name] for name in names), tuple(row for name in names for row in of_case[name])
+        records = (
+            replace(_record(study, truths[study.name], found[told[study.name].key]), linear_solve=limits[study.name])
+            for study in self._studies
+        )
+        return tuple(records), tuple(row for study in self._studies for row in of_case[study.name])
 
     def __str__(self) -> str:
         return f"interrupted: {self.answered} of {self.rows} rows answered, {self.timed} timed"
@@ -98,35 +99,34 @@ class Collector:
         said = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
         return (*said, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
-    def _truths(self, studies: Sequence[CaseStudy]) -> dict[str, FoundTruth]:
+    def _truths(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, FoundTruth]:
         cells = {study.name: truth_cell(study) for study in studies}
-        found = self._run("truths", list(cells.values()), later=None)
+        found = self._run("truths", list(cells.values()), crew, later=None)
         return {name: _truth(found[cell.key]) for name, cell in cells.items()}
 
-    def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row]) -> dict[str, Row]:
+    def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], crew: Crew) -> dict[str, Row]:
         """The rows with their times; a method that crashes while it is timed has crashed."""
         cells = {
             key: timing_cell(one.study, one.rung, row.seconds, self._repeats, self._expected(row))
             for one in tries
             if (row := rows[key := one.cell.key]).seconds is not None
         }
-        found = self._run("times", list(cells.values()), later=lambda: 0.0, alone=True)
+        found = self._run("times", list(cells.values()), crew, later=lambda: 0.0)
         return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
 
-    def _limits(self, studies: Sequence[CaseStudy]) -> dict[str, float | None]:
+    def _limits(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, float | None]:
         """Seconds of one linear solve of each case; None where it crashed, as the case's rows will have too."""
         cells = {study.name: limit_cell(study) for study in studies}
-        found = self._run("linear solves", list(cells.values()), later=lambda: 0.0, alone=True)
+        found = self._run("linear solves", list(cells.values()), crew, later=self._timing_left)
         results = {name: found[cell.key] for name, cell in cells.items()}
         return {name: None if isinstance(one, Crash) else one.seconds for name, one in results.items()}
 
     def _run(
-        self, what: str, cells: Sequence[Cell], later: Callable[[], float] | None, alone: bool = False
+        self, what: str, cells: Sequence[Cell], crew: Crew, later: Callable[[], float] | None
     ) -> dict[str, Result]:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
         self._progress.part(what, later)
-        limit = self._time_limit
-        return run_cells(cells, self._workers, self._journal, alone=alone, watcher=self, time_limit=limit)
+        return run_cells(cells, crew, self._journal, watcher=self, time_limit=self._time_limit)
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
         for cell in cells:

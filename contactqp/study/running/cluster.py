@@ -89,31 +89,30 @@ class Cluster:
     how = "by the workers of a Dask cluster, in processes of one thread each"
 
     def __init__(self, client: Any, threads: Mapping[str, int]) -> None:
-        from distributed import KilledWorker
-
         self._client = client
         self._threads = sum(threads.values())
         self._first = min(threads)
         self.notes: tuple[str, ...] = (f"run by {len(threads)} workers of Dask with {self._threads} threads",)
-        self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
 
     @contextmanager
     def side_by_side(self) -> Iterator[Crew]:
         """On any worker."""
-        with self._executor() as executor:
-            yield Crew(executor, self._threads, partial(in_child, environment=ONE_THREAD))
+        with self._crew(self._threads, ONE_THREAD) as crew:
+            yield crew
 
     @contextmanager
     def alone(self) -> Iterator[Crew]:
         """On one worker; on any other one should that be lost."""
-        with self._executor(workers=[self._first], allow_other_workers=True) as executor:
-            yield Crew(executor, 1, partial(in_child, environment={}))
+        with self._crew(1, {}, workers=[self._first], allow_other_workers=True) as crew:
+            yield crew
 
     @contextmanager
-    def _executor(self, **where: Any) -> Iterator[Any]:
+    def _crew(self, size: int, environment: Mapping[str, str], **where: Any) -> Iterator[Crew]:
+        from distributed import KilledWorker
+
         executor = self._client.get_executor(pure=False, **where)
         try:
-            yield executor
+            yield Crew(executor, size, partial(in_child, environment=environment), (KilledWorker,))
         finally:
             executor.shutdown(wait=False)  # and cancelled, what has not begun
             self._client.run(stop_children, on_error="ignore")

@@ -12,7 +12,7 @@ from contactqp.study.running.cells import Cell, Crash, Result, refuse_twins
 from contactqp.study.running.child import Death, Late, Raised
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.progress import Progress, nothing
-from contactqp.study.running.workers import Crew, Workers
+from contactqp.study.running.workers import Crew
 
 # Seconds after which a cell is stopped: far more than anything in a report takes, and less than anybody waits.
 TIME_LIMIT = 600.0
@@ -35,10 +35,9 @@ class Watcher(Protocol):
 
 def run_cells(
     cells: Sequence[Cell],
-    workers: Workers,
+    crew: Crew,
     journal: Journal | None = None,
     *,
-    alone: bool = False,
     watcher: Watcher | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> dict[str, Result]:
@@ -51,12 +50,10 @@ def run_cells(
     Parameters
     ----------
     cells : sequence of Cell
-    workers : Workers
-        Where they run.
+    crew : Crew
+        Who runs them: ``with Processes(2).side_by_side() as crew``, or ``alone()`` for what is timed.
     journal : Journal, optional
         Where results are kept, each as soon as there is one.
-    alone : bool
-        Whether they are timed: one after the other in one process, while nothing else runs.
     watcher : Watcher, optional
     time_limit : float
         Of each cell [s]. What runs in this process cannot be stopped.
@@ -71,19 +68,17 @@ def run_cells(
     found = {cell.key: result for cell in cells if journal and (result := journal.find(cell)) is not None}
     left = [cell for cell in cells if cell.key not in found]
     watcher.begin(cells, found)
-    if left:
-        with workers.alone() if alone else workers.side_by_side() as crew:
-            for cell, result in _Run(crew, workers.deaths, watcher, time_limit).results(left):
-                found[cell.key] = journal.write(cell, result) if journal else result
-                watcher.done(cell, found[cell.key])
+    for cell, result in _Run(crew, watcher, time_limit).results(left):
+        found[cell.key] = journal.write(cell, result) if journal else result
+        watcher.done(cell, found[cell.key])
     return {cell.key: found[cell.key] for cell in cells}
 
 
 class _Run:
     """Cells run by one crew."""
 
-    def __init__(self, crew: Crew, deaths: tuple[type[BaseException], ...], watcher: Watcher, limit: float) -> None:
-        self._crew, self._deaths, self._watcher, self._limit = crew, deaths, watcher, limit
+    def __init__(self, crew: Crew, watcher: Watcher, limit: float) -> None:
+        self._crew, self._watcher, self._limit = crew, watcher, limit
 
     def results(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Result]]:
         """Of all cells as they come; those whose process died are run again at the end, one by one."""
@@ -112,7 +107,7 @@ class _Run:
         if future.cancelled():
             raise InvalidProblem("the cluster was lost; the same command goes on from there")
         error = future.exception()
-        if isinstance(error, self._deaths):
+        if isinstance(error, self._crew.deaths):
             return Death(str(error))
         result = future.result() if error is None else Raised(error)
         if isinstance(result, Raised):

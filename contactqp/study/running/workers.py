@@ -26,6 +26,7 @@ class Crew:
     executor: Executor
     size: int
     ask: Ask
+    deaths: tuple[type[BaseException], ...] = ()  # errors that say that a worker died, with all it had
 
     def start(self, function: Callable[..., Any], arguments: tuple[Any, ...], time_limit: float) -> Future[Any]:
         """A cell begins."""
@@ -37,7 +38,6 @@ class Workers(Protocol):
 
     notes: tuple[str, ...]  # for the user
     how: str  # cells run, as far as results depend on it
-    deaths: tuple[type[BaseException], ...]  # errors that say that a worker died, with all it had
 
     def side_by_side(self) -> AbstractContextManager[Crew]:
         """For answers. No process is left at the end, whatever happens."""
@@ -54,7 +54,6 @@ class ThisProcess:
 
     notes: tuple[str, ...] = ()
     how = "in one process"
-    deaths: tuple[type[BaseException], ...] = ()
 
     @contextmanager
     def side_by_side(self) -> Iterator[Crew]:
@@ -87,7 +86,6 @@ class Processes:
 
     notes: tuple[str, ...] = ()
     how = "in processes of one thread each"
-    deaths: tuple[type[BaseException], ...] = ()
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs

@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from contactqp.errors import SceneError
+from contactqp.study.running import runner
 from contactqp.study.running.cells import Cell, Crash
 from contactqp.study.running.child import Child
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.progress import Progress
-from contactqp.study.running.runner import run_cells
 from contactqp.study.running.workers import Processes, ThisProcess, Workers
 from tests.study.running import cell_functions as do
 from tests.study.running.cell_functions import Number
@@ -29,6 +29,11 @@ CONDITIONS = {"version": 1}
 
 def _cell(key: str, function: Callable[..., Number], *arguments: Any, digest: str = "") -> Cell:
     return Cell(key, function, arguments, Number, digest)
+
+
+def run_cells(cells: list[Cell], workers: Workers, *rest: Any, alone: bool = False, **options: Any) -> dict[str, Any]:
+    with workers.alone() if alone else workers.side_by_side() as crew:
+        return runner.run_cells(cells, crew, *rest, **options)
 
 
 def _halves(count: int) -> list[Cell]:
