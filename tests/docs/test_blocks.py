@@ -18,6 +18,7 @@ from tests.docs.running import PageRun, same_lines
 RUN_ELSEWHERE = {
     "README.md": "tests/test_readme.py; its first command by whoever wants the report, its second by .ci/run",
     "docs/recipes.md": "tests/test_recipes.py",
+    "docs/report.md": "tests/study/test_claims.py, on a report of a few cases",
 }
 # A block by its page and first line, a command by its line: why it is not run here.
 NOT_RUN = {

@@ -15,9 +15,10 @@ from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
 from contactqp.study.attempt import ENOUGH
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.charts.comparison import overview_charts
+from contactqp.study.charts.work_precision import case_charts
 from contactqp.study.digest import source_digest
 from contactqp.study.page.render import missing_packages, render
-from contactqp.study.report import picture
 from contactqp.study.report.collecting import Collector
 from contactqp.study.report.delivery import deliver, report_folder, unfinished, workshop, write
 from contactqp.study.report.machine import machine, versions
@@ -33,7 +34,7 @@ from contactqp.study.running.workers import Workers
 REPEATS = 3
 HERE = Running()
 DEFAULT_CASES = "cases"
-PICTURE, PAGE = "error_against_time", "index.html"
+PAGE = "index.html"
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
     for text in result.summary.unmet:
         print(f"not met: {text}")
     print(f"{len(result.rows)} rows; {result.summary}")
-    print(f"written: {', '.join(str(file) for file in result.files if file.suffix != picture.SUFFIX)}")
+    print(f"written: {', '.join(map(str, result.files))}")
     return result.exit_code
 
 
@@ -136,11 +137,12 @@ def write_report(
                 data = ReportData(records, rows, summary, facts)
                 notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows))
                 with workshop(folder) as shop:
-                    notes = (*notes, *_draw(data, shop), *_missing())
+                    notes = (*notes, *_missing())
                     write(shop / "results.csv", to_csv(rows))
                     write(shop / "results.json", as_json(data))
                     if not missing_packages():
-                        write(shop / PAGE, render(data, notes=notes))
+                        charts = {case.name: case_charts(data, case) for case in records}
+                        write(shop / PAGE, render(data, overview_charts(data), charts, notes=notes))
                     files = _deliver(shop, folder)
     return ReportResult(summary, rows, files, notes)
 
@@ -181,31 +183,12 @@ def _crashed(rows: Sequence[Row]) -> Iterator[str]:
         yield f"crashed: {len(crashed)} of {len(rows)} rows; the first: {first.case}: {first.method}: {first.message}"
 
 
-def _draw(data: ReportData, workshop: Path) -> tuple[str, ...]:
-    """One picture for each case, one for all; returns what is to be said if there are none."""
-    if not picture.can_draw():
-        return ("no pictures, as matplotlib is not installed: pip install 'contactqp[report]'",)
-    for case in data.cases:
-        title = f"{case.title}: error against run time"
-        picture.save(picture.draw(data.rows_of(case.name), title), workshop / _picture_name(case.name))
-    if len(data.cases) > 1:
-        title = f"Error against run time, median over {len(data.cases)} cases (knobs with units left out)"
-        picture.save(picture.draw(picture.medians(data.rows), title), workshop / _picture_name(""))
-    return ()
-
-
-def _picture_name(case: str) -> str:
-    return f"{PICTURE}{'_' if case else ''}{case}{picture.SUFFIX}"
-
-
 def _missing() -> tuple[str, ...]:
     return tuple(filter(None, [missing_packages()]))
 
 
 def _deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
-    """The page comes last, pictures of an earlier report go first."""
-    for old in folder.glob(f"{PICTURE}*{picture.SUFFIX}"):
-        old.unlink()
+    """The page comes last."""
     if not (shop / PAGE).exists():  # one of an earlier report would speak of other rows
         (folder / PAGE).unlink(missing_ok=True)
     return deliver(shop, folder)

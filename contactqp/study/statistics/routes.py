@@ -45,10 +45,12 @@ def solved(row: Row) -> bool:
 
 
 def compared_cases(all_rows: Iterable[Row]) -> tuple[str, ...]:
-    """The cases that every method of a study was put to, installed or not, and whose truth is known."""
+    """The cases that every installed method of a study was put to, and whose truth is known."""
     known: dict[str, set[str]] = {}
     judged = set()
     for row in all_rows:
+        if row.verdict == rows.MISSING:
+            continue
         known.setdefault(row.case, set()).add(row.method)
         if row.error_judged is not None:
             judged.add(row.case)
