@@ -64,6 +64,7 @@ def test_csv_and_json_hold_the_same_rows(written: tuple[Path, report.ReportResul
     assert data["created"]
     assert [case["name"] for case in data["cases"]] == ["bar_wall", "two_bars"]
     assert all(case["judgements"] and not case["unmet"] for case in data["cases"])
+    assert all(case["footprint"]["certified"] and case["footprint"]["stages"] for case in data["cases"])
 
 
 def test_columns_are_those_that_are_documented() -> None:

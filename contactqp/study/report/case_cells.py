@@ -11,6 +11,8 @@ from contactqp.problem import Vector
 from contactqp.scene.schema import Scene
 from contactqp.study.attempt import Timing
 from contactqp.study.case_study import CaseStudy
+from contactqp.study.footprint.footprint import Footprint
+from contactqp.study.footprint.measuring import measure
 from contactqp.study.linear_solve import linear_solve_seconds
 from contactqp.study.report.case_record import CaseRecord, record
 from contactqp.study.rows import Row
@@ -20,6 +22,8 @@ from contactqp.study.truth import Truth
 
 # Cases whose problems a process keeps: the one at hand, and the one before while others still work on it.
 KEPT = 2
+# Seconds after which a process that measures a case is stopped.
+PATIENCE = 120.0
 # Unknowns that make a cell twice as long as the smallest, roughly.
 DOUBLING = 100
 
@@ -86,6 +90,11 @@ def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Rung, Ce
         yield rung, _cell(study, _name(rung), find_answer, (ticket_of(study), truth, rung), Row)
 
 
+def footprint_cell(study: CaseStudy) -> Cell:
+    """Measures what solving a case takes."""
+    return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
+
+
 def timing_cell(study: CaseStudy, rung: Rung, first: float, repeats: int, cost: float) -> Cell:
     """A rung timed, whose first call took so long."""
     arguments = (ticket_of(study), rung, first, repeats)
@@ -106,6 +115,10 @@ def _name(rung: Rung) -> str:
     """osqp/raw/tolerance=1e-06,polish=False: everything that solve is told."""
     options = ",".join(f"{name}={value}" for name, value in rung.options.items())
     return "/".join((rung.method.name, rung.variant, options or rung.knob))
+
+
+def take_footprint(ticket: Ticket) -> Footprint:
+    return measure(str(ticket.scene.file), time_limit=PATIENCE)
 
 
 def find_truth(ticket: Ticket) -> FoundTruth:

@@ -8,7 +8,16 @@ from math import ceil
 
 from contactqp.study.attempt import ENOUGH, LONG, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
-from contactqp.study.report.case_cells import FoundTruth, answer_cells, limit_cell, record_cell, timing_cell, truth_cell
+from contactqp.study.footprint.footprint import Footprint
+from contactqp.study.report.case_cells import (
+    FoundTruth,
+    answer_cells,
+    footprint_cell,
+    limit_cell,
+    record_cell,
+    timing_cell,
+    truth_cell,
+)
 from contactqp.study.report.case_record import CaseRecord, unjudged
 from contactqp.study.rows import CRASHED, Row
 from contactqp.study.rungs import Rung
@@ -80,12 +89,16 @@ class Collector:
             answers = [*told.values(), *(one.cell for one in tries)]
             found = self._run("answers", answers, crew, later=self._timing_left)
         with self._workers.alone() as crew:
-            limits = self._limits(studies, crew)
+            limits, footprints = self._limits(studies, crew), self._footprints(studies, crew)
             rows = self._times(tries, {one.cell.key: _row(one, found[one.cell.key]) for one in tries}, crew)
         rows = {one.cell.key: replace(rows[one.cell.key], linear_solve_seconds=limits[one.study.name]) for one in tries}
         of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
         records = (
-            replace(_record(study, truths[study.name], found[told[study.name].key]), linear_solve=limits[study.name])
+            replace(
+                _record(study, truths[study.name], found[told[study.name].key]),
+                linear_solve=limits[study.name],
+                footprint=footprints.get(study.name),
+            )
             for study in self._studies
         )
         return tuple(records), tuple(row for study in self._studies for row in of_case[study.name])
@@ -113,6 +126,13 @@ class Collector:
         }
         found = self._run("times", list(cells.values()), crew, later=lambda: 0.0)
         return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
+
+    def _footprints(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, Footprint]:
+        """What solving each case takes that has a file."""
+        cells = {study.name: footprint_cell(study) for study in studies if study.scene.file is not None}
+        found = self._run("footprints", list(cells.values()), crew, later=self._timing_left)
+        results = ((name, found[cell.key]) for name, cell in cells.items())
+        return {name: result for name, result in results if isinstance(result, Footprint)}
 
     def _limits(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, float | None]:
         """Seconds of one linear solve of each case; None where it crashed, as the case's rows will have too."""

@@ -50,4 +50,5 @@ def _case(case: CaseRecord) -> dict[str, Any]:
         truth=case.truth,
         unmet=list(case.unmet),
         judgements=list(case.judgements),
+        footprint=None if case.footprint is None else case.footprint.data(),
     )
