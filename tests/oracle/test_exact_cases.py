@@ -13,14 +13,10 @@ import contactqp as cq
 from contactqp.oracle.exact.ball import root
 from contactqp.scene.claims import Expectation
 from contactqp.scene.schema import Scene
+from tests.shipped_cases import SCENES
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
-NODES = sorted(
-    file.stem
-    for file in CASES.glob("*.toml")
-    for scene in [cq.load_scene(file)]
-    if not (scene.meshed or scene.large or scene.motion is not None)
-)
+NODES = [name for name, scene in SCENES.items() if not (scene.meshed or scene.large or scene.motion is not None)]
 # Irrational geometry with friction on a path.
 NOT_COVERED = {"wedge"}
 # Its slip_origin is a root rounded to eighteen digits, its claims are of the root.

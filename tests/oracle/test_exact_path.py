@@ -16,16 +16,16 @@ from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
 from contactqp.oracle.exact.loose_rates import LooseRates
 from contactqp.oracle.exact.proof import RationalAnswer
 from contactqp.oracle.exact.rational import column, fractions, zeros
+from tests.shipped_cases import SCENES
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 PATHS = [
-    file.stem
-    for file in sorted(CASES.glob("*.toml"))
-    for scene in [cq.load_scene(file)]
+    name
+    for name, scene in SCENES.items()
     if scene.path is not None
     and not (scene.meshed or scene.large)
     and any(contact.friction for contact in scene.contacts)
-    and file.stem != "wedge"
+    and name != "wedge"
 ]
 
 
