@@ -216,7 +216,7 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
 
 
-@pytest.mark.parametrize("steps", [1, 3, 10])
+@pytest.mark.parametrize("steps", [1, 3, pytest.param(10, marks=pytest.mark.slow)])
 def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
     """However coarse: what the loads do is at least what is stored and dissipated, and in a cycle not negative."""
     random, cycles = np.random.default_rng(5), 0

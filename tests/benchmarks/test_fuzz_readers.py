@@ -17,7 +17,7 @@ from benchmarks.valid_files import SLOW, Seed, seeds
 from contactqp.errors import InvalidProblem
 from tests.test_cli import run
 
-EACH = 12  # mutated files of each of 40 formats; three times as many among the slow tests
+EACH = 6  # mutated files of each of 40 formats; six times as many among the slow tests
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_every_valid_file_is_judged(written):
             assert outcome(seed, root / name) == JUDGED, name
 
 
-@pytest.mark.parametrize("first", [0, *(pytest.param(k * EACH, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("first", [0, *(pytest.param(k * EACH, marks=pytest.mark.slow) for k in range(1, 6))])
 def test_mutated_files_are_judged_or_refused(written, first):
     root, known = written
     odd, counts = [], {JUDGED: 0, REFUSED: 0}
@@ -47,8 +47,8 @@ def test_mutated_files_are_judged_or_refused(written, first):
             else:
                 odd.append(f"{name} {number} ({what}): {said}")
     assert not odd
-    assert counts[REFUSED] > 300
-    assert counts[JUDGED] > 20
+    assert counts[REFUSED] > 150
+    assert counts[JUDGED] > 10
 
 
 def raises(error: Exception):

@@ -29,7 +29,7 @@ def test_the_answer_satisfies_every_condition_exactly(known: GalleryProblem) -> 
 
 @pytest.mark.parametrize("kind", RANDOM)
 def test_the_conditions_hold_whatever_the_seed(kind: str) -> None:
-    count = 6 if kind == "large" else 60
+    count = 3 if kind == "large" else 30
     broken = {
         known.name: broken_conditions(known.data, known.exact) for known in problems(kind, count=count, seed=1000)
     }
