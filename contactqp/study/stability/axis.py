@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from contactqp.study.stability.posed import Posed
 
+# Values as near as this to one are named by their distance from it.
+NEXT_TO_ONE = 1e-2
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -31,7 +34,10 @@ class Axis:
 
     def label(self, value: float) -> str:
         """The value in words."""
-        return self.labels[self.values.index(value)] if self.labels else f"{value:.6g}"
+        if self.labels:
+            return self.labels[self.values.index(value)]
+        # Of what lies next to one, the distance is what matters.
+        return f"1{value - 1:+.2g}" if 0 < abs(value - 1) < NEXT_TO_ONE else f"{value:.4g}"
 
 
 def powers_of_two(*exponents: int) -> tuple[float, ...]:

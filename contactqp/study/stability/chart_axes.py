@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from contactqp.study import rows as report_rows
-from contactqp.study.stability.axis import Axis
+from contactqp.study.stability.axis import NEXT_TO_ONE, Axis
 from contactqp.study.stability.rows import StabilityRow
 
 
@@ -22,7 +22,7 @@ def methods_of(rows: Sequence[StabilityRow]) -> tuple[str, ...]:
 
 def is_logarithmic(axis: Axis) -> bool:
     """Whether the values can be told apart on a logarithmic scale, or are to stand side by side."""
-    near = any(abs(value - 1.0) < 1e-3 and value != 1.0 for value in axis.values)
+    near = any(0 < abs(value - 1.0) < NEXT_TO_ONE for value in axis.values)
     return not axis.labels and min(axis.values) > 0 and not near
 
 

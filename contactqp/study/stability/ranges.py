@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from contactqp.study import rows as report_rows
 from contactqp.study.stability.axis import Axis
@@ -37,7 +38,8 @@ def safe_ranges(axis: Axis, rows: Sequence[StabilityRow]) -> tuple[SafeRange, ..
 def _safe_range(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> SafeRange:
     tried = sorted((row for row in rows if row.verdict != CUT_OFF), key=lambda row: row.value)
     exact = all(row.promises_exact for row in tried)
-    run = _longest(tried, _is_right if exact else _is_useful)
+    runs = _runs(tried, _is_right if exact else _is_useful)
+    run = max(runs, key=len, default=[])
     known = [(row.error, row.value) for row in tried if row.error is not None and row.verdict != report_rows.REFUSED]
     best = min(known, default=(None, None))
     refused = tuple(row.value for row in tried if row.verdict in _GIVEN_UP)
@@ -53,7 +55,7 @@ def _safe_range(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> SafeRang
         refused=refused,
         words="",
     )
-    return SafeRange(**{**vars(found), "words": " ".join(_sentence(axis, found, rows, exact))})
+    return replace(found, words=" ".join(_sentence(axis, found, runs, rows, exact)))
 
 
 _GIVEN_UP = (report_rows.REFUSED, report_rows.NOT_CONVERGED, report_rows.BACKEND_FAILED)
@@ -67,22 +69,17 @@ def _is_useful(row: StabilityRow) -> bool:
     return row.right or (row.error is not None and row.error <= USEFUL and row.verdict == report_rows.APPROXIMATE)
 
 
-def _longest(rows: Sequence[StabilityRow], good: Callable[[StabilityRow], bool]) -> list[StabilityRow]:
-    best, run = list[StabilityRow](), list[StabilityRow]()
-    for row in rows:
-        run = [*run, row] if good(row) else []
-        best = run if len(run) > len(best) else best
-    return best
+def _runs(rows: Sequence[StabilityRow], good: Callable[[StabilityRow], bool]) -> list[list[StabilityRow]]:
+    """Neighbouring rows that are good, together."""
+    return [list(run) for is_good, run in itertools.groupby(rows, good) if is_good]
 
 
-def _sentence(axis: Axis, found: SafeRange, rows: Sequence[StabilityRow], exact: bool) -> Iterator[str]:
+def _sentence(
+    axis: Axis, found: SafeRange, runs: Sequence[Sequence[StabilityRow]], rows: Sequence[StabilityRow], exact: bool
+) -> Iterator[str]:
     quality = "right" if exact else f"error below {USEFUL:g}"
-    if found.lowest is None or found.highest is None:
-        yield f"{found.method}: nowhere {quality};"
-    elif found.everywhere:
-        yield f"{found.method}: {quality} at all values tried, {_span(axis, found.lowest, found.highest)};"
-    else:
-        yield f"{found.method}: {quality} {_span(axis, found.lowest, found.highest)};"
+    where = " and ".join(_span(axis, run[0].value, run[-1].value) for run in runs) or "nowhere"
+    yield f"{found.method}: {quality} {'at all values tried, ' if found.everywhere else ''}{where};"
     if not exact and found.best is not None and found.best_value is not None:
         yield f"best {found.best:.1e} at {axis.label(found.best_value)};"
     yield from _others(axis, rows)
@@ -90,7 +87,7 @@ def _sentence(axis: Axis, found: SafeRange, rows: Sequence[StabilityRow], exact:
 
 def _span(axis: Axis, lowest: float, highest: float) -> str:
     if lowest == highest:
-        return f"only at {axis.label(lowest)}"
+        return f"at {axis.label(lowest)}"
     return f"from {axis.label(lowest)} to {axis.label(highest)}"
 
 

@@ -120,6 +120,12 @@ def as_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
     return [asdict(row) for row in rows]
 
 
+def short_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
+    """The same without what is empty: `StabilityRow(**row)` gives the row back."""
+    empty = asdict(StabilityRow())
+    return [{key: value for key, value in row.items() if value != empty[key]} for row in as_dicts(rows)]
+
+
 def to_csv(rows: Iterable[StabilityRow]) -> str:
     """Comma-separated values with a header; numbers with all their digits, None as nothing."""
     text = io.StringIO()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import json
 import os
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -22,7 +21,7 @@ from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.best_penalty import of_truss
 from contactqp.study.stability.cells import PATIENCE, STIFFENING, cells, stability_row
 from contactqp.study.stability.ranges import SafeRange, safe_ranges
-from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, as_dicts, to_csv
+from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts, to_csv
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -129,8 +128,9 @@ def as_json(study: StabilityStudy) -> str:
     written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **study.facts)
     written |= dict(columns=dict(COLUMNS), verdicts=dict(VERDICTS), summary=_summary(study))
     written["axes"] = [_axis(study, axis) for axis in study.axes]
-    written["rows"] = as_dicts(study.rows)
-    return json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    head = json.dumps(written, indent=1, allow_nan=False, ensure_ascii=False).removesuffix("\n}")
+    rows = (json.dumps(row, allow_nan=False, ensure_ascii=False) for row in short_dicts(study.rows))
+    return head + ',\n "rows": [\n  ' + ",\n  ".join(rows) + "\n ]\n}\n"
 
 
 def _summary(study: StabilityStudy) -> dict[str, Any]:
@@ -164,9 +164,9 @@ def write_study(study: StabilityStudy, output: str | Path) -> tuple[Path, ...]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            with tempfile.NamedTemporaryFile("w", encoding="utf-8", newline="\n", dir=folder, delete=False) as made:
-                made.write(text)
-            os.replace(made.name, folder / name)
+            unfinished = folder / f".{name}.part"
+            unfinished.write_text(text, encoding="utf-8", newline="\n")
+            os.replace(unfinished, folder / name)
     except OSError as error:
         raise SceneError(f"{folder}: expected a folder that can be written, got: {error.strerror}") from None
     return tuple(folder / name for name in texts)

@@ -120,13 +120,13 @@ def test_ranges_follow_the_rows() -> None:
     [found] = safe_ranges(axis, [row(*pair) for pair in zip(axis.values, verdicts, strict=True)])
     assert (found.lowest, found.highest, found.everywhere) == (axis.values[0], axis.values[4], False)
     assert found.refused == axis.values[5:]
-    assert "right from 1 to 8192" in found.words
+    assert "right from 1 to 8192;" in found.words
     assert "refused at" in found.words
     verdicts[4] = report_rows.NOT_CONVERGED
     [shorter] = safe_ranges(axis, [row(*pair) for pair in zip(axis.values, verdicts, strict=True)])
     assert shorter.highest == axis.values[3]
     [nowhere] = safe_ranges(axis, [row(value, report_rows.REFUSED) for value in axis.values])
-    assert "nowhere right" in nowhere.words
+    assert "right nowhere" in nowhere.words
     [whole] = safe_ranges(axis, [row(value, report_rows.RIGHT) for value in axis.values])
     assert whole.everywhere
 
