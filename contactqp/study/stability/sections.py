@@ -10,8 +10,9 @@ from contactqp.study.report.chart import Chart
 from contactqp.study.stability.axes import penalty_stiffness
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.best_penalty import of_truss
-from contactqp.study.stability.curves import digits_curves, penalty_curve
+from contactqp.study.stability.curves import digits_curves
 from contactqp.study.stability.heat_maps import digits_heat_map, verdict_heat_map
+from contactqp.study.stability.penalty_valley import penalty_valley
 from contactqp.study.stability.rows import VERDICTS
 from contactqp.study.stability.study import StabilityStudy
 
@@ -55,7 +56,7 @@ def _of_axis(study: StabilityStudy, axis: Axis) -> Section:
     charts = [digits_heat_map(axis, rows), verdict_heat_map(axis, rows), digits_curves(axis, rows)]
     words = [axis.about]
     if axis.name == penalty_stiffness.AXIS.name:
-        charts.insert(0, penalty_curve(rows))
+        charts.insert(0, penalty_valley(rows))
         words += list(_of_best(study))
     words += [found.words for found in ranges if not found.everywhere]
     whole = [found.method for found in ranges if found.everywhere]
