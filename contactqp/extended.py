@@ -113,7 +113,7 @@ class SparseRows:
     """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
 
     def __init__(self, matrix: Any) -> None:
-        rows = sp.csr_matrix(matrix)
+        rows = matrix if getattr(matrix, "format", "") == "csr" else sp.csr_matrix(matrix)
         self.shape: tuple[int, int] = rows.shape
         lengths = np.diff(rows.indptr)
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)

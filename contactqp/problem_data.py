@@ -74,7 +74,7 @@ def _sparse(name: str, value: Any) -> Any:
 
 def read_rows(name: str, value: Any, n: int) -> Any:
     if not sp.issparse(value) and np.size(value) == 0:
-        value = np.zeros((0, n))
+        return sp.csr_array((0, n))
     rows = _sparse(name, value)
     if rows.shape[1] != n:
         raise InvalidProblem(f"{name}: expected {n} columns, one for each unknown, got shape {rows.shape}")
@@ -121,20 +121,19 @@ def read_stiffness(value: Any) -> tuple[Matrix, float]:
     if np.any(diagonal < 0):
         j = int(np.argmin(diagonal))
         raise InvalidProblem(f"stiffness: expected positive semidefinite, got K[{j}, {j}] = {diagonal[j]:.6g}")
-    coo = K.tocoo()
-    root = np.sqrt(diagonal)
-    pair = root[coo.row] * root[coo.col]
-    outside = np.abs(coo.data) > (1 + SYMMETRY_TOLERANCE) * pair
+    row, root = np.repeat(np.arange(n), np.diff(K.indptr)), np.sqrt(diagonal)
+    pair = root[row] * root[K.indices]
+    outside = np.abs(K.data) > (1 + SYMMETRY_TOLERANCE) * pair
     if np.any(outside):
         at = int(np.flatnonzero(outside)[0])
-        i, j = int(coo.row[at]), int(coo.col[at])
+        i, j = int(row[at]), int(K.indices[at])
         raise InvalidProblem(
-            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(coo.data[at]):.6g} "
+            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(K.data[at]):.6g} "
             f"exceeds sqrt(K[{i}, {i}] K[{j}, {j}]) = {pair[at]:.6g}"
         )
-    difference = abs(K - K.T).tocoo()
     asymmetry = 0.0
-    if difference.nnz:
+    if not _symmetric(K):
+        difference = abs(K - K.T).tocoo()
         relative = difference.data / (root[difference.row] * root[difference.col])
         worst = int(np.argmax(relative))
         asymmetry = float(relative[worst])
@@ -150,6 +149,13 @@ def read_stiffness(value: Any) -> tuple[Matrix, float]:
     if dense:
         return _frozen(K.toarray()), asymmetry
     return sp.csc_array(K), asymmetry
+
+
+def _symmetric(K: Any) -> bool:
+    """To the last digit, K in canonical CSR."""
+    other = K.T.tocsr()
+    pairs = ((K.indptr, other.indptr), (K.indices, other.indices), (K.data, other.data))
+    return all(np.array_equal(a, b) for a, b in pairs)
 
 
 def _refuse_indefinite(K: NDArray[np.float64]) -> None:

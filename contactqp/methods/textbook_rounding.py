@@ -10,6 +10,7 @@ import numpy as np
 from contactqp.methods.floating_bodies import FloatingBodies
 from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING
 from contactqp.problem import ContactProblem, Matrix, Vector
+from contactqp.row_sizes import row_sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class Sizes:
         """
         meeting = self.stiffness @ np.abs(displacement) + self.problem.load_size
         for rows, force in pushes:
-            meeting = meeting + abs(rows).T @ np.abs(force)
+            meeting = meeting + row_sizes(self.problem, rows).transposed @ np.abs(force)
         return np.asarray(meeting)
 
     def noise(self, displacement: Vector, forces: Vector) -> Noise:
