@@ -13,7 +13,24 @@ from contactqp.errors import InvalidProblem
 
 
 @dataclass(frozen=True)
-class AtMost:
+class _Bound:
+    """A form and a number; the force of the constraint is its multiplier."""
+
+    name: str
+    form: Form
+    bound: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "form", read_form(self.name, self.form))
+        object.__setattr__(self, "bound", read_number(f"{self.name}: bound", self.bound))
+
+    def state(self, found: Found) -> PartState:
+        force = found.multiplier[self.name]
+        return PartState(found.value(self.form), force, "active" if force > 0 else "inactive")
+
+
+@dataclass(frozen=True)
+class AtMost(_Bound):
     """form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
 
     Raises
@@ -22,22 +39,12 @@ class AtMost:
         The form or the bound is none.
     """
 
-    name: str
-    form: Form
-    bound: float
-
-    def __post_init__(self) -> None:
-        _read(self)
-
     def contribution(self) -> Contribution:
         return Contribution(unilateral=(Condition(self.name, self.form, self.bound),))
 
-    def state(self, found: Found) -> PartState:
-        return _bounded(found, self.name, self.form)
-
 
 @dataclass(frozen=True)
-class AtLeast:
+class AtLeast(_Bound):
     """form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
 
     Raises
@@ -46,22 +53,12 @@ class AtLeast:
         The form or the bound is none.
     """
 
-    name: str
-    form: Form
-    bound: float
-
-    def __post_init__(self) -> None:
-        _read(self)
-
     def contribution(self) -> Contribution:
         return Contribution(unilateral=(Condition(self.name, minus(self.form), -self.bound),))
 
-    def state(self, found: Found) -> PartState:
-        return _bounded(found, self.name, self.form)
-
 
 @dataclass(frozen=True)
-class Equal:
+class Equal(_Bound):
     """form(u) = bound: a support, or a constraint on several unknowns; its force is nu of K u + A'nu = f.
 
     Raises
@@ -70,12 +67,7 @@ class Equal:
         The form or the bound is none.
     """
 
-    name: str
-    form: Form
     bound: float = 0.0
-
-    def __post_init__(self) -> None:
-        _read(self)
 
     def contribution(self) -> Contribution:
         return Contribution(ties=(Condition(self.name, self.form, self.bound),))
@@ -156,13 +148,3 @@ class Obstacle:
         distance = min(condition.bound - found.value(condition.form) for condition in self._conditions)
         active = any(found.multiplier[condition.name] > 0 for condition in self._conditions)
         return PartState(distance, float(total), "active" if active else "inactive")
-
-
-def _read(part: AtMost | AtLeast | Equal) -> None:
-    object.__setattr__(part, "form", read_form(part.name, part.form))
-    object.__setattr__(part, "bound", read_number(f"{part.name}: bound", part.bound))
-
-
-def _bounded(found: Found, name: str, form: Form) -> PartState:
-    force = found.multiplier[name]
-    return PartState(found.value(form), force, "active" if force > 0 else "inactive")
