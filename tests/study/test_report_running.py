@@ -17,7 +17,7 @@ import pytest
 
 from contactqp.errors import SceneError
 from contactqp.study import rows
-from contactqp.study.report import picture, report
+from contactqp.study.report import report
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.running import Running
@@ -28,11 +28,6 @@ METHODS = ["active-set", "clarabel", "daqp", "penalty"]
 JOURNAL = "unfinished_report.jsonl"
 # What is measured is never the same twice.
 TIMES = dict(seconds=None, repeats=0)
-
-
-@pytest.fixture(autouse=True)
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, "can_draw", lambda: False)
 
 
 def _write(folder: Path, jobs: int, cases: Sequence[Path] = CASES, methods: Sequence[str] = METHODS) -> Any:
