@@ -17,7 +17,9 @@ import pytest
 
 from contactqp.errors import SceneError
 from contactqp.study import rows
-from contactqp.study.report import report
+from contactqp.study.answer_pictures import AnswerPictures
+from contactqp.study.footprint.footprint import Footprint
+from contactqp.study.report import case_cells, case_record, report
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.running import Running
@@ -27,7 +29,15 @@ CASES = [ROOT / "cases" / "two_bars.toml", ROOT / "cases" / "patch_two_blocks.to
 METHODS = ["active-set", "clarabel", "daqp", "penalty"]
 JOURNAL = "unfinished_report.jsonl"
 # What is measured is never the same twice.
-TIMES = dict(seconds=None, repeats=0)
+TIMES: dict[str, Any] = dict(seconds=None, repeats=0, linear_solve_seconds=None)
+
+
+@pytest.fixture(autouse=True)
+def nothing_but_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What runs in this process makes no page, pictures and footprints."""
+    monkeypatch.setattr(report, "missing_packages", lambda: "no page")
+    monkeypatch.setattr(case_record, "answer_pictures", lambda _: AnswerPictures(why_not="no pictures"))
+    monkeypatch.setattr(case_cells, "measure", lambda case, **_: Footprint(case, "active-set", failure="not measured"))
 
 
 def _write(folder: Path, jobs: int, cases: Sequence[Path] = CASES, methods: Sequence[str] = METHODS) -> Any:
@@ -61,15 +71,15 @@ def test_a_journal_cut_at_every_line_gives_the_same_table(tmp_path: Path, monkey
         patched.setattr(Journal, "remove", Journal.close)
         whole = _write(kept, 0, CASES[:1], METHODS[:2])
     lines = (kept / JOURNAL).read_bytes().splitlines(keepends=True)
-    assert len(lines) == 1 + 2 + 2 * len(whole.rows)  # head; truth and record; answer and time of each row
+    assert len(lines) == 1 + 4 + 2 * len(whole.rows)  # head; truth, record, linear solve, footprint; rows
     for count in range(len(lines)):
         folder = tmp_path / str(count)
         folder.mkdir()
         (folder / JOURNAL).write_bytes(b"".join(lines[:count]) + lines[count][: len(lines[count]) // 2])
         again = _write(folder, 0, CASES[:1], METHODS[:2])
         assert _timeless(again.rows) == _timeless(whole.rows)
-        assert again.summary == whole.summary
-        times = max(count - 3 - len(whole.rows), 0)
+        assert again.summary.cells() == whole.summary.cells()
+        times = max(count - 5 - len(whole.rows), 0)
         assert [row.seconds for row in again.rows[:times]] == [row.seconds for row in whole.rows[:times]]
         assert not (folder / JOURNAL).exists()
 
@@ -82,7 +92,7 @@ def test_a_changed_case_file_is_run_again_and_the_other_is_not(tmp_path: Path, m
     cases[0].write_text(cases[0].read_text().replace('value = "95 kN"', 'value = "96 kN"', 1))
     second = _write(tmp_path / "report", 0, cases, METHODS[:1])
     assert any(note.startswith("two_bars: changed") for note in second.notes)
-    assert "4 results were kept from a report that was interrupted" in second.notes
+    assert "6 results were kept from a report that was interrupted" in second.notes
     assert [row.verdict for row in second.rows] == [rows.WRONG, rows.RIGHT]
     assert second.rows[1] == first.rows[1]  # its time too
     assert second.exit_code == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,8 +24,9 @@ from contactqp.study.truth import Truth
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# Unknowns that make a cell twice as long as the smallest, roughly.
-DOUBLING = 100
+# What is expected of a cell, relative to one answer to a problem of a few unknowns: unknowns that make it twice that,
+# and what a record takes more than an answer, as it has pictures.
+DOUBLING, PICTURES = 100, 30
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def truth_cell(study: CaseStudy) -> Cell:
 
 def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
     """Finds what is told of a case besides its rows."""
-    return _cell(study, "record", make_record, (ticket_of(study), truth), CaseRecord)
+    cell = _cell(study, "record", make_record, (ticket_of(study), truth), CaseRecord)
+    return replace(cell, cost=PICTURES + 2 * cell.cost)
 
 
 def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Rung, Cell]]:
