@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import _thread
 import json
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
+# Seconds after which a Ctrl-C that was ignored is repeated.
+ONCE_MORE = 0.05
 # Of one cell of a report [s].
 TIME_LIMIT = 600.0
 
@@ -338,11 +342,22 @@ def _exit_code(error: ContactQPError) -> int:
     return BAD_INPUT if isinstance(error, SceneError | InvalidProblem | Unsupported) else NOT_MET
 
 
+def _insist(ignored: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C where Python lets no exception through, as in a callback of an import, comes once more after that."""
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        # From another thread, a moment later: here it would be ignored again.
+        threading.Timer(ONCE_MORE, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(ignored)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line, on `sys.argv` by default; every error of contactqp is one line and an exit code."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
             stream.reconfigure(errors="replace")
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _insist
     try:
         command(arguments, prog_name="contactqp", standalone_mode=False)
     except ContactQPError as error:

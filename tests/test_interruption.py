@@ -62,6 +62,23 @@ def test_ctrl_c_while_a_picture_is_written_leaves_nothing(monkeypatch, capsys, t
     assert old.read_bytes() == b"the picture of the last time"
 
 
+def test_ctrl_c_where_python_lets_nothing_through_comes_again(monkeypatch, capsys):
+    class Careless:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    def load(_):
+        careless = Careless()
+        del careless
+        for _ in range(500):
+            time.sleep(0.01)
+        raise AssertionError("nothing was interrupted")
+
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    monkeypatch.setattr("contactqp.scene.loading.load_scene", load)
+    stopped(capsys, "run", WALL)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
 def test_a_process_that_is_interrupted_says_so_and_goes(tmp_path):
     """A motion of a few seconds, stopped in its imports or its steps."""
