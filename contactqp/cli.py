@@ -260,8 +260,8 @@ def report_command(
     Answers are found side by side, then timed one after the other. What is found streams to DIR; a report that was
     interrupted goes on from there by the same command.
 
-    With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write stability.csv and
-    stability.json to DIR.
+    With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write
+    stability.html, stability.csv and stability.json to DIR.
     """
     from contactqp.study.running.running import Running
 
@@ -271,9 +271,9 @@ def report_command(
 
         codes.append(report(cases, output, running))
     if stability:
-        from contactqp.study.stability.study import report_stability
+        from contactqp.study.stability.report import report_stability
 
-        codes.append(report_stability(output))
+        codes.append(report_stability(output, running))
     sys.exit(max(codes))
 
 

@@ -118,18 +118,20 @@
   }
 
   const form = byId("choices");
-  form.addEventListener("input", filter);
-  form.addEventListener("submit", (event) => event.preventDefault());
-  form.addEventListener("reset", () => setTimeout(filter));
-  for (const button of all("button[data-all]")) {
-    button.addEventListener("click", () => {
-      for (const box of all("input", button.closest("fieldset"))) box.checked = Boolean(button.dataset.all);
-      filter();
-    });
+  if (form) {
+    form.addEventListener("input", filter);
+    form.addEventListener("submit", (event) => event.preventDefault());
+    form.addEventListener("reset", () => setTimeout(filter));
+    for (const button of all("button[data-all]")) {
+      button.addEventListener("click", () => {
+        for (const box of all("input", button.closest("fieldset"))) box.checked = Boolean(button.dataset.all);
+        filter();
+      });
+    }
+    const openAll = (open) => cases.forEach((one) => { one.open = open; });
+    byId("open-all").addEventListener("click", () => openAll(true));
+    byId("close-all").addEventListener("click", () => openAll(false));
   }
-  const openAll = (open) => cases.forEach((one) => { one.open = open; });
-  byId("open-all").addEventListener("click", () => openAll(true));
-  byId("close-all").addEventListener("click", () => openAll(false));
 
   // A link to a case opens it.
   function openTarget() {

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.study.page.case_view import CaseView, case_view
 from contactqp.study.page.mathematics import mathml
-from contactqp.study.page.section import Section
 from contactqp.study.page.tables import FACETS, Line, Table, facets_of, marked, plain_table, table_of_chart
 from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
@@ -69,7 +68,6 @@ def render(
     data: ReportData,
     overview: Sequence[Chart] = (),
     by_case: Mapping[str, Sequence[Chart]] | None = None,
-    stability: Sequence[Section] = (),
     notes: Sequence[str] = (),
 ) -> str:
     """The page.
@@ -80,8 +78,6 @@ def render(
     overview : sequence of Chart
         About all cases together.
     by_case : mapping of case names to sequences of Chart
-    stability : sequence of Section
-        Of the study of stability, where it was made.
     notes : sequence of str
         Limitations of this report, besides those of any.
 
@@ -90,6 +86,25 @@ def render(
     ModuleNotFoundError
         One of `NEEDED` is not installed; `missing_packages` says so before.
     """
+    return filled(
+        "page.html",
+        data=data,
+        overview=items("all", overview),
+        views=tuple(_views(data, by_case or {})),
+        tiles=_tiles(data),
+        parts=_parts(bool(overview)),
+        facets=_facets(data),
+        methods=_methods(data),
+        columns=plain_table("columns of the tables", ("column of results.csv", "meaning"), COLUMNS.items()),
+        verdicts=plain_table("verdicts", ("verdict", "meaning"), ((marked(v), text) for v, text in VERDICTS.items())),
+        facts=tuple(fact_tables(data.facts)),
+        command=shlex.join(["contactqp", "report", *(case.file for case in data.cases)]),
+        notes=notes,
+    )
+
+
+def filled(template: str, **values: object) -> str:
+    """A template with its values, the style, the script and Plotly."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
@@ -102,24 +117,8 @@ def render(
         lstrip_blocks=True,
     )
     templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
-    return templates.get_template("page.html").render(
-        data=data,
-        css=Markup(_own("page.css")),
-        script=Markup(_own("page.js")),
-        plotly=Markup(get_plotlyjs()),
-        overview=_items("all", overview),
-        stability=tuple(_sections(stability)),
-        views=tuple(_views(data, by_case or {})),
-        tiles=_tiles(data),
-        parts=_parts(bool(overview), bool(stability)),
-        facets=_facets(data),
-        methods=_methods(data),
-        columns=plain_table("columns of the tables", ("column of results.csv", "meaning"), COLUMNS.items()),
-        verdicts=plain_table("verdicts", ("verdict", "meaning"), ((marked(v), text) for v, text in VERDICTS.items())),
-        facts=tuple(_facts(data.facts)),
-        command=shlex.join(["contactqp", "report", *(case.file for case in data.cases)]),
-        notes=notes,
-    )
+    whole = dict(css=Markup(_own("page.css")), script=Markup(_own("page.js")), plotly=Markup(get_plotlyjs()))
+    return templates.get_template(template).render(**whole, **values)
 
 
 def _own(name: str) -> str:
@@ -129,13 +128,13 @@ def _own(name: str) -> str:
 def _views(
     data: ReportData, by_case: Mapping[str, Sequence[Chart]]
 ) -> Iterator[tuple[CaseView, tuple[ChartItem, ...]]]:
-    anchors = _anchors(f"case-{case.name}" for case in data.cases)
+    anchors = anchors_of(f"case-{case.name}" for case in data.cases)
     for anchor, case in zip(anchors, data.cases, strict=True):
         charts = by_case.get(case.name, ())
-        yield case_view(anchor, case, data.rows_of(case.name)), _items(anchor, charts)
+        yield case_view(anchor, case, data.rows_of(case.name)), items(anchor, charts)
 
 
-def _anchors(names: Iterable[str]) -> list[str]:
+def anchors_of(names: Iterable[str]) -> list[str]:
     """An identifier for each name, all different, that an address can hold."""
     found: list[str] = []
     for name in names:
@@ -144,27 +143,13 @@ def _anchors(names: Iterable[str]) -> list[str]:
     return found
 
 
-def _items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
-    anchors = _anchors(f"{anchor}-{chart.name}" for chart in charts)
+def items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
+    """Charts, each with its place on the page."""
+    anchors = anchors_of(f"{anchor}-{chart.name}" for chart in charts)
     return tuple(
         ChartItem(place, chart, _json(chart.figure) if chart.figure else None, table_of_chart(chart))
         for place, chart in zip(anchors, charts, strict=True)
     )
-
-
-@dataclass(frozen=True)
-class SectionView:
-    """A section, ready for its template."""
-
-    section: Section
-    charts: tuple[ChartItem, ...]
-    tables: tuple[tuple[str, Table], ...]  # with their titles
-
-
-def _sections(sections: Sequence[Section]) -> Iterator[SectionView]:
-    for number, section in enumerate(sections, start=1):
-        tables = ((table.title, plain_table(table.title, table.headings, table.lines)) for table in section.tables)
-        yield SectionView(section, _items(f"stability-{number}", section.charts), tuple(tables))
 
 
 def _json(figure: Mapping[str, Any]) -> Markup:
@@ -188,11 +173,10 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
     )
 
 
-def _parts(overview: bool, stability: bool) -> tuple[tuple[str, str], ...]:
+def _parts(overview: bool) -> tuple[tuple[str, str], ...]:
     parts = (
         ("overview", "All cases together", overview),
         ("methods", "Methods", True),
-        ("stability", "Stability", stability),
         ("cases", "Cases", True),
         ("meaning", "Columns and verdicts", True),
         ("limitations", "Limitations", True),
@@ -222,7 +206,7 @@ def _methods(data: ReportData) -> Table:
     return Table("methods", tuple(headings), tuple(Line(tuple(line), {"method": line[0]}) for line in lines))
 
 
-def _facts(facts: Mapping[str, Any]) -> Iterator[Table]:
+def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:
     """One table for each group, and one for what is in none."""
     alone = {name: value for name, value in facts.items() if not isinstance(value, Mapping)}
     groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}

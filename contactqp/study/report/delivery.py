@@ -37,7 +37,7 @@ def report_folder(folder: str | Path) -> Path:
 
 
 @contextmanager
-def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool) -> Iterator[Journal]:
+def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool, name: str = JOURNAL) -> Iterator[Journal]:
     """The journal of this folder's report, removed when the report is finished and kept when it is not.
 
     Raises
@@ -45,7 +45,7 @@ def unfinished(folder: Path, conditions: Mapping[str, Any], fresh: bool) -> Iter
     SceneError
         The folder cannot be written, or another report is being written to it.
     """
-    journal = Journal(folder / JOURNAL, conditions, fresh)
+    journal = Journal(folder / name, conditions, fresh)
     for left_behind in folder.glob(f"{_WORKSHOP}*"):
         shutil.rmtree(left_behind, ignore_errors=True)
     try:
@@ -70,7 +70,7 @@ def write(file: Path, text: str) -> None:
 
 def deliver(shop: Path, folder: Path) -> tuple[Path, ...]:
     """Every file is moved in one step; the page comes last."""
-    made = sorted(shop.iterdir(), key=lambda file: (file.name == "index.html", file.suffix, file.name))
+    made = sorted(shop.iterdir(), key=lambda file: (file.suffix == ".html", file.suffix, file.name))
     for file in made:
         os.replace(file, folder / file.name)
     return tuple(folder / file.name for file in made)

@@ -62,6 +62,11 @@ class Journal:
             self._stream.truncate(0)
             self._write(head)
 
+    @property
+    def count(self) -> int:
+        """How many results there are."""
+        return len(self._kept)
+
     def find(self, cell: Cell) -> Result | None:
         """What was kept of a cell; None where nothing was, or only of another state of its case."""
         kept = self._kept.get(cell.key)

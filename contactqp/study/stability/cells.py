@@ -17,6 +17,8 @@ from contactqp.study import rows as report_rows
 from contactqp.study.attempt import answer
 from contactqp.study.rows import Row
 from contactqp.study.rungs import DEFAULT_TOLERANCE, Rung, chosen_methods, contact_stiffness
+from contactqp.study.running.cells import Cell as RunningCell
+from contactqp.study.running.cells import Crash
 from contactqp.study.stability.axes import AXES, find_axis
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.condition import Prediction, predict
@@ -60,6 +62,21 @@ def cells(axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None) -> 
                 yield Cell(axis.name, value, method.name)
                 if axis.knobs and "update" in method.options:
                     yield Cell(axis.name, value, method.name, "uzawa")
+
+
+def runnable(cell: Cell) -> RunningCell:
+    """The cell as what runs cells takes it."""
+    return RunningCell(cell.key, stability_row, cell.arguments, StabilityRow)
+
+
+def row_of(cell: Cell, found: StabilityRow | Crash) -> StabilityRow:
+    """The row of a cell; of one whose process died, what is known of it all the same."""
+    if not isinstance(found, Crash):
+        return found
+    [chosen] = chosen_methods([cell.method])
+    known: dict[str, Any] = dict(axis=cell.axis, value=cell.value, label=find_axis(cell.axis).label(cell.value))
+    known |= dict(method=chosen.name, kind=chosen.kind, promises_exact=chosen.exact, variant=cell.variant)
+    return StabilityRow(**known, verdict=report_rows.CRASHED, message=found.message)
 
 
 def stability_row(axis: str, value: float, method: str, variant: str = "") -> StabilityRow:

@@ -1,30 +1,19 @@
-"""The study: all cells, what they come to, its files, and its words on the terminal."""
+"""The study: its axes and rows, what they come to, as JSON and in words."""
 
 from __future__ import annotations
 
-import datetime
 import json
-import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from contactqp.errors import SceneError
 from contactqp.study import rows as report_rows
-from contactqp.study.report.machine import machine, versions
 from contactqp.study.rows import aligned
-from contactqp.study.rungs import chosen_methods
-from contactqp.study.stability.axes import AXES
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.best_penalty import of_truss
-from contactqp.study.stability.cells import PATIENCE, STIFFENING, cells, stability_row
 from contactqp.study.stability.ranges import SafeRange, safe_ranges
-from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts, to_csv
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts
 
 SCHEMA, SCHEMA_VERSION = "contactqp-stability", 1
 
@@ -86,43 +75,6 @@ class StabilityStudy:
         )
 
 
-def run_study(
-    axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None, *, progress: bool = False
-) -> StabilityStudy:
-    """Every method at every value of every axis, one cell after the other."""
-    todo = list(cells(axes, methods))
-    with _progress(progress) as bar:
-        task = bar.add_task("", total=len(todo))
-        found = []
-        for cell in todo:
-            bar.update(task, description=f"stability: {cell.axis}")
-            found.append(stability_row(*cell.arguments))
-            bar.advance(task)
-    return study_of(found, axes, methods)
-
-
-def study_of(
-    rows: Sequence[StabilityRow], axes: Sequence[Axis] = AXES, methods: Sequence[str] | None = None
-) -> StabilityStudy:
-    """A study of rows, wherever they were made."""
-    facts: dict[str, Any] = dict(
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        machine=machine(),
-        versions=versions(chosen_methods(methods)),
-        settings=dict(patience=PATIENCE, stiffening=STIFFENING),
-        seeds="none: nothing is random",
-    )
-    return StabilityStudy(tuple(axes), tuple(rows), facts)
-
-
-def _progress(shown: bool) -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown)
-
-
 def as_json(study: StabilityStudy) -> str:
     """stability.json."""
     written = dict(schema=SCHEMA, schema_version=SCHEMA_VERSION, **study.facts)
@@ -149,36 +101,6 @@ def _axis(study: StabilityStudy, axis: Axis) -> dict[str, Any]:
     known: dict[str, Any] = dict(name=axis.name, title=axis.title, quantity=axis.quantity, about=axis.about)
     known |= dict(values=list(axis.values), labels=list(axis.labels))
     return known | dict(ranges=[asdict(found) for found in study.ranges(axis)])
-
-
-def write_study(study: StabilityStudy, output: str | Path) -> tuple[Path, ...]:
-    """stability.csv and stability.json in a folder, made if need be; each appears complete or not at all.
-
-    Raises
-    ------
-    SceneError
-        The folder cannot be written.
-    """
-    folder = Path(output)
-    texts = {"stability.csv": to_csv(study.rows), "stability.json": as_json(study)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            unfinished = folder / f".{name}.part"
-            unfinished.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(unfinished, folder / name)
-    except OSError as error:
-        raise SceneError(f"{folder}: expected a folder that can be written, got: {error.strerror}") from None
-    return tuple(folder / name for name in texts)
-
-
-def report_stability(output: str) -> int:
-    """The study of the command line: runs, writes, says what it found, and returns the exit code."""
-    study = run_study(progress=True)
-    files = write_study(study, output)
-    print("\n".join(lines(study)))
-    print(f"written: {', '.join(str(file) for file in files)}")
-    return study.exit_code
 
 
 def lines(study: StabilityStudy) -> Iterator[str]:

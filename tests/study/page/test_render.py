@@ -15,6 +15,7 @@ import pytest
 from contactqp.study import rows
 from contactqp.study.footprint.footprint import Footprint, StageTime
 from contactqp.study.page import render as pages
+from contactqp.study.page.study_page import render_study
 from contactqp.study.page.tables import MARKS, marked
 from contactqp.study.report.chart import Chart
 from contactqp.study.rows import VERDICTS
@@ -192,14 +193,15 @@ def test_sections_of_another_study_and_a_chart_without_a_figure() -> None:
     told = Chart("ranges", "Safe ranges", "Where each method ends.", {}, ("method", "β"), (("penalty", "1e16"),))
     table = _Table("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
     section = _Section("Penalty stiffness", ("Best β: 1e12 <kN/m>.",), (told,), (table,))
-    found = Page(pages.render(data_of("bar_wall"), stability=(section,)))
+    tiles = (pages.Tile(3, "rows", "of one axis"),)
+    found = Page(render_study((section,), tiles, {"axis": "which"}, {"seeds": "none"}, "contactqp report --stability"))
     said = " ".join(found.texts)
     assert all(
-        text in said for text in ("Penalty stiffness", "Best β: 1e12 <kN/m>.", "Safe ranges", "1e16", "all digits")
+        text in said
+        for text in ("Penalty stiffness", "Best β: 1e12 <kN/m>.", "Safe ranges", "1e16", "all digits", "of one axis")
     )
     assert not [a for a in found.all("div") if a.get("class") == "plot"]
-    assert {"href": "#stability"} in found.all("a")
-    assert not Page(pages.render(data_of("bar_wall"))).all("h2", id="stability")
+    assert {"href": "#part-Penalty-stiffness"} in found.all("a")
 
 
 def test_what_one_answer_takes() -> None:
@@ -216,7 +218,7 @@ def test_what_one_answer_takes() -> None:
 
 
 def test_two_cases_with_one_name_after_all() -> None:
-    assert pages._anchors(["a b", "a/b", "a-b", "ü"]) == ["a-b", "a-b-1", "a-b-2", "-"]
+    assert pages.anchors_of(["a b", "a/b", "a-b", "ü"]) == ["a-b", "a-b-1", "a-b-2", "-"]
 
 
 def test_what_is_missing_is_said_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,24 +20,37 @@ from contactqp.cli import command
 from contactqp.methods.method import Method, Settings
 from contactqp.solution import Candidate
 from contactqp.study import rows as report_rows
-from contactqp.study.stability import study as study_module
+from contactqp.study.running.cells import Crash
+from contactqp.study.running.stopping import Stopped
+from contactqp.study.stability import cells as cells_module
+from contactqp.study.stability import report as report_module
 from contactqp.study.stability.axes import AXES, find_axis
-from contactqp.study.stability.cells import cells, stability_row
+from contactqp.study.stability.cells import cells, row_of, stability_row
 from contactqp.study.stability.heat_maps import LETTERS
 from contactqp.study.stability.ranges import safe_ranges
+from contactqp.study.stability.report import page_of, write_stability
 from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, digits_lost
 from contactqp.study.stability.sections import stability_charts, stability_sections
-from contactqp.study.stability.study import StabilityStudy, lines, run_study, write_study
+from contactqp.study.stability.study import StabilityStudy, lines
 
 ROOT = Path(__file__).parents[3]
 FEW = ("active-set", "penalty", "lagrange-multiplier", "pyqpmad")
 
 
 @pytest.fixture(scope="module")
-def small() -> StabilityStudy:
-    """Few values of each axis, few methods."""
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[StabilityStudy, Path]:
+    """Few values of each axis, few methods; and the folder that it was written to."""
+    folder = tmp_path_factory.mktemp("stability") / "out"
     axes = [dataclasses.replace(axis, values=axis.values[:: max(1, len(axis.values) // 3)][:4]) for axis in AXES[:4]]
-    return run_study(axes, FEW)
+    study, files, notes = write_stability(folder, axes, FEW)
+    assert {file.parent for file in files} == {folder}
+    assert not notes
+    return study, folder
+
+
+@pytest.fixture(scope="module")
+def small(written: tuple[StabilityStudy, Path]) -> StabilityStudy:
+    return written[0]
 
 
 def test_every_method_is_tried_at_every_value_or_the_row_says_why() -> None:
@@ -91,7 +104,7 @@ def test_an_equilibrium_that_does_not_exist_is_refused() -> None:
     assert "drives a rigid motion" in row.message
 
 
-def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
         return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
 
@@ -104,7 +117,7 @@ def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr("contactqp.solving.certify", blind)
     axis = dataclasses.replace(find_axis("mesh-grading"), values=(1.0,))
-    study = run_study([axis], ["liar"])
+    study, _, _ = write_stability(tmp_path, [axis], ["liar"])
     assert [row.verdict for row in study.rows] == [report_rows.WRONG]
     assert study.exit_code == 1
     assert any("WRONG BUT PASSED" in line for line in lines(study))
@@ -138,22 +151,22 @@ def test_digits_are_those_of_a_double() -> None:
     assert digits_lost(None) is None
 
 
-def test_files_hold_the_rows_and_their_columns(small: StabilityStudy, tmp_path: Path) -> None:
-    write_study(small, tmp_path / "out")
-    data = json.loads((tmp_path / "out" / "stability.json").read_text(encoding="utf-8"))
+def test_files_hold_the_rows_and_their_columns(written: tuple[StabilityStudy, Path], tmp_path: Path) -> None:
+    small, folder = written
+    data = json.loads((folder / "stability.json").read_text(encoding="utf-8"))
     assert (data["schema"], data["schema_version"]) == ("contactqp-stability", 1)
     assert tuple(StabilityRow(**row) for row in data["rows"]) == small.rows
     assert data["columns"] == dict(COLUMNS)
     assert data["summary"]["wrong_but_passed"] == 0
     assert [axis["name"] for axis in data["axes"]] == [axis.name for axis in small.axes]
-    written = list(csv.DictReader(io.StringIO((tmp_path / "out" / "stability.csv").read_text(encoding="utf-8"))))
+    written = list(csv.DictReader(io.StringIO((folder / "stability.csv").read_text(encoding="utf-8"))))
     assert list(written[0]) == list(COLUMNS)
     assert len(written) == len(small.rows)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"stability.csv", "stability.json"}
+    assert {path.name for path in folder.iterdir()} == {"stability.csv", "stability.html", "stability.json"}
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(cq.SceneError, match="folder"):
-        write_study(small, blocked)
+        write_stability(blocked)
 
 
 def test_columns_verdicts_and_axes_are_documented() -> None:
@@ -199,11 +212,52 @@ def test_sections_say_where_ranges_end(small: StabilityStudy) -> None:
     assert any("predicted" in words for words in sections[1].words)
 
 
+def test_a_study_that_was_interrupted_goes_on(
+    written: tuple[StabilityStudy, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small, _ = written
+    calls: list[str] = []
+    honest = cells_module.stability_row
+
+    def stopped(axis: str, *arguments: Any) -> StabilityRow:
+        calls.append(axis)
+        if len(calls) == 10:
+            raise KeyboardInterrupt
+        return honest(axis, *arguments)
+
+    monkeypatch.setattr(cells_module, "stability_row", stopped)
+    axes = small.axes[-1:]
+    with pytest.raises(Stopped, match="9 rows found; the same command goes on from there"):
+        write_stability(tmp_path, axes, FEW)
+    assert [file.name for file in tmp_path.iterdir()] == ["unfinished_stability.jsonl"]
+    study, _, _ = write_stability(tmp_path, axes, FEW)
+    assert len(calls) == 10 + len(study.rows) - 9
+    timeless = [dataclasses.replace(row, seconds=None) for row in study.rows]
+    assert timeless == [dataclasses.replace(row, seconds=None) for row in small.rows_of(axes[0])]
+
+
+def test_a_cell_whose_process_died_is_a_row() -> None:
+    cell = next(iter(cells(methods=["osqp"])))
+    row = row_of(cell, Crash("died of a segmentation fault (SIGSEGV)"))
+    assert (row.verdict, row.method, row.axis) == (report_rows.CRASHED, "osqp", cell.axis)
+    assert "SIGSEGV" in row.message
+
+
+def test_the_page_has_every_axis_and_needs_nothing(small: StabilityStudy) -> None:
+    page = page_of(small)
+    assert all(axis.title in page for axis in small.axes)
+    assert "21.684" in page
+    assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=[\"']https?:", page)
+    assert "must be 0" not in page
+    wrong = dataclasses.replace(small, rows=(dataclasses.replace(small.rows[0], verdict=report_rows.WRONG),))
+    assert "must be 0" in page_of(wrong)
+
+
 def test_the_command_line_runs_the_study_alone(
     small: StabilityStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(study_module, "run_study", lambda **_: small)
+    monkeypatch.setattr(report_module, "write_stability", lambda output, **_: (small, (Path(output),), ("a note",)))
     done = CliRunner().invoke(command, ["report", "--stability", "-o", str(tmp_path / "found")])
     assert done.exit_code == 0
     assert "wrong but passed: 0" in done.output
-    assert {path.name for path in (tmp_path / "found").iterdir()} == {"stability.csv", "stability.json"}
+    assert "contactqp: a note" in done.stderr

@@ -1,0 +1,144 @@
+"""`contactqp report --stability`: the study run, written to a folder and told on a terminal."""
+
+from __future__ import annotations
+
+import datetime
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from contactqp.study.digest import source_digest
+from contactqp.study.page.render import Tile, missing_packages
+from contactqp.study.page.study_page import render_study
+from contactqp.study.report.delivery import deliver, report_folder, unfinished, workshop, write
+from contactqp.study.report.machine import machine, versions
+from contactqp.study.rungs import chosen_methods
+from contactqp.study.running.journal import Journal
+from contactqp.study.running.progress import Progress, progress
+from contactqp.study.running.runner import run_cells
+from contactqp.study.running.running import Running, workers_of
+from contactqp.study.running.stopping import Stopped, stopped_by_signals
+from contactqp.study.running.workers import Workers
+from contactqp.study.stability.axes import AXES
+from contactqp.study.stability.axis import Axis
+from contactqp.study.stability.cells import PATIENCE, STIFFENING, cells, row_of, runnable
+from contactqp.study.stability.rows import COLUMNS, StabilityRow, to_csv
+from contactqp.study.stability.sections import stability_sections
+from contactqp.study.stability.study import StabilityStudy, as_json, lines
+
+JOURNAL = "unfinished_stability.jsonl"
+# In this process, whose methods are those of its registry.
+HERE = Running(jobs=0)
+
+
+def report_stability(output: str, running: Running = HERE) -> int:
+    """The study of the command line: runs, writes, says what it found, and returns the exit code."""
+    try:
+        study, files, notes = write_stability(output, running=running)
+    except Stopped as stop:
+        print(f"contactqp: {stop}", file=sys.stderr)
+        return stop.code
+    for note in notes:
+        print(f"contactqp: {note}", file=sys.stderr)
+    print("\n".join(lines(study)))
+    print(f"written: {', '.join(map(str, files))}")
+    return study.exit_code
+
+
+def write_stability(
+    output: str | Path,
+    axes: Sequence[Axis] = AXES,
+    methods: Sequence[str] | None = None,
+    *,
+    running: Running = HERE,
+) -> tuple[StabilityStudy, tuple[Path, ...], tuple[str, ...]]:
+    """Every method at every value of every axis: stability.html, stability.csv and stability.json in a folder.
+
+    What is found streams to ``unfinished_stability.jsonl`` there; after an interruption the same call goes on.
+
+    Returns
+    -------
+    study, files, notes
+        What was found; what was written; what was left out, and why.
+
+    Raises
+    ------
+    SceneError
+        The folder cannot be written.
+    Stopped
+        By Ctrl-C or SIGTERM; it says how far it was.
+    """
+    folder = report_folder(output)
+    with stopped_by_signals(), workers_of(running) as workers:
+        facts = _facts(workers, methods)
+        conditions = facts | dict(source=source_digest())
+        with (
+            unfinished(folder, conditions, running.fresh, JOURNAL) as journal,
+            progress(running.shown) as bar,
+            _told_how_far(journal),
+        ):
+            rows = run_study(axes, methods, workers, journal, bar, running.time_limit)
+            created = dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
+            study = StabilityStudy(tuple(axes), rows, facts | created)
+            with workshop(folder) as shop:
+                write(shop / "stability.csv", to_csv(study.rows))
+                write(shop / "stability.json", as_json(study))
+                if not missing_packages():
+                    write(shop / "stability.html", page_of(study))
+                files = deliver(shop, folder)
+        notes = (*workers.notes, *journal.notes, *filter(None, [missing_packages()]))
+    return study, files, notes
+
+
+def run_study(
+    axes: Sequence[Axis],
+    methods: Sequence[str] | None,
+    workers: Workers,
+    journal: Journal,
+    bar: Progress,
+    time_limit: float,
+) -> tuple[StabilityRow, ...]:
+    """All cells, side by side: their times are no part of what is studied."""
+    todo = list(cells(axes, methods))
+    bar.part("stability", later=lambda: 0.0)
+    with workers.side_by_side() as crew:
+        found = run_cells([runnable(cell) for cell in todo], crew, journal, watcher=bar, time_limit=time_limit)
+    return tuple(row_of(cell, found[cell.key]) for cell in todo)
+
+
+@contextmanager
+def _told_how_far(journal: Journal) -> Iterator[None]:
+    """An interruption says what is done."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise Stopped(f"interrupted: {journal.count} rows found; the same command goes on from there", stop) from None
+
+
+def _facts(workers: Workers, methods: Sequence[str] | None) -> dict[str, Any]:
+    return dict(
+        machine=workers.ask(machine),
+        versions=workers.ask(partial(versions, chosen_methods(methods))),
+        settings=dict(patience=PATIENCE, stiffening=STIFFENING),
+        seeds="none: nothing is random",
+    )
+
+
+def page_of(study: StabilityStudy) -> str:
+    """stability.html."""
+    command = shlex.join(["contactqp", "report", "--stability"])
+    return render_study(stability_sections(study), _tiles(study), COLUMNS, study.facts, command)
+
+
+def _tiles(study: StabilityStudy) -> tuple[Tile, ...]:
+    wrong = len(study.wrong)
+    return (
+        Tile(wrong, "wrong but passed", "‼ must be 0" if wrong else "✓ no answer passes that is wrong", wrong > 0),
+        Tile(study.flags_wrong, "silently wrong", "answers that a backend by itself calls solved, and are not"),
+        Tile(len(study.refused_right), "right and refused", "answers right to 1e-6 that the certificate does not pass"),
+        Tile(len(study.rows), "rows", f"on {len(study.axes)} axes"),
+    )
