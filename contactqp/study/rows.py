@@ -139,6 +139,7 @@ def _parsed(name: str, cell: str) -> Any:
 READABLE: Mapping[str, str] = {
     "method": "method",
     "variant": "variant",
+    "condensed": "condensed",
     "knob": "knob",
     "knob_value": "value",
     "error_displacement": "error in u",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from contactqp.study.charts.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA
 from contactqp.study.page.case_view import CaseView, case_view
 from contactqp.study.page.mathematics import mathml
 from contactqp.study.page.tables import FACETS, Line, Table, facets_of, marked, plain_table, table_of_chart
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
 _LEGENDS = {"method": "Methods", "variant": "Variants", "verdict": "Verdicts"}
-_VARIANTS = {"final": "final answers", "raw": "raw answers, before polish", "Uzawa": "Uzawa's iteration"}
+_VARIANTS = {FINAL: "final answers", RAW: "raw answers, before polish", UZAWA: "Uzawa's iteration"}
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,13 @@ def _facets(data: ReportData) -> tuple[Facet, ...]:
 def _label(facet: str, value: str) -> str:
     if facet == "verdict":
         return marked(value)
-    return _VARIANTS.get(value, value) if facet == "variant" else value
+    return _variant_label(value) if facet == "variant" else value
+
+
+def _variant_label(value: str) -> str:
+    """The words of a variant; what is on all unknowns, though fewer would do, says so."""
+    variant = value.removesuffix(ALL_UNKNOWNS)
+    return _VARIANTS.get(variant, variant) + (ALL_UNKNOWNS if variant != value else "")
 
 
 def _methods(data: ReportData) -> Table:

@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from contactqp.study import rows
+from contactqp.study.charts.curves import variant_name
 from contactqp.study.report.chart import Chart
 from contactqp.study.rows import READABLE, Row, readable
+from contactqp.study.statistics.routes import Route
 
 # What the filters of a page choose by: of a row, by `meta` of a trace, by the headings of a chart's table.
 FACETS: Mapping[str, tuple[str, ...]] = {
@@ -15,8 +17,6 @@ FACETS: Mapping[str, tuple[str, ...]] = {
     "variant": ("answer", "variant"),
     "verdict": ("verdict",),
 }
-# A method that does not polish hands its answer over as it is.
-_VARIANTS: Mapping[str, str] = {"": "final", "polished": "final", "uzawa": "Uzawa"}
 # A verdict is told by its word and its sign, not by colour alone.
 MARKS: Mapping[str, str] = {
     rows.RIGHT: "✓",
@@ -71,8 +71,7 @@ def _line(row: Row, cells: list[str], shown: Sequence[str]) -> Line:
 
 def facets_of(row: Row) -> dict[str, str]:
     """What the filters choose a row by."""
-    variant = _VARIANTS.get(row.variant, row.variant)
-    return {"method": row.method, "variant": variant, "verdict": row.verdict}
+    return {"method": row.method, "variant": variant_name(Route.of(row)), "verdict": row.verdict}
 
 
 def table_of_chart(chart: Chart) -> Table | None:
