@@ -48,6 +48,21 @@ def variant_name(route: Route) -> str:
     return VARIANTS.get(route.variant, route.variant) + (ALL_UNKNOWNS if route.whole else "")
 
 
+# What all traces of such a figure have, once: Plotly's template of a layout.
+TEMPLATE: Mapping[str, Any] = dict(
+    data=dict(
+        scatter=[
+            dict(
+                hovertemplate="<b>%{fullData.meta.method}</b>, %{fullData.meta.variant}<br>%{customdata[0]}<br>"
+                "error in u %{customdata[1]}, in λ %{customdata[2]}<br>%{x} ms; %{customdata[3]}<extra></extra>",
+                textposition="middle center",
+                textfont=dict(size=14),
+            )
+        ]
+    )
+)
+
+
 def traces(drawn: Sequence[Curve], error: str, stiffness: str) -> list[dict[str, Any]]:
     """One trace for each curve; each method is in the legend once. `stiffness` is the unit of penalties."""
     first = {curve.route.method: i for i, curve in reversed(list(enumerate(drawn)))}
@@ -61,8 +76,6 @@ def _trace(curve: Curve, error: str, stiffness: str) -> dict[str, Any]:
     route, style = curve.route, method_style(curve.route.method)
     marks = [MARKS.get(row.verdict, "") for row in curve.points]
     mode = "lines+markers+text" if any(marks) else "lines+markers"
-    told = f"<b>{route.method}</b>, {variant_name(route)}"
-    numbers = "error in u %{customdata[1]}, in λ %{customdata[2]}<br>%{x} ms; %{customdata[3]}"
     drawn: dict[str, Any] = dict(
         type="scatter",
         mode=mode,
@@ -71,12 +84,11 @@ def _trace(curve: Curve, error: str, stiffness: str) -> dict[str, Any]:
         x=[rounded(1e3 * (row.seconds or 0.0)) for row in curve.points],
         y=[rounded(max(getattr(row, error), FLOOR)) for row in curve.points],
         customdata=[hover(row, stiffness) for row in curve.points],
-        hovertemplate=f"{told}<br>%{{customdata[0]}}<br>{numbers}<extra></extra>",
         line=line(style.colour, route.variant, route.whole),
         marker=marker(style.colour, style.symbol, route.variant, route.whole),
         meta=meta(route.method, variant_name(route)),
     )
-    return drawn | (dict(text=marks, textposition="middle center", textfont=dict(size=14)) if any(marks) else {})
+    return drawn | (dict(text=marks) if any(marks) else {})
 
 
 def hover(row: Row, stiffness: str) -> list[str]:

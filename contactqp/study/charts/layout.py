@@ -18,7 +18,7 @@ METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the name
 
 def on_cases(cases: Sequence[str]) -> str:
     """The problems that a chart of many cases rests on."""
-    return f"On the {plural(len(cases), 'case')} that every method was put to and whose exact answer is known."
+    return f"On the {plural(len(cases), 'case')} with a known answer that every installed method was put to."
 
 
 def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:

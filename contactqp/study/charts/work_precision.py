@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.study import rows
-from contactqp.study.charts.curves import FLOOR, TABLE, cells, curves, keys, traces
+from contactqp.study.charts.curves import FLOOR, TEMPLATE, curves, keys, traces
 from contactqp.study.charts.layout import layout, legend, log_axis, vertical_line
-from contactqp.study.charts.numbers import error_text, milliseconds, plural
+from contactqp.study.charts.numbers import milliseconds, plural
 from contactqp.study.charts.style import GREY
 from contactqp.study.report.case_record import CaseRecord
 from contactqp.study.report.chart import Chart
@@ -42,7 +42,10 @@ QUANTITIES = (
 
 
 def case_charts(data: ReportData, case: CaseRecord) -> tuple[Chart, ...]:
-    """Error in u and in λ against run time; none where nothing could be measured."""
+    """Error in u and in λ against run time; none where nothing could be measured.
+
+    They have no tables: their numbers are the case's rows, which a page shows once.
+    """
     mine = data.rows_of(case.name)
     charts = (_case_chart(mine, case, quantity) for quantity in QUANTITIES)
     return tuple(chart for chart in charts if chart is not None)
@@ -61,14 +64,13 @@ def _case_chart(mine: Sequence[Row], case: CaseRecord, quantity: Quantity) -> Ch
         title=f"{case.title}: {quantity.title} against run time",
         caption=" ".join(filter(None, (_CAPTION, _limit_text(case.linear_solve), _without_points(mine, quantity)))),
         figure=figure,
-        headings=(*TABLE, f"error in {quantity.name}, {unit}", "verdict"),
-        lines=table(mine, quantity, f"{force}/{length}"),
     )
 
 
 _CAPTION = (
     "Lower is more exact, further left is faster. Each curve is one method, from one value of its knob (tolerance, "
-    "penalty, iterations) to the next. Run times are those to the answer, without its certificate."
+    "penalty, iterations) to the next. Run times are those to the answer, without its certificate. "
+    "All numbers stand in the table of the case's answers."
 )
 
 
@@ -107,6 +109,7 @@ def work_precision(
         log_axis(TIME_AXIS, times),
         log_axis(f"true error in {quantity.name}, {unit}", errors),
         HEIGHT,
+        template=TEMPLATE,
         shapes=[found for found in (band, shape) if found],
         annotations=[found for found in (floor, label) if found],
         legend=legend("Methods"),
@@ -125,15 +128,6 @@ def _rounding(unit: str) -> tuple[dict[str, Any], dict[str, Any]]:
     band = dict(type="rect", xref="paper", yref="y", x0=0, x1=1, y0=FLOOR / 10, y1=ROUNDING, layer="below")
     filled = dict(**band, fillcolor=GREY, opacity=0.15, line=dict(width=0))
     return filled, dict(**place, text=f"no error in double precision; {text}")
-
-
-def table(drawn_rows: Sequence[Row], quantity: Quantity, stiffness: str) -> tuple[tuple[str, ...], ...]:
-    """All rows, those without an error too."""
-    return tuple(
-        (*cells(row, stiffness), error_text(getattr(row, quantity.column)), row.verdict)
-        for row in drawn_rows
-        if row.verdict != rows.MISSING
-    )
 
 
 def _without_points(mine: Sequence[Row], quantity: Quantity) -> str:

@@ -35,6 +35,14 @@ def median_rows(all_rows: Sequence[Row]) -> tuple[Row, ...]:
     return tuple(found)
 
 
+def median_limit(all_rows: Sequence[Row]) -> float | None:
+    """The median over `median_cases` of one linear solve [s]; None if one of them has none."""
+    cases = median_cases(all_rows)
+    limits = {row.case: row.linear_solve_seconds for row in all_rows if row.case in cases}
+    known = [limit for limit in limits.values() if limit is not None]
+    return statistics.median(known) if known and len(known) == len(limits) else None
+
+
 def _median_row(route: Route, group: Sequence[Row]) -> Row:
     one = group[0]
     return Row(

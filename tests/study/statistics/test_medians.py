@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from contactqp.study.rows import Row
-from contactqp.study.statistics.medians import median_cases, median_rows
+from contactqp.study.statistics.medians import median_cases, median_limit, median_rows
 from tests.study.statistics.examples import gave_up, right
 
 RUNG: dict[str, Any] = dict(variant="raw", knob="tolerance", knob_value=1e-3)
@@ -35,3 +36,10 @@ def test_absolute_errors_and_rungs_of_few_cases_are_left_out() -> None:
     assert [row.knob_value for row in median_rows(rows)] == [1e-3]
     rows.append(right("a", "m", 1.0, knob="penalty", knob_value=1e3))
     assert [row.knob for row in median_rows(rows)] == ["tolerance"]
+
+
+def test_the_limit_is_a_median_too_and_is_known_of_all_cases_or_not_at_all() -> None:
+    limits = dict(a=1e-3, b=5e-3, c=2e-3)
+    rows = [replace(row, linear_solve_seconds=limits[row.case]) for row in _three(3.0, 1.0, 2.0)]
+    assert median_limit(rows) == 2e-3
+    assert median_limit([*rows[:2], replace(rows[2], linear_solve_seconds=None)]) is None
