@@ -10,7 +10,7 @@ from typing import Any
 from contactqp.study import rows
 from contactqp.study.charts.curves import FLOOR, TEMPLATE, curves, keys, traces
 from contactqp.study.charts.layout import layout, legend, log_axis, vertical_line
-from contactqp.study.charts.numbers import milliseconds, plural
+from contactqp.study.charts.numbers import milliseconds
 from contactqp.study.charts.style import GREY
 from contactqp.study.report.case_record import CaseRecord
 from contactqp.study.report.chart import Chart
@@ -135,7 +135,7 @@ def _without_points(mine: Sequence[Row], quantity: Quantity) -> str:
     missing = [row.method for row in mine if row.verdict == rows.MISSING]
     lacking = [row for row in mine if getattr(row, quantity.column) is None or row.seconds is None]
     verdicts = Counter(row.verdict for row in lacking if row.verdict != rows.MISSING)
-    said = [f"No point have {plural(sum(verdicts.values()), 'answer')}: {_listed(verdicts)}."] if verdicts else []
+    said = [f"Answers without a point: {_listed(verdicts)}."] if verdicts else []
     return " ".join(said + ([f"Not installed: {', '.join(dict.fromkeys(missing))}."] if missing else []))
 
 

@@ -30,11 +30,6 @@ class Rates:
     certified: int  # of these, that the certificate passed
     wrong_but_passed: int  # of `certified`, that are wrong: must be 0
 
-    @property
-    def flagged(self) -> bool:
-        """Whether the method promises exact answers and says itself whether it has one."""
-        return self.installed and self.own > 0
-
 
 def method_rates(all_rows: Iterable[Row], cases: Sequence[str] | None = None) -> tuple[Rates, ...]:
     """Of every method, over some cases or all."""

@@ -98,7 +98,7 @@ def test_axes_have_units_also_of_absolute_errors() -> None:
 
 def test_the_caption_counts_answers_without_a_point() -> None:
     chart, _ = _charts(report("one"))
-    assert "No point have 1 answer: 1 unsupported." in chart.caption
+    assert "Answers without a point: 1 unsupported." in chart.caption
     assert "Not installed: gurobi." in chart.caption
     points = [t for t in chart.figure["data"] if t["meta"]["method"]]
     assert sum(len(t["x"]) for t in points) == 1 + 2 + 2 + 2 + 1

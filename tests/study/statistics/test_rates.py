@@ -33,4 +33,4 @@ def test_an_answer_is_right_by_what_was_asked() -> None:
 
 def test_who_promises_nothing_claims_nothing() -> None:
     (found,) = method_rates([right("a", "penalty", 1.0, promises_exact=False)])
-    assert (found.own, found.claimed, found.flagged) == (0, 0, False)
+    assert (found.own, found.claimed) == (0, 0)
