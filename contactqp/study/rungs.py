@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.condensation import condense
 from contactqp.iteration import iterated
@@ -20,9 +21,9 @@ TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 # Of solve() itself.
 DEFAULT_TOLERANCE = 1e-9
 UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
-# What is tried on all unknowns where the contact unknowns alone would do: every rung up to so many unknowns, from there
-# the methods that keep matrices sparse, at their default, up to so many.
-WHOLE_LADDER, WHOLE_DEFAULT = 1_000, 10_000
+# What is tried on all unknowns where the contact unknowns alone would do: every rung, where that takes away so many and
+# leaves a dense solver its pace; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
+WORTH_A_LADDER, WHOLE_LADDER, WHOLE_DEFAULT = 10, 1_000, 10_000
 
 
 @dataclass(frozen=True)
@@ -139,24 +140,30 @@ _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa":
 def on_all_unknowns(problem: ContactProblem, rungs: Iterable[Rung]) -> Iterator[Rung]:
     """Those of the rungs that are tried on the whole problem too, told so.
 
-    Up to 1000 unknowns all are, up to 10 000 those with the method's default, or with 1e-9, of methods that keep
-    matrices sparse: a dense solver of 5000 unknowns takes minutes. Where nothing is condensed there is no second way.
+    All are where condensation takes away ten unknowns or more of at most 1000. With fewer to take away both ways are
+    much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes minutes: up
+    to 10 000 the default of methods that keep matrices sparse is tried. Where nothing is condensed there is no second
+    way.
     """
+    n = problem.dimension
+    ladder_pays = n <= WHOLE_LADDER and n - len(_touched(problem)) >= WORTH_A_LADDER
     for rung in rungs:
-        small = problem.dimension <= WHOLE_LADDER
-        usual = rung.value in (None, DEFAULT_TOLERANCE) and rung.method.sparse
-        if (small or (usual and problem.dimension <= WHOLE_DEFAULT)) and condensable(problem, rung.method):
+        usual = rung.value in (None, DEFAULT_TOLERANCE) and (n <= WHOLE_LADDER or rung.method.sparse)
+        if (ladder_pays or (usual and n <= WHOLE_DEFAULT)) and condensable(problem, rung.method):
             yield replace(rung, options={**rung.options, "condense": False})
 
 
 def left_out_of_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
     """What `on_all_unknowns` leaves out of a problem, in words; empty where it leaves out nothing."""
-    n = problem.dimension
-    if n <= WHOLE_LADDER or not any(condensable(problem, method) for method in methods):
+    n, inside = problem.dimension, problem.dimension - len(_touched(problem))
+    if not any(condensable(problem, method) for method in methods):
         return ""
     if n > WHOLE_DEFAULT:
         return f"{n} unknowns: no method is tried on all of them, only on those of contact"
-    return f"{n} unknowns: on all of them only methods that keep matrices sparse are tried, at their default"
+    if n > WHOLE_LADDER:
+        return f"{n} unknowns: on all of them only methods that keep matrices sparse are tried, at their default"
+    few = f"condensation takes away {inside} of {n} unknowns: on all of them methods are tried at their default only"
+    return few if inside < WORTH_A_LADDER else ""
 
 
 def condensable(problem: ContactProblem, method: Method) -> bool:
@@ -165,8 +172,12 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
     bare = not problem.contacts and not problem.ties
     if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
         return False
-    touched = np.union1d(problem.normal.indices, problem.tie.indices)
-    return len(touched) < problem.dimension or condense(problem).rigid.count > 0
+    return len(_touched(problem)) < problem.dimension or condense(problem).rigid.count > 0
+
+
+def _touched(problem: ContactProblem) -> NDArray[np.intp]:
+    """The unknowns that contacts and ties touch."""
+    return np.union1d(problem.normal.indices, problem.tie.indices)
 
 
 def stiffness_ladder(problem: ContactProblem) -> tuple[float, ...]:

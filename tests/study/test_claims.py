@@ -23,7 +23,7 @@ METHODS = ("active-set", "clarabel", "projected-gauss-seidel", "penalty", "augme
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ReportResult]:
     folder = tmp_path_factory.mktemp("claims")
     files = [ROOT / "cases" / f"{name}.toml" for name in CASES]
-    return folder, write_report(files, folder / "report", methods=METHODS, tolerances=(1e-6,), repeats=1)
+    return folder, write_report(files, folder / "report", methods=METHODS, tolerances=(1e-6, 1e-9), repeats=1)
 
 
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:

@@ -32,19 +32,34 @@ def _chain(size: int) -> ContactProblem:
 
 
 def test_where_there_is_an_interior_every_rung_is_tried_on_all_unknowns_too() -> None:
-    study = _study("cantilever_stop", "active-set", "osqp", "penalty")
+    study = _study("patch_two_blocks", "active-set", "osqp", "penalty")
     whole = [rung for rung in study.rungs if rung.whole]
     usual = [rung for rung in study.rungs if not rung.whole]
     assert [(r.method.name, r.variant, r.value) for r in whole] == [
         (r.method.name, r.variant, r.value) for r in usual if r.method.name != "active-set"
     ]
+    assert study.left_out == ()
+
+
+def test_a_small_interior_is_worth_the_default_alone() -> None:
+    study = _study("cantilever_stop", "active-set", "osqp", "penalty", "lagrange-multiplier")
+    whole = [rung for rung in study.rungs if rung.whole]
+    assert [(r.method.name, r.variant, r.value) for r in whole] == [
+        ("osqp", "polished", 1e-9),
+        ("osqp", "raw", 1e-9),
+        ("lagrange-multiplier", "", None),
+    ]
+    assert "2 of 3 unknowns" in study.left_out[0]
+
+
+def test_rows_say_on_which_unknowns() -> None:
+    study = _study("cantilever_stop", "active-set", "osqp")
     truth = study.truth()
-    for rung in whole[:1]:
-        row = attempt(study.problem, rung, truth)
-        assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
-    condensed = next(rung for rung in usual if rung.method.name == "osqp")
-    assert attempt(study.problem, condensed, truth).condensed == "yes"
-    assert attempt(study.problem, usual[0], truth).condensed == ""  # the active set works on contacts by itself
+    active, osqp, whole = study.rungs[0], study.rungs[1], next(rung for rung in study.rungs if rung.whole)
+    row = attempt(study.problem, whole, truth)
+    assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
+    assert attempt(study.problem, osqp, truth).condensed == "yes"
+    assert attempt(study.problem, active, truth).condensed == ""  # the active set works on contacts by itself
 
 
 @pytest.mark.parametrize("name", ["two_bars", "klarbring_slides_back", "bar_impact"])
@@ -59,12 +74,13 @@ def test_bodies_that_float_are_condensed_where_nothing_lies_inside() -> None:
 def test_large_problems_are_left_out_in_the_open() -> None:
     methods = [find("clarabel"), find("daqp")]
     values = {}
-    for size in (3, 1100, 10100):
+    for size in (3, 30, 1100, 10100):
         problem = _chain(size)
         tried = [rung for method in methods for rung in rungs.all_rungs(problem, method)]
         values[size] = [(r.method.name, r.value) for r in rungs.on_all_unknowns(problem, tried)]
-        assert bool(rungs.left_out_of_all_unknowns(problem, methods)) == (size > 1000)
-    assert len(values[3]) == 16
+        assert bool(rungs.left_out_of_all_unknowns(problem, methods)) == (size != 30)
+    assert values[3] == [("clarabel", 1e-9), ("clarabel", 1e-9), ("daqp", 1e-9), ("daqp", 1e-9)]
+    assert len(values[30]) == 16
     assert values[1100] == [("clarabel", 1e-9), ("clarabel", 1e-9)]
     assert values[10100] == []
 
