@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from contactqp.study import rows
 from contactqp.study.charts.curves import variant_name
 from contactqp.study.report.chart import Chart
-from contactqp.study.rows import READABLE, Row, readable
+from contactqp.study.rows import READABLE, Row, readable, shortened
 from contactqp.study.statistics.routes import Route
 
 # What the filters of a page choose by: of a row, by `meta` of a trace, by the headings of a chart's table.
@@ -17,6 +17,8 @@ FACETS: Mapping[str, tuple[str, ...]] = {
     "variant": ("answer", "variant"),
     "verdict": ("verdict",),
 }
+# Letters of a message that a table shows; results.csv has all of them.
+WIDEST_MESSAGE = 160
 # A verdict is told by its word and its sign, not by colour alone.
 MARKS: Mapping[str, str] = {
     rows.RIGHT: "✓",
@@ -66,6 +68,8 @@ def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
 def _line(row: Row, cells: list[str], shown: Sequence[str]) -> Line:
     if "verdict" in shown:
         cells[shown.index("verdict")] = marked(row.verdict)
+    if "message" in shown:
+        cells[shown.index("message")] = shortened(row.message, WIDEST_MESSAGE)
     return Line(tuple(cells), facets_of(row), row.verdict == rows.WRONG or bool(row.expectations_unmet))
 
 
