@@ -9,6 +9,9 @@ from contactqp.study import rows as report_rows
 from contactqp.study.stability.axis import NEXT_TO_ONE, Axis
 from contactqp.study.stability.rows import StabilityRow
 
+# Pixels between the words at an axis and its title.
+STANDOFF = 14
+
 
 def drawn(rows: Sequence[StabilityRow]) -> tuple[StabilityRow, ...]:
     """Rows of methods that are installed."""
@@ -41,7 +44,8 @@ def horizontal(axis: Axis) -> dict[str, Any]:
 
 def sideways(axis: Axis) -> dict[str, Any]:
     """The horizontal axis of a table of cells: values side by side."""
-    return dict(title=dict(text=axis.quantity), type="category", tickangle=-60)
+    title = dict(text=axis.quantity, standoff=STANDOFF)
+    return dict(title=title, type="category", tickangle=-60, automargin=True)
 
 
 def short(value: float | None) -> str:

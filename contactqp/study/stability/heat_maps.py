@@ -8,7 +8,7 @@ from typing import Any
 from contactqp.study import rows as report_rows
 from contactqp.study.report.chart import Chart
 from contactqp.study.stability.axis import Axis
-from contactqp.study.stability.chart_axes import drawn, methods_of, short, sideways
+from contactqp.study.stability.chart_axes import STANDOFF, drawn, methods_of, short, sideways
 from contactqp.study.stability.rows import ALL_DIGITS, CUT_OFF, STATED, StabilityRow
 
 # One letter a verdict, so that no colour is needed, and one colour from Okabe's and Ito's palette.
@@ -115,7 +115,9 @@ class _Grid:
         """The trace in a layout whose first method stands above."""
         layout = dict(
             xaxis=sideways(self._axis),
-            yaxis=dict(autorange="reversed", automargin=True, title=dict(text="method"), type="category"),
+            yaxis=dict(
+                autorange="reversed", automargin=True, title=dict(text="method", standoff=STANDOFF), type="category"
+            ),
             height=FRAME + ROW_HEIGHT * len(self._methods),
         )
         return dict(data=[trace], layout=layout)

@@ -26,7 +26,7 @@ class SafeRange:
     best: float | None  # the smallest error of u and λ together
     best_value: float | None
     refused: tuple[float, ...]  # values at which it was refused, or gave up
-    words: str
+    words: str  # without the method's name
 
 
 def safe_ranges(axis: Axis, rows: Sequence[StabilityRow]) -> tuple[SafeRange, ...]:
@@ -55,7 +55,16 @@ def _safe_range(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> SafeRang
         refused=refused,
         words="",
     )
-    return replace(found, words=" ".join(_sentence(axis, found, runs, rows, exact)))
+    return replace(found, words="; ".join(_parts(axis, found, runs, rows, exact)) + ".")
+
+
+def grouped(ranges: Sequence[SafeRange]) -> Iterator[str]:
+    """In words, methods that end alike together; those that are right everywhere last."""
+    alike: dict[str, list[str]] = {}
+    for found in sorted(ranges, key=lambda found: found.everywhere):
+        alike.setdefault(found.words, []).append(found.method)
+    for words, methods in alike.items():
+        yield f"{', '.join(methods)}: {words}"
 
 
 _GIVEN_UP = (report_rows.REFUSED, report_rows.NOT_CONVERGED, report_rows.BACKEND_FAILED)
@@ -74,14 +83,14 @@ def _runs(rows: Sequence[StabilityRow], good: Callable[[StabilityRow], bool]) ->
     return [list(run) for is_good, run in itertools.groupby(rows, good) if is_good]
 
 
-def _sentence(
+def _parts(
     axis: Axis, found: SafeRange, runs: Sequence[Sequence[StabilityRow]], rows: Sequence[StabilityRow], exact: bool
 ) -> Iterator[str]:
     quality = "right" if exact else f"error below {USEFUL:g}"
     where = " and ".join(_span(axis, run[0].value, run[-1].value) for run in runs) or "nowhere"
-    yield f"{found.method}: {quality} {'at all values tried, ' if found.everywhere else ''}{where};"
+    yield f"{quality} {'at all values tried, ' if found.everywhere else ''}{where}"
     if not exact and found.best is not None and found.best_value is not None:
-        yield f"best {found.best:.1e} at {axis.label(found.best_value)};"
+        yield f"best {found.best:.1e} at {axis.label(found.best_value)}"
     yield from _others(axis, rows)
 
 
@@ -99,4 +108,4 @@ def _others(axis: Axis, rows: Sequence[StabilityRow]) -> Iterator[str]:
         if values:
             where = axis.label(values[0]) if len(values) == 1 else f"{len(values)} values, "
             where += "" if len(values) == 1 else f"{axis.label(values[0])} to {axis.label(values[-1])}"
-            yield f"{ending} at {where};"
+            yield f"{ending} at {where}"

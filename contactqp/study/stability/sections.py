@@ -13,6 +13,7 @@ from contactqp.study.stability.best_penalty import of_truss
 from contactqp.study.stability.curves import digits_curves
 from contactqp.study.stability.heat_maps import digits_heat_map, verdict_heat_map
 from contactqp.study.stability.penalty_valley import penalty_valley
+from contactqp.study.stability.ranges import grouped
 from contactqp.study.stability.rows import VERDICTS
 from contactqp.study.stability.study import StabilityStudy
 
@@ -52,15 +53,13 @@ def _summary(study: StabilityStudy) -> Section:
 
 
 def _of_axis(study: StabilityStudy, axis: Axis) -> Section:
-    rows, ranges = study.rows_of(axis), study.ranges(axis)
+    rows = study.rows_of(axis)
     charts = [digits_heat_map(axis, rows), verdict_heat_map(axis, rows), digits_curves(axis, rows)]
     words = [axis.about]
     if axis.name == penalty_stiffness.AXIS.name:
         charts.insert(0, penalty_valley(rows))
         words += list(_of_best(study))
-    words += [found.words for found in ranges if not found.everywhere]
-    whole = [found.method for found in ranges if found.everywhere]
-    words += [f"At all values tried: {', '.join(whole)}."] if whole else []
+    words += list(grouped(study.ranges(axis)))
     return Section(axis.title, tuple(words), tuple(charts), ())
 
 
