@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
 from contactqp.iteration import iterated
 from contactqp.methods import Method, find, methods
@@ -172,7 +173,9 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
     bare = not problem.contacts and not problem.ties
     if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
         return False
-    return len(_touched(problem)) < problem.dimension or condense(problem).rigid.count > 0
+    if len(_touched(problem)) < problem.dimension or first_candidates(problem) is not None:
+        return True
+    return condense(problem).rigid.count > 0
 
 
 def _touched(problem: ContactProblem) -> NDArray[np.intp]:

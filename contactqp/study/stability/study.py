@@ -12,7 +12,7 @@ from contactqp.study import rows as report_rows
 from contactqp.study.rows import aligned
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.best_penalty import of_truss
-from contactqp.study.stability.ranges import SafeRange, safe_ranges
+from contactqp.study.stability.ranges import SafeRange, grouped, safe_ranges
 from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts
 
 SCHEMA, SCHEMA_VERSION = "contactqp-stability", 1
@@ -108,9 +108,7 @@ def lines(study: StabilityStudy) -> Iterator[str]:
     yield aligned(study.cells())
     for axis in study.axes:
         yield f"\n{axis.title} ({axis.quantity})"
-        yield from (f"  {found.words}" for found in study.ranges(axis) if not found.everywhere)
-        whole = [found.method for found in study.ranges(axis) if found.everywhere]
-        yield f"  at all values tried: {', '.join(whole) or 'no method'}"
+        yield from (f"  {words}" for words in grouped(study.ranges(axis)))
     for row in study.wrong:
         yield f"WRONG BUT PASSED: {row.axis} = {row.label}: {row.name}: error {row.error}: {row.message}"
     yield str(study)

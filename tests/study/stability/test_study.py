@@ -17,9 +17,11 @@ from click.testing import CliRunner
 import contactqp as cq
 from contactqp import methods as registry
 from contactqp.cli import command
+from contactqp.methods import find
 from contactqp.methods.method import Method, Settings
 from contactqp.solution import Candidate
 from contactqp.study import rows as report_rows
+from contactqp.study.rungs import condensable
 from contactqp.study.running.cells import Crash
 from contactqp.study.running.stopping import Stopped
 from contactqp.study.stability import cells as cells_module
@@ -27,7 +29,7 @@ from contactqp.study.stability import report as report_module
 from contactqp.study.stability.axes import AXES, find_axis
 from contactqp.study.stability.cells import cells, row_of, stability_row
 from contactqp.study.stability.heat_maps import LETTERS
-from contactqp.study.stability.ranges import safe_ranges
+from contactqp.study.stability.ranges import grouped, safe_ranges
 from contactqp.study.stability.report import page_of, write_stability
 from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, digits_lost
 from contactqp.study.stability.sections import stability_charts, stability_sections
@@ -65,6 +67,19 @@ def test_every_method_is_tried_at_every_value_or_the_row_says_why() -> None:
     slow = stability_row("closed-contacts", 1e5, "active-set")
     assert slow.verdict == CUT_OFF
     assert "tried up to" in slow.message
+
+
+def test_very_many_contacts_are_not_condensed_onto_to_write_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies all of whose 10 000 unknowns touch something: as a dense matrix that is 0.8 GB."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("all contacts were condensed onto")
+
+    problem = find_axis("contacts").pose(1e4).problem
+    monkeypatch.setattr("contactqp.study.rungs.condense", refuse)
+    assert condensable(problem, find("penalty"))
+    monkeypatch.setattr("contactqp.study.truth.condense", refuse)
+    assert find_axis("contacts").pose(1e4).truth.errors(np.zeros(10_000), np.zeros(10_000), np.zeros(0)).judged > 0.1
 
 
 # A value of each axis at which a method breaks, which one, and how.
@@ -142,6 +157,8 @@ def test_ranges_follow_the_rows() -> None:
     assert "right nowhere" in nowhere.words
     [whole] = safe_ranges(axis, [row(value, report_rows.RIGHT) for value in axis.values])
     assert whole.everywhere
+    several = [dataclasses.replace(whole, method="other"), shorter, dataclasses.replace(shorter, method="third")]
+    assert [words.partition(": ")[0] for words in grouped(several)] == ["some, third", "other"]
 
 
 def test_digits_are_those_of_a_double() -> None:
