@@ -239,7 +239,6 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("qpsolvers", "osqp", "clarabel", "piqp", "proxsuite", "daqp", "highspy", "scs", "qpalm", "cvxpy"),
     ),
     ("exact arithmetic", "python-flint and the oracle", ("flint", "contactqp.oracle.exact.rational_answer")),
-    ("library of units", "pint", ("pint",)),
     ("files of other codes", "h5py and the readers", ("h5py", "contactqp.exchange.problem_files")),
     ("sparse direct solver", "PARDISO's library (MKL)", ("contactqp.pardiso", "pypardiso")),
 )
