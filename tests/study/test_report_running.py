@@ -50,6 +50,7 @@ def _timeless(table: Sequence[Row]) -> list[Row]:
     return [replace(row, **TIMES) for row in table]
 
 
+@pytest.mark.slow  # the table of a report that is killed says so too
 def test_the_table_is_the_same_in_processes(tmp_path: Path) -> None:
     here, there = (_write(tmp_path / str(jobs), jobs, CASES[:1], METHODS[:3]) for jobs in (0, 2))
     assert len(here.rows) > 4

@@ -42,7 +42,7 @@ def test_a_bar_needs_no_factorisation_and_nothing_optional(wall):
     named = {name for _, group in OPTIONAL for name in group}
     assert set(wall.modules.left_out) | set(wall.modules.missing) == named - set(wall.modules.packages)
     # What pint brings in where it is installed, Dask and more, is not ours to leave out.
-    in_vain = {"skfem", "matplotlib", "osqp", "clarabel", "cvxpy", "flint", "jinja2", "plotly", "distributed", "rich"}
+    in_vain = {"skfem", "matplotlib", "osqp", "clarabel", "cvxpy", "flint", "plotly", "distributed", "rich"}
     assert not in_vain & set(wall.modules.packages)
 
 
