@@ -1,28 +1,31 @@
 "use strict";
 (() => {
-  // CSS pixels: below this a legend stands under its chart; the width of a chart on paper; a line and a letter of a legend.
-  const NARROW = 720, PAPER = 960, LINE = 20, LETTER = 6.5;
+  // CSS pixels: below this a legend stands under its chart; width and height of a chart on paper; a line and a letter of a legend.
+  const NARROW = 720, PAPER = 960, PAPER_HEIGHT = 530, LINE = 20, LETTER = 6.5;
   const CONFIG = { responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   const hidden = { method: new Set(), variant: new Set(), verdict: new Set() };
   const all = (selector, from = document) => [...from.querySelectorAll(selector)];
   const byId = (id) => document.getElementById(id);
   const cases = all(".case"), plots = all(".plot");
-  const figures = new Map();
+  let figures = {};
   document.documentElement.classList.add("scripted");
 
   // Whether something with these values of the facets is filtered out.
   const isOff = (values) => Object.entries(hidden).some(([facet, off]) => off.has(values?.[facet]));
 
-  function figureOf(plot) {
-    if (!figures.has(plot)) figures.set(plot, JSON.parse(byId(plot.dataset.figure).textContent));
-    return figures.get(plot);
+  const figureOf = (plot) => figures[plot.dataset.figure];
+
+  async function unpacked(id) {
+    const bytes = Uint8Array.from(atob(byId(id).textContent), (letter) => letter.charCodeAt(0));
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
   }
 
   // What is filtered out is not drawn; of a group whose entry in the legend goes with it, the next one gets the entry.
   function traces(plot) {
     const all = figureOf(plot).data, named = new Set();
     const grouped = new Set(all.filter((trace) => trace.legendgroup && trace.showlegend !== false).map((trace) => trace.legendgroup));
-    return all.map((trace) => {
+    return all.map((given) => {
+      const trace = given.type === "bar" ? { cliponaxis: false, ...given } : given;  // texts beside the longest bars
       if (isOff(trace.meta)) return { ...trace, visible: false };
       if (!grouped.has(trace.legendgroup)) return trace;
       const first = !named.has(trace.legendgroup);
@@ -36,15 +39,42 @@
     const made = { ...given, width, paper_bgcolor: clear, plot_bgcolor: clear, hoverlabel: { align: "left", namelength: -1, ...given.hoverlabel } };
     made.font = { family: "system-ui, sans-serif", size: 13, ...given.font };
     made.margin = { t: 40, b: 60, l: 80, r: 20, ...given.margin };
+    if (width < NARROW) shrink(made, width);
     const named = given.showlegend === false ? [] : figureOf(plot).data.filter((trace) => trace.showlegend !== false && trace.name);
     // A legend that is cut off cannot be read on paper.
     if (given.legend?.orientation === "h") {
       made.height = (given.height ?? 480) + (linesOf(named, width) - linesOf(named, PAPER)) * LINE;
+      if (width === PAPER) made.height = Math.min(made.height, PAPER_HEIGHT);
       return made;
     }
     made.height = Math.max(given.height ?? 480, named.length * LINE + 130);
     if (width < NARROW && named.length && !plot.classList.contains("panels")) legendBelow(made, named, width);
     return made;
+  }
+
+  // Smaller letters, titles of axes on several lines, and logarithmic axes with their decades alone.
+  function shrink(made, width) {
+    made.font = { ...made.font, size: 11 };
+    for (const name of ["xaxis", "yaxis"].filter((name) => made[name])) {
+      const axis = { ...made[name] }, [low, high] = axis.range ?? [0, 0];
+      const most = Math.floor((name === "xaxis" ? width - 120 : 300) / LETTER);
+      if (axis.title?.text) axis.title = { ...axis.title, text: wrapped(axis.title.text, most), font: { size: 12 } };
+      if (name === "xaxis" && axis.type === "log" && high - low > 2) axis.dtick = Math.ceil((high - low) / 5);
+      made[name] = axis;
+    }
+    const left = made.yaxis?.automargin || made.yaxis?.type === "category" ? -0.6 : -0.15;  // below the names of its ticks
+    for (const name of ["legend", "legend2"].filter((name) => made[name])) made[name] = { ...made[name], x: left, font: { size: 10 } };
+    made.margin = { ...made.margin, r: Math.max(made.margin.r, 34) };
+    made.annotations = made.annotations?.map((text) => ({ ...text, font: { size: 9 } }));
+  }
+
+  function wrapped(text, most) {
+    let line = "", lines = [];
+    for (const word of text.split(" ")) {
+      if (line && line.length + word.length >= most) lines.push(line), line = "";
+      line += (line && " ") + word;
+    }
+    return [...lines, line].join("<br>");
   }
 
   // Of a legend that lies across the chart.
@@ -70,8 +100,11 @@
 
   function draw(plot, width = widthOf(plot)) {
     if ("xaxis2" in (figureOf(plot).layout ?? {})) plot.classList.add("panels");
+    // Of another width it is drawn anew: Plotly keeps margins that it once gave to a legend.
+    const again = Number(plot.dataset.drawn) === width;
     plot.dataset.drawn = width;
-    return Plotly.react(plot, traces(plot), layout(plot, width), CONFIG);
+    const config = { ...CONFIG, displayModeBar: width < NARROW ? false : "hover" };
+    return (again ? Plotly.react : Plotly.newPlot)(plot, traces(plot), layout(plot, width), config);
   }
 
   const redraw = (width) => plots.filter((plot) => plot.dataset.drawn).forEach((plot) => draw(plot, width));
@@ -85,7 +118,20 @@
       }
     }
   }, { rootMargin: "400px" });
-  plots.forEach((plot) => watcher.observe(plot));
+
+  async function start() {
+    if (typeof DecompressionStream === "undefined") {
+      byId("too-old").hidden = false;
+      return;
+    }
+    const [library, text] = await Promise.all(["plotly", "figures"].map(unpacked));
+    const script = document.createElement("script");
+    script.textContent = library;
+    document.head.append(script);
+    figures = JSON.parse(text);
+    plots.forEach((plot) => watcher.observe(plot));
+  }
+  start();
 
   let waiting;
   addEventListener("resize", () => {
@@ -96,7 +142,15 @@
   // Filters.
   const texts = new Map(cases.map((one) => [one, all("[data-searched]", one).map((part) => part.textContent).join(" ").toLowerCase()]));
   const rowsOf = new Map(cases.map((one) => [one, all(".rows tbody tr", one)]));
-  const lines = all("tr[data-method]");
+  const lines = [];
+  for (const table of all("table:has(th[data-facet])")) {
+    const facets = all("thead th", table).map((heading) => heading.dataset.facet);
+    for (const line of all("tbody tr", table)) {
+      lines.push(line);
+      // A verdict has its sign in front.
+      facets.forEach((facet, i) => { if (facet) line.dataset[facet] = line.cells[i].textContent.replace(/^[^\p{L}\p{N}]+/u, ""); });
+    }
+  }
 
   function filter() {
     const words = byId("search").value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -117,8 +171,7 @@
     plots.filter((plot) => plot.dataset.drawn).forEach((plot) => draw(plot, Number(plot.dataset.drawn)));
   }
 
-  const form = byId("choices");
-  if (form) {
+  function setUpFilters(form) {
     form.addEventListener("input", filter);
     form.addEventListener("submit", (event) => event.preventDefault());
     form.addEventListener("reset", () => setTimeout(filter));
@@ -132,6 +185,7 @@
     byId("open-all").addEventListener("click", () => openAll(true));
     byId("close-all").addEventListener("click", () => openAll(false));
   }
+  if (byId("choices")) setUpFilters(byId("choices"));
 
   // A link to a case opens it.
   function openTarget() {
@@ -150,7 +204,7 @@
   addEventListener("beforeprint", () => {
     opened = all("details:not([open]):not(.numbers)");
     opened.forEach((one) => { one.open = true; });
-    plots.forEach((plot) => draw(plot, PAPER));
+    if (window.Plotly) plots.forEach((plot) => draw(plot, PAPER));
   });
   addEventListener("afterprint", () => {
     opened.forEach((one) => { one.open = false; });

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import importlib.util
 import json
 import re
@@ -9,7 +11,7 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from contactqp.study.charts.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA
 from contactqp.study.page.case_view import CaseView, case_view
@@ -18,9 +20,6 @@ from contactqp.study.page.tables import FACETS, Line, Table, facets_of, marked, 
 from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
 _LEGENDS = {"method": "Methods", "variant": "Variants", "verdict": "Verdicts"}
@@ -33,7 +32,6 @@ class ChartItem:
 
     anchor: str
     chart: Chart
-    figure: Markup | None  # JSON; None where there is nothing to draw but a table
     numbers: Table | None
 
 
@@ -87,11 +85,13 @@ def render(
     ModuleNotFoundError
         One of `NEEDED` is not installed; `missing_packages` says so before.
     """
+    shared, views = items("all", overview), tuple(_views(data, by_case or {}))
     return filled(
         "page.html",
+        [*shared, *(item for _, charts in views for item in charts)],
         data=data,
-        overview=items("all", overview),
-        views=tuple(_views(data, by_case or {})),
+        overview=shared,
+        views=views,
         tiles=_tiles(data),
         parts=_parts(bool(overview)),
         facets=_facets(data),
@@ -104,8 +104,8 @@ def render(
     )
 
 
-def filled(template: str, **values: object) -> str:
-    """A template with its values, the style, the script and Plotly."""
+def filled(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
+    """A template with its values, the style, the script, Plotly and the figures of the charts that are on it."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
@@ -118,7 +118,8 @@ def filled(template: str, **values: object) -> str:
         lstrip_blocks=True,
     )
     templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
-    whole = dict(css=Markup(_own("page.css")), script=Markup(_own("page.js")), plotly=Markup(get_plotlyjs()))
+    whole = dict(css=Markup(_own("page.css")), script=Markup(_own("page.js")))
+    whole |= dict(plotly=Markup(packed(get_plotlyjs())), figures=Markup(packed(_figures(drawn))))
     return templates.get_template(template).render(**whole, **values)
 
 
@@ -147,20 +148,18 @@ def anchors_of(names: Iterable[str]) -> list[str]:
 def items(anchor: str, charts: Sequence[Chart]) -> tuple[ChartItem, ...]:
     """Charts, each with its place on the page."""
     anchors = anchors_of(f"{anchor}-{chart.name}" for chart in charts)
-    return tuple(
-        ChartItem(place, chart, _json(chart.figure) if chart.figure else None, table_of_chart(chart))
-        for place, chart in zip(anchors, charts, strict=True)
-    )
+    return tuple(ChartItem(place, chart, table_of_chart(chart)) for place, chart in zip(anchors, charts, strict=True))
 
 
-def _json(figure: Mapping[str, Any]) -> Markup:
-    """JSON that ends no element of HTML, whatever texts are in it."""
-    from markupsafe import Markup
+def _figures(drawn: Iterable[ChartItem]) -> str:
+    """JSON of all figures by the anchors of their charts."""
+    figures = {item.anchor: item.chart.figure for item in drawn if item.chart.figure}
+    return json.dumps(figures, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
 
-    text = json.dumps(figure, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    for letter in "<>&\u2028\u2029":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return Markup(text)
+
+def packed(text: str) -> str:
+    """Gzip in base64, which holds nothing that HTML could take for its own; always the same for the same text."""
+    return base64.b64encode(gzip.compress(text.encode(), compresslevel=9, mtime=0)).decode("ascii")
 
 
 def _tiles(data: ReportData) -> tuple[Tile, ...]:
@@ -210,7 +209,7 @@ def _variant_label(value: str) -> str:
 
 def _methods(data: ReportData) -> Table:
     headings, *lines = data.summary.cells()
-    return Table("methods", tuple(headings), tuple(Line(tuple(line), {"method": line[0]}) for line in lines))
+    return Table("methods", tuple(headings), tuple(Line(tuple(line)) for line in lines), {0: "method"})
 
 
 def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:

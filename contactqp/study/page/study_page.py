@@ -47,9 +47,11 @@ def render_study(
     ModuleNotFoundError
         A package is not installed; `contactqp.study.page.render.missing_packages` says so before.
     """
+    views = tuple(_views(sections))
     return filled(
         "study.html",
-        sections=tuple(_views(sections)),
+        [item for view in views for item in view.charts],
+        sections=views,
         tiles=tuple(tiles),
         columns=plain_table("columns of the data", ("column", "meaning"), columns.items()),
         facts=tuple(fact_tables(facts)),

@@ -36,20 +36,20 @@ OTHER_MARK = "?"
 
 @dataclass(frozen=True)
 class Line:
-    """Cells, the value of each facet it has, and whether it must catch the eye."""
+    """Cells, and whether they must catch the eye."""
 
     cells: tuple[str, ...]
-    facets: Mapping[str, str] = field(default_factory=dict)
     bad: bool = False
 
 
 @dataclass(frozen=True)
 class Table:
-    """Headings and lines; `label` is what a screen reader calls it."""
+    """Headings and lines; `label` is what a screen reader calls it, `facets` by which columns filters choose lines."""
 
     label: str
     headings: tuple[str, ...]
     lines: tuple[Line, ...]
+    facets: Mapping[int, str] = field(default_factory=dict)
 
 
 def plain_table(label: str, headings: Iterable[str], lines: Iterable[Sequence[object]]) -> Table:
@@ -60,17 +60,21 @@ def plain_table(label: str, headings: Iterable[str], lines: Iterable[Sequence[ob
 def table_of_rows(label: str, chosen: Sequence[Row]) -> Table:
     """The readable columns of a study's rows, without those that are empty throughout."""
     cells = [readable(row) for row in chosen]
+    cells = [line | _shown_otherwise(row) for row, line in zip(chosen, cells, strict=True)]
     shown = [name for name in READABLE if any(line[name] for line in cells)]
-    lines = (_line(row, [line[name] for name in shown], shown) for row, line in zip(chosen, cells, strict=True))
-    return Table(label, tuple(READABLE[name] for name in shown), tuple(lines))
+    lines = (
+        Line(tuple(line[name] for name in shown), row.verdict == rows.WRONG or bool(row.expectations_unmet))
+        for row, line in zip(chosen, cells, strict=True)
+    )
+    headings = dict(READABLE) | {"variant": "answer"}
+    facets = {place: name for place, name in enumerate(shown) if name in FACETS}
+    return Table(label, tuple(headings[name] for name in shown), tuple(lines), facets)
 
 
-def _line(row: Row, cells: list[str], shown: Sequence[str]) -> Line:
-    if "verdict" in shown:
-        cells[shown.index("verdict")] = marked(row.verdict)
-    if "message" in shown:
-        cells[shown.index("message")] = shortened(row.message, WIDEST_MESSAGE)
-    return Line(tuple(cells), facets_of(row), row.verdict == rows.WRONG or bool(row.expectations_unmet))
+def _shown_otherwise(row: Row) -> dict[str, str]:
+    """Facets as the filters have them, and messages cut."""
+    told = {"verdict": marked(row.verdict), "message": shortened(row.message, WIDEST_MESSAGE)}
+    return facets_of(row) | told
 
 
 def facets_of(row: Row) -> dict[str, str]:
@@ -83,9 +87,8 @@ def table_of_chart(chart: Chart) -> Table | None:
     if not chart.lines:
         return None
     columns = [(name, heading) for name, headings in FACETS.items() for heading in headings]
-    places = {name: chart.headings.index(heading) for name, heading in columns if heading in chart.headings}
-    lines = (Line(line, {name: line[place] for name, place in places.items()}) for line in chart.lines)
-    return Table(f"numbers of: {chart.title}", chart.headings, tuple(lines))
+    facets = {chart.headings.index(heading): name for name, heading in columns if heading in chart.headings}
+    return Table(f"numbers of: {chart.title}", chart.headings, tuple(map(Line, chart.lines)), facets)
 
 
 def marked(verdict: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from contactqp.study.case_study import load_studies
 from contactqp.study.page.tables import facets_of
@@ -32,6 +32,23 @@ def data_of(*names: str) -> ReportData:
         rows += [study.answer(rung, truth) for rung in study.rungs]
         cases.append(record(study, truth))
     return report_of(cases, rows)
+
+
+class PartTable(NamedTuple):
+    """A table of a part."""
+
+    title: str
+    headings: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+
+
+class Part(NamedTuple):
+    """What another study hands over."""
+
+    heading: str
+    words: tuple[str, ...]
+    charts: tuple[Chart, ...]
+    tables: tuple[PartTable, ...]
 
 
 @cache

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from contactqp.study.page import render as pages
-from tests.study.page.samples import chart, hostile
+from contactqp.study.page.study_page import render_study
+from tests.study.page.samples import Part, chart, hostile
 
 pytest.importorskip("selenium", reason="selenium is not installed: pip install 'contactqp[browser]'")
 for package in pages.NEEDED:
@@ -291,6 +292,7 @@ def test_a_telephone_does_not_scroll_sideways(browser: Any) -> None:
 
 
 def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any) -> None:
+    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
     opened = browser.execute_script("return document.querySelectorAll('details[open]').length")
     browser.execute_script(
         "addEventListener('beforeprint', () => { window.printed = {"
@@ -311,6 +313,20 @@ def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any
     assert printed["plotted"] == printed["plots"] == 3
     assert printed["drawn"] >= 8
     assert browser.execute_script("return document.querySelectorAll('details[open]').length") == opened
+
+
+def test_a_page_of_sections_alone_draws_its_charts(browser: Any, tmp_path: Path) -> None:
+    drawn = chart(hostile().rows)
+    sections = (Part("First", ("Words.",), (drawn,), ()), Part("Second", (), (drawn,), ()))
+    file = tmp_path / "sections.html"
+    file.write_text(render_study(sections, (), {}, {}, "contactqp report --stability"), encoding="utf-8")
+    _complaints(browser)
+    browser.get(file.as_uri())
+    _wait(browser, f"document.querySelectorAll('{_traces('.plot')}').length === 4")
+    browser.execute_cdp_cmd("Page.printToPDF", {})
+    assert _count(browser, ".part:not([open])") == 1  # as before
+    assert browser.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 2
+    assert _complaints(browser) == []
 
 
 def test_without_scripts_the_tables_are_there(browser: Any, address: str) -> None:

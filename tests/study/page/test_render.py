@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import io
 import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from typing import NamedTuple
 
 import pytest
 
 from contactqp.study import rows
+from contactqp.study.charts.curves import variant_name
 from contactqp.study.footprint.footprint import Footprint, StageTime
 from contactqp.study.page import render as pages
 from contactqp.study.page.study_page import render_study
-from contactqp.study.page.tables import MARKS, marked
+from contactqp.study.page.tables import MARKS, marked, table_of_rows
 from contactqp.study.report.chart import Chart
 from contactqp.study.rows import VERDICTS
-from tests.study.page.samples import EVIL, bare_record, chart, data_of, hostile, report_of
+from contactqp.study.statistics.routes import Route
+from tests.study.page.samples import EVIL, Part, PartTable, bare_record, chart, data_of, hostile, report_of
 
 for package in pages.NEEDED:
     pytest.importorskip(package)
@@ -81,17 +83,20 @@ def test_texts_of_users_stay_texts(page: Page, text: str) -> None:
     assert not any("onerror" in a for _, a in page.elements)
     assert EVIL in " ".join(page.texts)  # word for word, once read as HTML
     assert "{{" in text  # a template of a user is none of ours
-    for attributes, script in page.scripts:
-        assert "alert(" not in script or attributes.get("type") == "application/json"
-    assert len(page.scripts) == 2 + 3  # Plotly, ours, and three charts
+    assert not any("alert(" in script for _, script in page.scripts)
+    assert len(page.scripts) == 3  # Plotly, the figures, ours
+
+
+def _unpacked(page: Page, name: str) -> str:
+    (packed,) = (script for attributes, script in page.scripts if attributes.get("id") == name)
+    return gzip.decompress(base64.b64decode(packed)).decode()
 
 
 def test_figures_survive_the_page(page: Page) -> None:
-    read = [json.loads(script) for attributes, script in page.scripts if attributes.get("type") == "application/json"]
-    assert read[0] == json.loads(json.dumps(chart(hostile().rows).figure))
-    evil = Chart("x", EVIL, EVIL, dict(data=[dict(name=EVIL + "</script>\u2028")]))
-    ((_, script),) = [(a, s) for a, s in Page(pages.render(data_of("bar_wall"), (evil,))).scripts if a.get("type")]
-    assert json.loads(script)["data"][0]["name"] == EVIL + "</script>\u2028"
+    figures = json.loads(_unpacked(page, "figures"))
+    assert list(figures) == [a["data-figure"] for a in page.all("div") if "data-figure" in a]
+    assert figures["all-force"] == json.loads(json.dumps(chart(hostile().rows).figure))
+    assert "plotly.js v" in _unpacked(page, "plotly")
 
 
 def test_it_loads_nothing(page: Page) -> None:
@@ -120,10 +125,16 @@ def test_identifiers_are_unique_and_links_have_targets(page: Page) -> None:
 
 def test_every_row_and_case_is_there(page: Page) -> None:
     data = hostile()
-    lines = [a for a in page.all("tr") if "data-verdict" in a]
-    assert [(a["data-method"], a["data-variant"], a["data-verdict"]) for a in lines] == [
-        (row.method, {"polished": "final", "": "final"}.get(row.variant, row.variant), row.verdict) for row in data.rows
-    ]
+    for case in data.cases:
+        told = table_of_rows(case.title, data.rows_of(case.name))
+        assert [(line.cells[0], line.cells[1]) for line in told.lines] == [
+            (row.method, variant_name(Route.of(row))) for row in data.rows_of(case.name)
+        ]
+        assert set(told.facets.values()) == {"method", "variant", "verdict"}
+        assert [line.cells[told.headings.index("verdict")] for line in told.lines] == [
+            marked(row.verdict) for row in data.rows_of(case.name)
+        ]
+    assert len(page.all("th", **{"data-facet": "verdict"})) == len(data.cases)
     assert len([a for a in page.all("details") if a.get("class") == "case"]) == len(data.cases)
     said = " ".join(page.texts)
     for case in data.cases:
@@ -176,23 +187,10 @@ def test_every_verdict_has_a_mark_of_its_own() -> None:
     assert len({marked(verdict)[0] for verdict in VERDICTS}) == len(VERDICTS)
 
 
-class _Table(NamedTuple):
-    title: str
-    headings: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
-
-
-class _Section(NamedTuple):
-    heading: str
-    words: tuple[str, ...]
-    charts: tuple[Chart, ...]
-    tables: tuple[_Table, ...]
-
-
 def test_sections_of_another_study_and_a_chart_without_a_figure() -> None:
     told = Chart("ranges", "Safe ranges", "Where each method ends.", {}, ("method", "β"), (("penalty", "1e16"),))
-    table = _Table("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
-    section = _Section("Penalty stiffness", ("Best β: 1e12 <kN/m>.",), (told,), (table,))
+    table = PartTable("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
+    section = Part("Penalty stiffness", ("Best β: 1e12 <kN/m>.",), (told,), (table,))
     tiles = (pages.Tile(3, "rows", "of one axis"),)
     found = Page(render_study((section,), tiles, {"axis": "which"}, {"seeds": "none"}, "contactqp report --stability"))
     said = " ".join(found.texts)
