@@ -11,18 +11,22 @@ from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.chart_axes import STANDOFF, drawn, methods_of, short, sideways
 from contactqp.study.stability.rows import ALL_DIGITS, CUT_OFF, STATED, StabilityRow
 
-# One letter a verdict, so that no colour is needed, and one colour from Okabe's and Ito's palette.
+# One letter a verdict, so that no colour is needed, and one colour from Okabe's and Ito's palette; half transparent, so
+# that the letters, in the page's own colour, are seen on light and on dark pages.
 LETTERS: Mapping[str, tuple[str, str]] = {
-    report_rows.RIGHT: ("R", "#009E73"),
-    report_rows.APPROXIMATE: ("A", "#56B4E9"),
-    STATED: ("S", "#F0E442"),
-    report_rows.REFUSED: ("X", "#E69F00"),
-    report_rows.NOT_CONVERGED: ("N", "#CC79A7"),
-    report_rows.BACKEND_FAILED: ("B", "#D55E00"),
-    report_rows.UNSUPPORTED: ("U", "#BBBBBB"),
-    CUT_OFF: ("C", "#DDDDDD"),
-    report_rows.WRONG: ("W", "#000000"),
+    report_rows.RIGHT: ("R", "rgba(0,158,115,0.45)"),
+    report_rows.APPROXIMATE: ("A", "rgba(86,180,233,0.45)"),
+    STATED: ("S", "rgba(240,228,66,0.45)"),
+    report_rows.REFUSED: ("X", "rgba(230,159,0,0.5)"),
+    report_rows.NOT_CONVERGED: ("N", "rgba(204,121,167,0.5)"),
+    report_rows.BACKEND_FAILED: ("B", "rgba(213,94,0,0.5)"),
+    report_rows.CRASHED: ("D", "rgba(213,94,0,0.7)"),
+    report_rows.UNSUPPORTED: ("U", "rgba(128,128,128,0.25)"),
+    CUT_OFF: ("C", "rgba(128,128,128,0.1)"),
+    report_rows.WRONG: ("W", "rgba(255,0,0,0.8)"),
 }
+# One hue, from nothing to all: of any colour vision, and of light and dark pages.
+LOST = [[0.0, "rgba(0,114,178,0.0)"], [1.0, "rgba(0,114,178,0.8)"]]
 ROW_HEIGHT, FRAME = 22, 190  # pixels
 
 
@@ -30,11 +34,13 @@ def digits_heat_map(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
     """Digits lost in u or λ, the worse of them."""
     grid = _Grid(axis, rows)
     trace = grid.trace(_worst_digits) | dict(
-        colorscale="Cividis",
+        colorscale=LOST,
         zmin=0.0,
         zmax=ALL_DIGITS,
         colorbar=dict(title=dict(text="digits lost [1]")),
         texttemplate="%{text}",
+        xgap=1,
+        ygap=1,
     )
     trace["text"] = grid.cells(lambda row: "" if _worst_digits(row) is None else f"{_worst_digits(row):.0f}")
     return Chart(
