@@ -204,7 +204,7 @@ def of_solution(solution: Solution) -> Truth:
         displacement=solution.displacement,
         normal_force=solution.normal_force,
         tie_force=solution.tie_force,
-        source=f"{solution.method}, proven to {bound[0]:.1e} in u and {bound[1]:.1e} in λ",
+        source=f"{solution.method}, proven to {bound[0]:.1e} in u and {bound[1]:.1e} in λ (energy norm)",
         unique_forces=_unique(solution),
         free=bool(solution.free_motions),
     )

@@ -21,6 +21,8 @@ MARKS: Mapping[str, str] = {rows.REFUSED: "\u00d7", rows.NOT_CONVERGED: "+", row
 FINAL, RAW, UZAWA, ALL_UNKNOWNS = "final", "raw", "Uzawa", ", all unknowns"
 VARIANTS: Mapping[str, str] = {"": FINAL, "raw": RAW, "uzawa": UZAWA}
 LINES: Mapping[str, str] = {"": "solid", "raw": "5px,3px", "uzawa": "1px,3px"}
+# What Plotly adds to the names of symbols.
+FILLINGS: Mapping[str, str] = {"raw": "-open", "uzawa": "-open-dot"}
 # On all unknowns lines are thinner and symbols smaller [px].
 WIDTHS, SIZES = {False: 2.0, True: 1.0}, {False: 9, True: 6}
 
@@ -111,8 +113,8 @@ def line(colour: str, variant: str, whole: bool) -> dict[str, Any]:
 
 
 def marker(colour: str, symbol: str, variant: str, whole: bool) -> dict[str, Any]:
-    """Hollow before polish, small on all unknowns."""
-    return dict(color=colour, symbol=f"{symbol}-open" if variant == RAW else symbol, size=SIZES[whole])
+    """Hollow before polish, with a dot in it by Uzawa's iteration, small on all unknowns."""
+    return dict(color=colour, symbol=symbol + FILLINGS.get(variant, ""), size=SIZES[whole])
 
 
 def keys(drawn: Sequence[Curve]) -> list[dict[str, Any]]:

@@ -32,8 +32,9 @@ def rates_chart(found: Overview) -> Chart:
         title="Called solved, and was right",
         caption=f"{on_cases(found.cases)} Of a method's own answers, at every tolerance: how many it called solved, "
         "and how many were right (error at most 1e-6, or 100 times the tolerance that was asked). Where the first bar "
-        "is longer than the second, some flags were wrong. Answers that failed count as neither, and so do those of "
-        "Uzawa's iteration that is stopped early on purpose; methods that are approximate by design, and the active "
+        "is longer than the second, some flags were wrong; the third is best at 100 %, and counts of an approximate "
+        "method those answers alone that are as good as exact. Answers that failed count as neither, and so do those "
+        "of Uzawa's iteration that is stopped early on purpose; methods that are approximate by design, and the active "
         f"set, raise no flag. Not installed: {', '.join(missing) or 'none'}.",
         figure=dict(data=data, layout=_bars_layout(shown, "part of the answers [%]", dict(range=[0, 108]))),
         headings=("method", "own answers", "called solved", "right", "unsupported", "as solve runs it", "certified"),

@@ -62,7 +62,8 @@ def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> 
         title=title,
         caption=f"{on_cases(cases)} {about} Each curve tells on which part of the cases a method was right within a "
         "multiple of the fastest right answer (Dolan and Moré 2002): at 1 on the left where it was the fastest, on the "
-        f"right where it was right at all, by its best knob. {SOLVED} What failed or is unsupported never counts as "
+        f"right where it was right at all, by its best knob. Higher and further left is better. "
+        f"{SOLVED} What failed or is unsupported never counts as "
         "right, and is never dropped.",
         figure=dict(
             data=data,
@@ -111,7 +112,8 @@ def means_chart(found: Overview) -> Chart:
         title="Mean run times, failures included",
         caption=f"{on_cases(found.cases)} The shifted geometric mean over these cases of the run time to the fastest "
         f"right answer: {1e3 * SHIFT:g} ms are added to each time and taken off the mean, so that tiny cases do not "
-        f"decide. {SOLVED} A case without a right answer counts as {LIMIT:g} s, and there the clock stops for answers "
+        f"decide. Further left is better; methods are in the order of their best "
+        f"mean. {SOLVED} A case without a right answer counts as {LIMIT:g} s, and there the clock stops for answers "
         "that take longer.",
         figure=dict(
             data=data + keyed,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from contactqp.study.page.schemes import STEPS
+from contactqp.study.page.schemes import STEPS, symbols_of
 from contactqp.study.report.case_record import CaseRecord
 
 # Names of blocks of an explanation that have an equation of their own.
@@ -59,8 +59,13 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
     kind = "tangent stiffness at the start" if NEWTON in blocks else "stiffness, symmetric, positive semi-definite"
     yield Symbol("K", f"{kind}; numbers that are not zero: {size.nonzeros}", rf"{n} \times {n}", stiffness)
     if TIME in blocks:
-        yield Symbol("M", "mass", rf"{n} \times {n}", f"{stiffness}·s²")
-    yield Symbol("f", "loads", f"{n}", case.force)
+        yield Symbol("M", "mass", rf"{n} \times {n}", f"{case.force}·s²/{case.length}")
+        yield from _of_steps(case)
+    if NEWTON in blocks:
+        yield Symbol(r"\mathrm{U}", "elastic energy", "1", f"{case.force}·{case.length}")
+        yield Symbol(r"\Delta", "change of u in a step of Newton", f"{n}", f"{case.length}{turning}")
+    on_the_way = "; f(t) are those on the way to them, t counts it" if PATH in blocks or NEWTON in blocks else ""
+    yield Symbol("f", f"loads{on_the_way}", f"{n}", case.force)
     if m:
         approach = "contact rows: how far partners approach for a unit displacement"
         yield Symbol("E_N", approach, rf"{m} \times {n}", "1")
@@ -80,6 +85,15 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
         yield Symbol(r"\nu", "tie forces", f"{k}", case.force)
 
 
+def _of_steps(case: CaseRecord) -> Iterator[Symbol]:
+    """What the equations of the case's scheme have besides."""
+    sizes = {"n": case.sizes.unknowns, "m": case.sizes.contacts, "1": 1}
+    yield Symbol("v", "velocities", f"{case.sizes.unknowns}", f"{case.length}/s")
+    for symbol in symbols_of(case.scheme):
+        unit = symbol.unit.format(length=case.length, force=case.force)
+        yield Symbol(symbol.latex, symbol.meaning, f"{sizes[symbol.size]}", unit)
+
+
 def _formulas(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     if TIME in blocks:
         yield from _motion(case, blocks)
@@ -92,9 +106,14 @@ def _formulas(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
         yield Formula(
             "Condensation",
             r"\bar{K} = K_{cc} - K_{ci} K_{ii}^{-1} K_{ic}, \quad \bar{f} = f_c - K_{ci} K_{ii}^{-1} f_i",
-            f"c are the unknowns that rows touch, i the others, which one factorisation eliminates: "
+            f"c are the unknowns that rows touch, i the others, which one factorisation{_of_what(blocks)} eliminates: "
             f"{blocks[CONDENSATION]}",
         )
+
+
+def _of_what(blocks: dict[str, str]) -> str:
+    """Where steps have matrices of their own, those are condensed."""
+    return " of the matrix of a step" if TIME in blocks or NEWTON in blocks else ""
 
 
 def _static(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
@@ -111,7 +130,10 @@ def _static(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     else:
         yield Formula("Energy", energy, "the energy is least among all displacements that the constraints allow")
     yield from _constraints(case)
-    yield Formula("Equilibrium", f"K u {_forces(case)} = {load}", "the first of the Karush-Kuhn-Tucker conditions")
+    balance = "the first of the Karush-Kuhn-Tucker conditions"
+    if case.sizes.tangential_rows:
+        balance = "the balance of forces; with friction it is not the condition of a minimum"
+    yield Formula("Equilibrium", f"K u {_forces(case)} = {load}", balance)
     if PATH in blocks:
         yield Formula("Load path", "f = f(t)", blocks[PATH])
 
@@ -129,16 +151,20 @@ def _large(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     where = rf"u \in \mathbb{{R}}^{{{case.sizes.unknowns}}}"
     yield Formula(
         "Energy",
-        rf"\Pi(u) = \mathrm{{U}}(u) - t f^T u, \quad {where}",
+        rf"\Pi(u) = \mathrm{{U}}(u) - f(t)^T u, \quad {where}",
         "the elastic energy U is not quadratic; equilibria are its stationary points, stable or not",
     )
     if case.sizes.contacts:
-        yield Formula("Contact", rf"g(u) \ge 0, \quad g(u) \in \mathbb{{R}}^{{{case.sizes.contacts}}}", "gaps now")
+        yield Formula(
+            "Contact",
+            rf"g(u) \ge 0, \quad g(u) \in \mathbb{{R}}^{{{case.sizes.contacts}}}",
+            "gaps now; E_N(u) is how fast they close",
+        )
     forces = _forces(case).replace("E_N", "E_N(u)").replace("E_T", "E_T(u)")
-    yield Formula("Equilibrium", rf"\frac{{\partial U}}{{\partial u}} {forces} = t f", blocks.get(PATH, ""))
+    yield Formula("Equilibrium", rf"\frac{{\partial U}}{{\partial u}} {forces} = f(t)", blocks.get(PATH, ""))
     yield Formula(
         "One step of Newton",
-        r"\underset{\Delta}{\min} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( t f - "
+        r"\underset{\Delta}{\min} \; \frac{1}{2} \Delta^T K(u) \Delta - \left( f(t) - "
         r"\frac{\partial U}{\partial u} \right)^T \Delta \quad \text{with} \quad E_N(u) \Delta \le g(u)",
         blocks[NEWTON],
     )
@@ -159,7 +185,7 @@ def _contact_law(case: CaseRecord, gap: str) -> Iterator[Formula]:
     if size.contacts:
         yield Formula(
             "Signorini",
-            rf"\lambda_N \ge 0, \quad {gap} \ge 0, \quad \lambda_N^T ({gap}) = 0",
+            rf"\lambda_N \ge 0, \quad {gap} \ge 0, \quad \lambda_{{N,i}} ({gap})_i = 0",
             "contacts push and never pull, and only where the gap is closed",
         )
     if size.tangential_rows:

@@ -168,7 +168,7 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
     return (
         Tile(wrong, "wrong but passed", "‼ must be 0" if wrong else "✓ no answer passes that is wrong", wrong > 0),
         Tile(unmet, "expectations unmet", "✗ see below" if unmet else "✓ all that the cases expect holds", unmet > 0),
-        Tile(found.silently_wrong, "silently wrong", "answers that a backend by itself calls solved, and are not"),
+        Tile(found.silently_wrong, "silently wrong", "answers that a method by itself calls solved, and are not"),
         Tile(len(data.rows), "rows", f"of {len(data.cases)} cases and {len(found.methods)} methods"),
     )
 

@@ -2,7 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class StepSymbol:
+    """A symbol of the equations below, which a motion has where it stands in those of its scheme."""
+
+    latex: str
+    meaning: str
+    size: str  # n, m or 1
+    unit: str  # with {length} and {force}
+
+
+SYMBOLS = (
+    StepSymbol("h", "length of a step", "1", "s"),
+    StepSymbol(r"\theta", "weight of the end of a step; 1/2 loses no energy between impacts", "1", "1"),
+    StepSymbol("e", "restitution: velocity after over velocity before an impact", "1", "1"),
+    StepSymbol("P_N", "impulses of the contacts in a step, positive in compression", "m", "{force}·s"),
+    StepSymbol("w", "where the step would lead without stiffness and loads, made admissible", "n", "{length}"),
+    StepSymbol(r"\beta", "stiffness of the penalty springs", "1", "{force}/{length}"),
+)
 
 _FORCES = r"E_N^T \lambda_N"
 # Several equations each, which lead from (u, v) to (u⁺, v⁺) in a step of h; u⁻ is a step earlier. Ties and friction
@@ -43,3 +65,10 @@ STEPS: Mapping[str, tuple[str, ...]] = {
         r"v^+ = v + \frac{2 (u^+ - w)}{h}",
     ),
 }
+
+
+def symbols_of(scheme: str) -> Iterator[StepSymbol]:
+    """Those that stand in the equations of a scheme; letters of words are none."""
+    equations = re.sub(r"\\text\{[^}]*\}", "", " ".join(STEPS.get(scheme, ())))
+    tokens = set(re.findall(r"\\[a-z]+|P_N|[A-Za-z]", equations))
+    yield from (symbol for symbol in SYMBOLS if symbol.latex in tokens)

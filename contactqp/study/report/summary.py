@@ -50,7 +50,7 @@ class Summary:
     def __str__(self) -> str:
         return (
             f"wrong but passed: {self.wrong_but_passed}; expectations unmet: {len(self.unmet)}; "
-            f"backends silently wrong by themselves: {self.silently_wrong}"
+            f"methods silently wrong by themselves: {self.silently_wrong}"
         )
 
 

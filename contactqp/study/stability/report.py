@@ -138,7 +138,7 @@ def _tiles(study: StabilityStudy) -> tuple[Tile, ...]:
     wrong = len(study.wrong)
     return (
         Tile(wrong, "wrong but passed", "‼ must be 0" if wrong else "✓ no answer passes that is wrong", wrong > 0),
-        Tile(study.flags_wrong, "silently wrong", "answers that a backend by itself calls solved, and are not"),
+        Tile(study.flags_wrong, "silently wrong", "answers that a method by itself calls solved, and are not"),
         Tile(len(study.refused_right), "right and refused", "answers right to 1e-6 that the certificate does not pass"),
         Tile(len(study.rows), "rows", f"on {len(study.axes)} axes"),
     )

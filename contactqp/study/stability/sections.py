@@ -47,9 +47,9 @@ def stability_sections(study: StabilityStudy) -> tuple[Section, ...]:
 
 def _summary(study: StabilityStudy) -> Section:
     headings, *lines = study.cells()
-    table = Table("How it ended, by axis", tuple(headings), tuple(tuple(line) for line in lines))
+    table = Table("By axis", tuple(headings), tuple(tuple(line) for line in lines))
     verdicts = Table("Verdicts", ("verdict", "meaning"), tuple(VERDICTS.items()))
-    return Section("Stability", (str(study),), (), (table, verdicts))
+    return Section("How it ended", (str(study),), (), (table, verdicts))
 
 
 def _of_axis(study: StabilityStudy, axis: Axis) -> Section:
@@ -59,7 +59,7 @@ def _of_axis(study: StabilityStudy, axis: Axis) -> Section:
     if axis.name == penalty_stiffness.AXIS.name:
         charts.insert(0, penalty_valley(rows))
         words += list(_of_best(study))
-    words += list(grouped(study.ranges(axis)))
+    words += [f"Values: {axis.quantity}.", *grouped(study.ranges(axis))]
     return Section(axis.title, tuple(words), tuple(charts), ())
 
 

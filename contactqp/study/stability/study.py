@@ -71,7 +71,7 @@ class StabilityStudy:
         return (
             f"{len(self.rows)} rows; wrong but passed: {len(self.wrong)}; errors that the certificate states: "
             f"{counts[STATED]}; right answers refused: {len(self.refused_right)}; cut off: {counts[CUT_OFF]}; "
-            f"backends silently wrong by themselves: {self.flags_wrong}"
+            f"methods silently wrong by themselves: {self.flags_wrong}"
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from contactqp.study import rows
 from contactqp.study.charts.comparison import overview_charts
+from contactqp.study.charts.curves import marker
 from contactqp.study.report.chart import Chart
 from contactqp.study.statistics.overview import overview
 from tests.study.charts.examples import report
@@ -27,7 +29,7 @@ def _trace(chart: Chart, **known: Any) -> dict[str, Any]:
 
 def test_all_of_them_with_captions_units_and_tables() -> None:
     charts = _charts()
-    names = ["rates", "silently-wrong", "profile", "profile-raw", "mean-times", "median-error-u", "median-error-force"]
+    names = ["median-error-u", "median-error-force", "profile", "profile-raw", "mean-times", "rates", "silently-wrong"]
     assert list(charts) == names
     for chart in charts.values():
         assert chart.caption.endswith(".")
@@ -90,6 +92,17 @@ def test_means_are_those_of_the_statistics() -> None:
     for times, mean in zip(found.times, found.means, strict=True):
         assert _trace(chart, name=str(times.route))["x"] == pytest.approx([1e3 * mean], rel=1e-3)
     assert chart.figure["layout"]["yaxis"]["categoryarray"][-1] == "osqp"  # the fastest is on top
+
+
+def test_ways_can_be_told_apart_without_lines() -> None:
+    looks = [marker("", "circle", variant, whole) for variant in ("", "raw", "uzawa") for whole in (False, True)]
+    assert len({(look["symbol"], look["size"]) for look in looks}) == 6
+
+
+def test_captions_say_what_is_good() -> None:
+    for name, chart in _charts().items():
+        if name != "silently-wrong":  # whose second bar must be 0
+            assert re.search(r"further left is (faster|better)|best at 100 %", chart.caption, re.IGNORECASE), name
 
 
 def test_without_a_case_for_all_only_the_flags_are_left() -> None:

@@ -121,3 +121,14 @@ def test_plotly_takes_the_figures_and_they_are_small() -> None:
     for chart in _charts(report()):
         Figure(dict(chart.figure))
         assert len(json.dumps(chart.figure, allow_nan=False)) < 8000
+
+
+def test_where_the_truth_is_a_solution_its_own_error_is_said_to_tell_nothing() -> None:
+    data = report()
+    assert "tells nothing" not in _charts(data)[0].caption
+    for truth, words in (
+        ("active-set, proven to 1e-15 in u and 1e-15 in λ", "The truth is the proven solution of active-set"),
+        ("the case's exact values (3 of 4 numbers; the others: active-set, proven to 1e-15 in u)", "Numbers that"),
+    ):
+        chart, _ = case_charts(data, replace(data.cases[0], truth=truth))
+        assert words in chart.caption

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from xml.etree import ElementTree
 
 import pytest
@@ -12,7 +13,7 @@ from contactqp.scene.loading import load_scene
 from contactqp.study.page import formulation as pages
 from contactqp.study.page.formulation import Formulation, formulation
 from contactqp.study.page.mathematics import mathml
-from contactqp.study.page.schemes import STEPS
+from contactqp.study.page.schemes import STEPS, SYMBOLS
 from tests.study.page.samples import CASES, bare_record
 
 pytest.importorskip("latex2mathml")
@@ -45,7 +46,10 @@ def test_a_bar_at_a_wall_has_an_energy_and_a_contact_and_nothing_else() -> None:
 def test_friction_is_no_minimisation_and_has_its_cone() -> None:
     found = _of("truss_friction")
     assert _latex(found, "Equilibrium") == r"K u + E_N^T \lambda_N + E_T^T \lambda_T  = f(t)"
-    assert "no minimisation" in next(formula.meaning for formula in found.formulas if formula.name == "Energy")
+    meanings = {formula.name: formula.meaning for formula in found.formulas}
+    assert "no minimisation" in meanings["Energy"]
+    assert "Karush" not in meanings["Equilibrium"]
+    assert "Karush" in next(f.meaning for f in _of("bar_wall").formulas if f.name == "Equilibrium")
     assert _latex(found, "Coulomb").endswith(r"\lambda_{T,i} = \mu_i \lambda_{N,i} \frac{s_i}{\lVert s_i \rVert}")
     assert _sizes(found)["E_T"] == r"(d - 1) m \times n = 1 \times 2"
 
@@ -62,13 +66,32 @@ def test_a_motion_has_mass_and_the_equation_of_its_scheme() -> None:
     assert _latex(found, f"One step of h by {scheme}").splitlines() == list(STEPS[scheme])
     assert "Motion" in _names(found)
     assert "Energy" not in _names(found)
-    assert "M" in _sizes(found)
+    units = {symbol.latex: symbol.unit for symbol in found.symbols}
+    assert units["M"] == "N·s²/m"
+    assert {name: units[name] for name in ("v", "h", r"\theta", "e", "P_N")} == {
+        "v": "m/s",
+        "h": "s",
+        r"\theta": "1",
+        "e": "1",
+        "P_N": "N·s",
+    }
+    assert "w" not in units  # which other schemes have
+
+
+def test_every_symbol_of_a_scheme_is_explained() -> None:
+    explained = {symbol.latex for symbol in SYMBOLS}
+    known = {"u", "v", "K", "M", "E_N", r"\lambda_N", "f", "g"}
+    for name, lines in STEPS.items():
+        words = re.sub(r"\\text\{[^}]*\}|\\(frac|left|right|ge|le|max)(?![a-z])", " ", " ".join(lines))
+        found = set(re.findall(r"\\[a-z]+(?:_N)?|E_N|P_N|[A-Za-z]", words.replace("E_N^T", "E_N")))
+        assert found - known <= explained, name
 
 
 def test_large_displacements_have_newton_steps_and_gaps_that_change() -> None:
     found = _of("von_mises_snaps")
     assert "One step of Newton" in _names(found)
     assert "g(u)" in _latex(found, "Signorini")
+    assert {r"\Delta", r"\mathrm{U}"} <= set(_sizes(found))
 
 
 def test_every_scheme_has_its_equation() -> None:
