@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import doctest
+import json
 import pathlib
 import re
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 import contactqp as cq
+from contactqp.study.report.report import write_report
+from contactqp.study.running.running import Running
 
-README = (pathlib.Path(__file__).parent.parent / "README.md").read_text()
+ROOT = pathlib.Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
 
 
 def _block(language: str) -> str:
@@ -56,3 +62,37 @@ def test_the_method_table_names_methods_that_exist() -> None:
     named = {name for row in rows for name in re.findall(r"`([a-z-]+)`", row)}
     assert len(named) >= 15
     assert named <= names
+
+
+def _results() -> set[str]:
+    """The numbers that the README says come out: in comments of its example, and as a right answer of another code."""
+    said = re.findall(r"# \[?(\d+\.\d+)", _block("python"))
+    return {*said, *re.findall(r"normal_force=\[-(\d+\.\d+)\]", _block("pycon"))}
+
+
+def _numbers(data: Any) -> Iterator[float]:
+    """All that are in a document of JSON."""
+    if isinstance(data, dict | list):
+        for part in data.values() if isinstance(data, dict) else data:
+            yield from _numbers(part)
+    elif isinstance(data, float):
+        yield data
+
+
+def test_its_numbers_are_those_of_a_report(tmp_path: pathlib.Path) -> None:
+    """Rounded to the digits that it prints: forces are what cases expect and get, errors stand in the rows."""
+    cases = [ROOT / "cases" / f"{name}.toml" for name in ("truss_floor_printed", "bar_wall")]
+    write_report(cases, tmp_path, methods=["active-set", "penalty"], repeats=1, running=Running(jobs=0))
+    report = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    known = list(_numbers([[case["judgements"] for case in report["cases"]], report["rows"]]))
+
+    def found(text: str) -> bool:
+        digits = len(text.partition(".")[2])
+        return any(f"{value:.{digits}f}" == text for value in known)
+
+    assert _results() == {"30.25499284", "0.071", "142.5"}
+    assert [text for text in _results() if not found(text)] == []
+    assert not found("30.25499285")
+    truss = [row for row in report["rows"] if row["case"] == "truss_floor_printed" and row["method"] == "penalty"]
+    (soft,) = (row for row in truss if row["knob_value"] == 1e6)
+    assert f"{soft['error_force']:.3f}" == "0.071"
