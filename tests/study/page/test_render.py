@@ -229,3 +229,10 @@ def test_what_is_missing_is_said_with_the_command(monkeypatch: pytest.MonkeyPatc
 
 def test_without_scripts_a_line_says_so(text: str) -> None:
     assert re.search(r"<noscript><p[^>]*>Without JavaScript", text)
+
+
+def test_the_curves_of_a_case_come_before_its_long_tables_and_the_study_of_stability_is_named() -> None:
+    text = pages.render(hostile())
+    names = re.findall(r"<h4>([^<]*)</h4>", text.split('class="case"')[1])
+    assert names.index("Error against run time") < names.index("What the case expects of its answer")
+    assert "contactqp report --stability" in text

@@ -278,3 +278,8 @@ def test_the_command_line_runs_the_study_alone(
     assert done.exit_code == 0
     assert "wrong but passed: 0" in done.output
     assert "contactqp: a note" in done.stderr
+
+
+def test_words_of_an_axis_have_its_unit(small: StabilityStudy) -> None:
+    penalty = next(section for section in stability_sections(small) if section.heading.startswith("Penalty"))
+    assert "Values: β, κ [kN/m]." in penalty.words
