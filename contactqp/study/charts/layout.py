@@ -9,8 +9,8 @@ from typing import Any
 from contactqp.study.charts.numbers import plural, rounded
 from contactqp.study.charts.style import GREY, method_style
 
-# Room around the points of a logarithmic axis, as a factor.
-ROOM = 1.6
+# Room around the points of a logarithmic axis: a factor, and at least this part of it, which shows symbols whole.
+ROOM, MARGIN = 1.6, 0.03
 # A logarithmic axis of more than so many is labelled at powers of ten alone.
 DECADES = 6
 METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the names
@@ -24,7 +24,9 @@ def on_cases(cases: Sequence[str]) -> str:
 def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:
     """A logarithmic axis around positive values."""
     known = [value for value in values if value > 0 and math.isfinite(value)] or [1.0]
-    ends = math.log10(min(known) / ROOM), math.log10(max(known) * ROOM)
+    lowest, highest = math.log10(min(known)), math.log10(max(known))
+    room = max(math.log10(ROOM), MARGIN * (highest - lowest))
+    ends = lowest - room, highest + room
     # Powers of ten where there are many, else 2 and 5 between them.
     ticks = dict(dtick=2, exponentformat="power") if ends[1] - ends[0] > DECADES else dict(dtick="D2", tickformat="~g")
     return dict(type="log", title=dict(text=title), range=[rounded(end) for end in ends], **ticks)

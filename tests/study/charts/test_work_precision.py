@@ -11,6 +11,7 @@ import pytest
 
 from contactqp.study import rows
 from contactqp.study.charts.curves import FLOOR, MARKS
+from contactqp.study.charts.layout import MARGIN, log_axis
 from contactqp.study.charts.work_precision import case_charts
 from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
@@ -132,3 +133,8 @@ def test_where_the_truth_is_a_solution_its_own_error_is_said_to_tell_nothing() -
     ):
         chart, _ = case_charts(data, replace(data.cases[0], truth=truth))
         assert words in chart.caption
+
+
+def test_symbols_at_the_ends_of_an_axis_are_seen_whole() -> None:
+    low, high = log_axis("", [1e-17, 1.0])["range"]
+    assert (low, high) == pytest.approx((-17 - MARGIN * 17, MARGIN * 17))
