@@ -91,7 +91,7 @@ def _truth_text(case: CaseRecord) -> str:
     if found is None:
         return ""
     which = "The truth is" if found.start() == 0 else "Numbers that the case does not state are those of"
-    return f"{which} the proven solution of {found[1]} itself, whose own error in them is zero here and tells nothing."
+    return f"{which} the proven solution of {found[1]} itself, whose own error there is zero and tells nothing."
 
 
 def work_precision(
