@@ -16,9 +16,10 @@ from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.energy_norm import CONTRACTION, energy_norm, force_norm, residual_noise, response
 from contactqp.extended import Extended, extend, extended_rows
+from contactqp.least_distance import least_closing, least_retreat
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
-from contactqp.problem import ContactProblem
+from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint, saddle_point
 from contactqp.violations import Answer, Residuals, lengths_that_meet, stiffness_sizes
 
@@ -31,6 +32,10 @@ TOUCHING = 1e-6
 CLOSING_SWEEPS = 4
 # A gap beneath this part of its lengths is zero in extended precision too.
 ZERO_GAP = 2.0**-90
+# The part of an excess that a displacement in double precision may leave of it.
+MISSED = 1e-6
+# What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
+ROUGHLY = 0.25
 # Resultants of forces that are this part of the forces balance.
 BALANCED = 1e-12
 
@@ -51,6 +56,10 @@ class AdmissiblePair:
 
 class Unproven(Exception):
     """Why there is no pair."""
+
+
+class Undecided(Unproven):
+    """Why nothing can be proven in the digits that doubles have, whatever the answer."""
 
 
 def admissible_pair(
@@ -140,25 +149,80 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """How far the solution may be from an answer whose signs hold only to rounding.
 
-    Contacts penetrated by d > 0 are open and their forces zero in an answer u' that solves the problem with gaps g + d
-    there. Let w be the least displacement with E w = -d there and E w = 0 on the closed contacts, A w = 0. Then u* - w
-    is the solution in these gaps under the load f - K w, and the solution depends on the load with constant one in the
-    energy norm: |u* - u'| <= 2 |w|. Forces in tension that are left out change the response by their own norm.
+    Forces in tension that are left out change the response by their own norm.
     """
-    closed = on_set.saddle.closed
     length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.displacement.double())
-    penetrated = np.setdiff1d(np.flatnonzero(-on_set.gap.double() > ZERO_GAP * length), closed)
-    undecided = 0.0
-    if penetrated.size:
-        larger = np.union1d(closed, penetrated).astype(np.intp)
-        gap = np.where(np.isin(larger, penetrated), on_set.gap.double()[larger], 0.0)
-        nothing = extend(np.zeros(problem.dimension)), extend(gap), extend(np.zeros(problem.ties))
-        closing, _, _ = correction(condensation, saddle_point(condensation, larger), *nothing)
-        undecided += 2 * sum(energy_norm(problem, extend(closing)))
+    excess = np.maximum(-on_set.gap.double(), 0.0)
+    excess[excess <= ZERO_GAP * length] = 0.0
+    undecided = _of_noise(condensation, on_set, length)
+    if np.any(excess):
+        undecided += _of_penetration(problem, condensation, on_set, excess, length)
     tension = (-on_set.normal_force).positive_part()
     if np.any(tension.double()):
         undecided += sum(force_norm(problem, condensation, tension))
     return undecided
+
+
+def _of_noise(condensation: Condensation, on_set: OnSet, length: Vector) -> float:
+    """What gaps may hide that are zero in extended precision alone, where contacts that touch depend on each other.
+
+    Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
+    """
+    gap, force = on_set.gap.double(), on_set.normal_force.positive_part().double()
+    touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
+    if not saddle_point(condensation, touching).redundant:
+        return 0.0
+    pushing = np.flatnonzero((force > 0) & np.isfinite(length))
+    measure = abs(gap) / np.where(length > 0, length, 1.0)
+    hidden = np.append(measure[pushing], measure[(gap < 0) & (measure <= ZERO_GAP)])
+    return float(np.sqrt(2 * np.max(hidden, initial=0.0) * (force[pushing] @ length[pushing])))
+
+
+def _of_penetration(
+    problem: ContactProblem, condensation: Condensation, on_set: OnSet, excess: Vector, length: Vector
+) -> float:
+    """How far the solution may be from an answer u' in which contacts are penetrated by `excess` d >= 0.
+
+    u' solves the problem with the gaps g + d. Let w be the least displacement with E w = -d where d > 0 and E w = 0 on
+    the other closed contacts, A w = 0. Then u* - w is the solution in these gaps under the load f - K w, and the
+    solution depends on the load with constant one in the energy norm: |u* - u'| <= 2 |w|.
+
+    Where contacts depend on each other there may be no such w. For any with E w <= -d, A w = 0 the displacement u' + w
+    is admissible, and u* is so in the wider gaps, where u' has the forces l':
+
+        |u* - u'|^2 <= 2 J(u*) - 2 J(u') <= 2 J(u' + w) - 2 J(u') = |w|^2 - 2 l'E w
+
+    Raises
+    ------
+    Undecided
+        There is neither: contacts that no rounding tells from dependent ones conflict.
+    """
+    closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
+    measure = np.where(length > 0, length, 1.0)[closed]
+    largest = float(np.max(excess[closed] / measure))
+
+    def left_by(displacement: Vector) -> Vector:
+        return np.asarray((excess + problem.normal @ displacement)[closed] / measure / largest)
+
+    nothing = extend(np.zeros(problem.dimension)), extend(-excess[closed]), extend(np.zeros(problem.ties))
+    saddle = saddle_point(condensation, closed)
+    closing, _, _ = correction(condensation, saddle, *nothing)
+    if not saddle.redundant or np.max(abs(left_by(closing))) <= MISSED:
+        return 2 * sum(energy_norm(problem, extend(closing)))
+    _, unloaded = condensation.reduce_load(np.zeros(problem.dimension))
+    rows, ties = condensation.normal[closed], condensation.tie
+    back = least_retreat(rows * condensation.scale, ties * condensation.scale, excess[closed])
+    if (
+        back is not None
+        and np.max(left_by(retreat := condensation.expand(condensation.scale * back, unloaded))) <= MISSED
+    ):
+        work = on_set.normal_force.positive_part().double() @ np.maximum(-(problem.normal @ retreat), 0.0)
+        return float(np.hypot(sum(energy_norm(problem, extend(retreat))), np.sqrt(2 * work)))
+    far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
+    closing = condensation.expand(condensation.scale * far, unloaded)
+    if np.max(abs(left_by(closing))) <= ROUGHLY:
+        return 2 * sum(energy_norm(problem, extend(closing)))
+    raise Undecided(f"closed contacts that depend on each other to rounding conflict by {largest:.1e} of their lengths")
 
 
 def _from_repair(

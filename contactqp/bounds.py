@@ -41,7 +41,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.admissible_pair import AdmissiblePair, Unproven, admissible_pair
+from contactqp.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair
 from contactqp.condensation import Condensation
 from contactqp.energy_norm import (
     RIGID_ROUNDING,
@@ -102,6 +102,8 @@ def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condens
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
     try:
         pair = admissible_pair(problem, answer, left, condensation)
+    except Undecided as reason:
+        return no_bounds(str(reason))
     except Unproven as reason:
         return replace(no_bounds(str(reason)), suspicious=str(reason))
     return _from_pair(problem, answer, condensation, pair)

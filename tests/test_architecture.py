@@ -52,6 +52,7 @@ LAYERS = (
     "balance",
     "polishing",
     "energy_norm",
+    "least_distance",
     "admissible_pair",
     "multigrid_bounds",
     "bounds",
