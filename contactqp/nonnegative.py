@@ -19,7 +19,11 @@ DEPENDENT = 1e-11
 
 
 class Infeasible(Exception):
-    """The rows of the set and the one that was to join them conflict."""
+    """The rows of the set and the one that was to join them conflict, as far as W tells them apart."""
+
+    def __init__(self, rows: list[int]) -> None:
+        super().__init__()
+        self.rows = np.array(sorted(rows), dtype=np.intp)
 
 
 def dual_active_set(
@@ -66,7 +70,7 @@ def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: 
         partial = min(ratios, default=np.inf)
         step = min(full, partial)
         if not np.isfinite(step):
-            raise Infeasible
+            raise Infeasible([*active, i])
         force[active] -= step * drag
         force[i] += step
         if step == full:

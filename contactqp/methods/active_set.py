@@ -44,6 +44,8 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
     anchor = _rigid_answer(problem, operator, load)
     force = _warm(settings, operator, problem.contacts)
+    # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
+    doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
     for _ in range(PROXIMAL_STEPS):
         if steps >= limit:
@@ -51,7 +53,8 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
         free = operator.free_response(load, anchor)
         try:
             force, taken = _closed_by(operator, problem, free, force, limit - steps)
-        except Infeasible:  # or so it looks through the anchors' springs
+        except Infeasible as conflict:  # or so it looks through the anchors' springs, or in W
+            doubtful = conflict.rows[conflict.rows < problem.contacts]
             break
         steps += taken
         anchor = operator.displaced(free, force)
@@ -62,7 +65,14 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
             return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
         if not condensation.rigid.count:
             break
-    return _without_anchors(problem, settings, steps)
+    try:
+        return _without_anchors(problem, settings, steps)
+    except NotConverged:
+        answer = _equilibrium_on(problem, condensation, operator, load, size, doubtful)
+        if answer is None or np.any(_penetrated(condensation, problem, answer[0])):
+            raise
+        x, normal_force, tie_force = answer
+        return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
 
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
@@ -183,12 +193,17 @@ def _equilibrium_on(
         return None
     # Where nothing floats, the anchored set is the set; where motions stay free, polishing moves them within the gaps.
     if condensation.rigid.count and not saddle.free.shape[1]:
-        length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
-        penetrated = condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length
+        penetrated = _penetrated(condensation, problem, x)
         penetrated[closed] = False
         if np.any(penetrated):
             return None
     return x, np.maximum(force, 0.0), tie_force
+
+
+def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> NDArray[np.bool_]:
+    """(m,) contacts that a displacement of the contact unknowns penetrates by more than rounding."""
+    length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
+    return np.asarray(condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length)
 
 
 METHODS = (
