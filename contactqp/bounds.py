@@ -66,6 +66,8 @@ VANISHING = 1e-22
 NEXT_TO_NOTHING = 1e-12
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
+# Why the forces of single contacts have no bound, though their resultants have one.
+REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
 
@@ -222,7 +224,7 @@ def _force_bound(
     active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
     saddle = saddle_point(condensation, active)
     if saddle.redundant:
-        return None, "the closed contacts and ties are redundant: their forces are not unique"
+        return None, REDUNDANT
     m, count = problem.contacts, len(active)
     bound = np.zeros(m)
     outside = np.setdiff1d(np.arange(m), active)

@@ -6,25 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from contactqp.bounds import REDUNDANT
 from contactqp.solution import Solution
 from contactqp.study.stability.posed import SweptTruth
+from contactqp.uniqueness import FORCES, SEVERAL
 
 # What the nearest doubles of a truth may add to an error that meets its bound exactly.
 ROUNDING = 1e-12
 
 
 def stated(truth: SweptTruth, solution: Solution) -> str:
-    """What the certificate says of an answer that it passes and that is off by more than 1e-6; empty: nothing."""
+    """What the certificate says of an answer that it passes and that is off by more than 1e-6; empty: nothing.
+
+    That uniqueness was not examined, or that other answers are not excluded, says nothing of this one.
+    """
     certificate = solution.certificate
-    if certificate.uniqueness:
+    if SEVERAL in certificate.uniqueness:
         return f"the certificate says: {'; '.join(certificate.uniqueness)}"
     if not truth.exists:
         return ""
     if certificate.force_bound is None:
-        of_bound = [reason for reason in certificate.reasons if reason.startswith("force_bound")]
+        said = [reason for reason in certificate.reasons if reason.startswith("force_bound") and REDUNDANT in reason]
+        said += [finding for finding in certificate.uniqueness if finding == FORCES]
         resultants = replace(truth, unique_forces=False)
         errors = resultants.errors(solution.displacement, solution.normal_force, solution.tie_force)
-        return f"the certificate says: {of_bound[0]}" if of_bound and errors.small else ""
+        return f"the certificate says: {said[0]}" if said and errors.small else ""
     off = np.abs(solution.normal_force - truth.normal_force)
     allowed = certificate.force_bound + ROUNDING * np.abs(truth.normal_force)
     together = replace(truth, unique_forces=False).errors(solution.displacement, truth.normal_force, solution.tie_force)
