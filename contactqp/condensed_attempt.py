@@ -21,8 +21,11 @@ from contactqp.polishing import closed_contacts, least_displacement, polish, shi
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import saddle_point
 from contactqp.scaling import nondimensional
-from contactqp.solution import Candidate, Final, FreeMotion
+from contactqp.solution import Candidate, Final, FreeMotion, Work
 from contactqp.violations import Answer, lay_out
+
+# The kind of methods that condense whatever they are shown.
+CONDENSES_ITSELF = "active set"
 
 
 class CondensedAttempt(MeteredAttempt):
@@ -72,6 +75,13 @@ class CondensedAttempt(MeteredAttempt):
     def start(self) -> Candidate:
         """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
         return self.candidate if self._whole else self._way.spread_candidate(self.candidate)
+
+    def work(self, corrections: int) -> Work:
+        """What it has cost so far; a method that was shown all unknowns saw them all, unless it condenses by itself."""
+        spent = super().work(corrections)
+        if self._whole and self._method.kind != CONDENSES_ITSELF:
+            return replace(spent, retained=self._problem.dimension)
+        return spent
 
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium if the constraints conflict."""
