@@ -1,0 +1,82 @@
+"""The command line: arguments only. Commands have a file a group, and bring in what they need when they are called."""
+
+from __future__ import annotations
+
+import _thread
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from typing import NoReturn
+
+import click
+
+import contactqp
+from contactqp.cli.judging import check_command, explain_command, oracle_command
+from contactqp.cli.output import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET, complain
+from contactqp.cli.solving import run_command
+from contactqp.cli.surveying import gallery_command, methods_command, report_command
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported
+
+# Seconds after which a Ctrl-C that was ignored is repeated.
+ONCE_MORE = 0.05
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(contactqp.__version__, prog_name="contactqp")
+def command() -> None:
+    """Contact problems as energy minimisation with inequality constraints, every answer certified."""
+
+
+for _command in (
+    run_command,
+    check_command,
+    explain_command,
+    oracle_command,
+    methods_command,
+    report_command,
+    gallery_command,
+):
+    command.add_command(_command)
+
+
+def _exit_code(error: ContactQPError) -> int:
+    if isinstance(error, BackendMissing):
+        return NOT_INSTALLED
+    return BAD_INPUT if isinstance(error, SceneError | InvalidProblem | Unsupported) else NOT_MET
+
+
+def _insist(ignored: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C where Python lets no exception through, as in a callback of an import, comes once more after that."""
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        # From another thread, a moment later: here it would be ignored again.
+        threading.Timer(ONCE_MORE, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(ignored)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line, on `sys.argv` by default; every error of contactqp is one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # names in a case may hold letters that the terminal cannot show
+            stream.reconfigure(errors="replace")
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _insist
+    try:
+        command(arguments, prog_name="contactqp", standalone_mode=False)
+    except ContactQPError as error:
+        complain(str(error))
+        sys.exit(_exit_code(error))
+    except click.ClickException as error:
+        error.show()
+        sys.exit(BAD_INPUT)
+    except (click.Abort, KeyboardInterrupt):
+        complain("interrupted")
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except OSError as error:  # a name too long, no permission, a full disk
+        complain(f"{error.filename or 'file'}: {error.strerror or error}")
+        sys.exit(BAD_INPUT)
+    sys.exit(0)

@@ -1,0 +1,119 @@
+"""Commands that look at one problem or answer: check, explain, oracle."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from contactqp.cli.output import NOT_MET, console, print_json
+
+
+@click.command("check")
+@click.argument("problem")
+@click.argument("candidate")
+@click.option(
+    "--compression",
+    type=click.Choice(["positive", "negative"]),
+    default="positive",
+    show_default=True,
+    help="Which sign of CANDIDATE's normal forces means compression.",
+)
+@click.option("--pressure-areas", metavar="FILE", help="Areas of the contacts: CANDIDATE holds pressures.")
+@click.option("--dof-map", metavar="FILE", help="Where each unknown of PROBLEM stands in CANDIDATE, or its name there.")
+@click.option("--contact-map", metavar="FILE", help="The same for contacts.")
+@click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
+@click.option("--error-tolerance", type=float, default=1e-6, show_default=True, help="Largest bound that passes.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def check_command(
+    problem: str,
+    candidate: str,
+    compression: str,
+    pressure_areas: str | None,
+    dof_map: str | None,
+    contact_map: str | None,
+    tolerance: float,
+    error_tolerance: float,
+    as_json: bool,
+) -> None:
+    """Judge somebody else's answer, CANDIDATE, to PROBLEM: exit 0 if it is right, 1 if it is wrong.
+
+    PROBLEM is a case file; or a folder or .npz of matrices, by the names of their files: stiffness or K, load or f,
+    normal or E_N, gap or g (Matrix Market, Harwell-Boeing, CSV, .npy, Ansys's .full, ...), or contacts.csv. CANDIDATE
+    then holds displacement, normal_force or both, and friction_force and tie_force, by name or in order: JSON (what
+    `contactqp run CASE --method M --json` prints is one), CSV (columns dof,displacement and contact,normal_force),
+    .npz, one array or a folder of them, or a result file of a code that is known.
+
+    Or PROBLEM is a file of FCLIB (HDF5) or Siconos (text); CANDIDATE then holds the forces on the bodies, contact by
+    contact in the order (N, T1, T2): FCLIB's /solution, a .npy array, JSON, CSV or plain numbers.
+
+    A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
+    problem,candidate.
+    """
+    from contactqp.study.check_options import CheckOptions
+    from contactqp.study.checking import check_answer, print_check
+
+    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
+    verdict = check_answer(problem, candidate, options)
+    if as_json:
+        print_json(verdict.data())
+    else:
+        print_check(console(), verdict)
+    sys.exit(0 if verdict.passed else NOT_MET)
+
+
+@click.command("explain")
+@click.argument("case")
+@click.option("--no-solve", is_flag=True, help="Say what the case is made of, and not what its answer takes.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
+    """Print the unknowns and constraints of CASE, which blocks it got and which not, with the reason, and its cost.
+
+    The cost is that of solving CASE once by active-set in a fresh interpreter: the time of each stage, memory, modules
+    imported, factorisations, contacts kept and dropped. It takes about as long as `contactqp run`; --no-solve leaves it
+    out. A case without an answer is explained all the same.
+    """
+    from dataclasses import asdict
+
+    from contactqp.scene.explaining import explain
+    from contactqp.scene.loading import load_scene
+
+    explanation = explain(load_scene(case))
+    if not as_json:
+        from contactqp.scene.printing_explanation import print_explanation
+
+        print_explanation(console(), explanation)
+    footprint = None
+    if not no_solve:
+        from contactqp.study.footprint.measuring import measure
+
+        footprint = measure(case)
+    if as_json:
+        print_json(asdict(explanation) | {"footprint": None if footprint is None else footprint.data()})
+    elif footprint is not None:
+        from contactqp.study.footprint.printing import print_footprint
+
+        print_footprint(console(), footprint)
+
+
+@click.command("oracle")
+@click.argument("case")
+@click.option("--method", metavar="M", default="active-set", show_default=True, help="What proposes the contact set.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+def oracle_command(case: str, method: str, as_json: bool) -> None:
+    """Print the exact answer of CASE, in rational numbers or enclosed: multipliers for tests in any language.
+
+    CASE is a case file, whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file of another code,
+    whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
+    """
+    from contactqp.oracle.exact.exact import exact
+    from contactqp.oracle.exact.printing import answer_data, print_answer
+    from contactqp.oracle.exact.reading import read_case, tie_names
+
+    asked = read_case(case)
+    answer = exact(asked, method)
+    ties, title = tie_names(asked, answer.problem.ties), str(getattr(asked, "title", case))
+    if as_json:
+        print_json(answer_data(answer, ties, title))
+    else:
+        print_answer(console(), answer, ties, title)

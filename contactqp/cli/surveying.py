@@ -1,0 +1,116 @@
+"""Commands that go through many methods or problems: methods, report, gallery."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from contactqp.cli.output import console, print_json
+from contactqp.errors import InvalidProblem
+
+# Of one cell of a report [s].
+TIME_LIMIT = 600.0
+
+
+@click.command("methods")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+def methods_command(as_json: bool) -> None:
+    """List every method: what it can do, and whether it is installed or how to install it."""
+    from contactqp.methods import methods
+    from contactqp.scene.printing_methods import method_data, print_methods
+
+    if as_json:
+        print_json([method_data(method) for method in methods()])
+    else:
+        print_methods(console(), methods())
+
+
+@click.command("report")
+@click.argument("cases", nargs=-1, metavar="[CASE...]")
+@click.option("-o", "--output", metavar="DIR", default="report", show_default=True, help="Where the report goes.")
+@click.option("--stability", is_flag=True, help="The stability study; without CASE nothing else.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes side by side; all cores by default.")
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler instead: tcp://host:8786.")
+@click.option("--fresh", is_flag=True, help="Forget what an interrupted report left in DIR.")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=TIME_LIMIT,
+    show_default=True,
+    metavar="SECONDS",
+    help="Of one answer; it is stopped then, and its row says so.",
+)
+def report_command(
+    cases: tuple[str, ...],
+    output: str,
+    stability: bool,
+    jobs: int | None,
+    dask: str | None,
+    fresh: bool,
+    time_limit: float,
+) -> None:
+    """Run every case by every method and every value of its knob, and write errors and run times to DIR.
+
+    Answers are found side by side, then timed one after the other. What is found streams to DIR; a report that was
+    interrupted goes on from there by the same command.
+
+    With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write
+    stability.html, stability.csv and stability.json to DIR.
+    """
+    from contactqp.study.running.running import Running
+
+    running, codes = Running(jobs, dask, fresh, time_limit, shown=True), []
+    if cases or not stability:
+        from contactqp.study.report.report import report
+
+        codes.append(report(cases, output, running))
+    if stability:
+        from contactqp.study.stability.report import report_stability
+
+        codes.append(report_stability(output, running))
+    sys.exit(max(codes))
+
+
+@click.command("gallery")
+@click.argument("folder", required=False, metavar="[DIR]")
+@click.option(
+    "--kind", metavar="K", help="named, well-posed, degenerate, redundant, floating, frictional, ...; or all."
+)
+@click.option("--difficulty", metavar="D", help="easy, moderate or hard; all by default.")
+@click.option("--count", type=int, metavar="N", help="How many of each kind; 3 by default, and all named ones.")
+@click.option("--seed", type=int, default=0, show_default=True, metavar="S", help="Where the seeds start.")
+@click.option("--name", "names", multiple=True, metavar="NAME", help="A problem by its name; may be repeated.")
+@click.option("--list", "listed", is_flag=True, help="List the problems, write nothing.")
+@click.option("--json", "as_json", is_flag=True, help="With --list: print JSON instead of a table.")
+def gallery_command(
+    folder: str | None,
+    kind: str | None,
+    difficulty: str | None,
+    count: int | None,
+    seed: int,
+    names: tuple[str, ...],
+    listed: bool,
+    as_json: bool,
+) -> None:
+    """Write problems with exact answers to DIR, as JSON and Matrix Market files for the tests of any code.
+
+    DIR must be new or empty. index.json lists the problems; each has a folder with problem.json, stiffness.mtx,
+    load.mtx, normal.mtx, gap.mtx and so on, and answer.json with its exact answer, in doubles and as fractions.
+    """
+    from contactqp.oracle.gallery.files import summary, write_gallery
+    from contactqp.oracle.gallery.gallery import chosen_problems
+
+    chosen = chosen_problems(names, kind, difficulty, count, seed)
+    if listed == (folder is not None):
+        raise InvalidProblem("gallery: expected a folder to write to, or --list")
+    if as_json and not listed:
+        raise InvalidProblem("gallery: --json goes with --list; what is written has an index.json")
+    if as_json:
+        print_json([summary(known) for known in chosen])
+    elif listed:
+        from contactqp.study.gallery_printing import print_gallery
+
+        print_gallery(console(), chosen)
+    elif folder is not None:
+        click.echo(f"written: {write_gallery(folder, chosen)}, {len(chosen)} problems")
