@@ -35,7 +35,8 @@ VERDICTS: Mapping[str, str] = {
 }
 
 
-def _column(meaning: str, default: Any = None) -> Any:
+def column(meaning: str, default: Any = None) -> Any:
+    """A field of a row, with its meaning."""
     return field(default=default, metadata={"meaning": meaning})
 
 
@@ -43,69 +44,70 @@ def _column(meaning: str, default: Any = None) -> Any:
 class Row:
     """One method with one value of its knob on one problem. What does not apply, or is not finite, is None."""
 
-    case: str = _column("name of the case; empty in a comparison of one problem", "")
-    method: str = _column("name of the method", "")
-    kind: str = _column("family of the method", "")
-    promises_exact: bool = _column("whether the method promises the exact answer, or is approximate by design", True)
-    variant: str = _column("raw, polished or uzawa, where the method has such variants", "")
-    condensed: str = _column(
+    case: str = column("name of the case; empty in a comparison of one problem", "")
+    method: str = column("name of the method", "")
+    kind: str = column("family of the method", "")
+    promises_exact: bool = column("whether the method promises the exact answer, or is approximate by design", True)
+    variant: str = column("raw, polished or uzawa, where the method has such variants", "")
+    condensed: str = column(
         "yes: the method worked on the contact unknowns alone; no: it was told to work on all unknowns; "
         "empty: there is no choice",
         "",
     )
-    knob: str = _column("what trades error for time: tolerance, penalty, perturbation, iterations", "")
-    knob_value: float | None = _column("its value; stiffnesses in the case's units; none: the method's own default")
-    verdict: str = _column("one of the verdicts listed below", "")
-    error_displacement: float | None = _column("true error in u, energy norm, relative to that of the truth")
-    error_displacement_max: float | None = _column("largest true error of an unknown, relative to the largest unknown")
-    error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
-    error_measure: str = _column("relative, or which errors are absolute or measured otherwise, and why", "")
-    error_judged: float | None = _column(
-        "the worst of the errors that decide, each relative to a size that is not zero"
-    )
-    error_allowed: float | None = _column("error_judged up to which the answer is right: 1e-6 and rounding")
-    error_asked: float | None = _column("error_judged up to which a method that calls its answer solved is not wrong")
-    seconds: float | None = _column(
+    knob: str = column("what trades error for time: tolerance, penalty, perturbation, iterations", "")
+    knob_value: float | None = column("its value; stiffnesses in the case's units; none: the method's own default")
+    verdict: str = column("one of the verdicts listed below", "")
+    error_displacement: float | None = column("true error in u, energy norm, relative to that of the truth")
+    error_displacement_max: float | None = column("largest true error of an unknown, relative to the largest unknown")
+    error_force: float | None = column("largest true error of a contact force, relative to the largest force")
+    error_measure: str = column("relative, or which errors are absolute or measured otherwise, and why", "")
+    error_judged: float | None = column("the worst of the errors that decide, each relative to a size that is not zero")
+    error_allowed: float | None = column("error_judged up to which the answer is right: 1e-6 and rounding")
+    error_asked: float | None = column("error_judged up to which a method that calls its answer solved is not wrong")
+    seconds: float | None = column(
         "run time of solve on a fresh problem, certificate not included; median of the repeats"
     )
-    repeats: int = _column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
-    linear_solve_seconds: float | None = _column(
+    repeats: int = column("timed repeats after the warm-up; 0: the first call was so long that it was timed itself", 0)
+    linear_solve_seconds: float | None = column(
         "one linear solve of the case's bodies without contact by the same sparse solver: the physical limit"
     )
-    unknowns: int | None = _column("unknowns of the problem")
-    contacts: int | None = _column("contacts of the problem")
-    claimed: bool | None = _column("whether the method itself called its raw answer solved")
-    flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
-    raw_error_displacement: float | None = _column("error_displacement before polish, where the answer was polished")
-    raw_error_force: float | None = _column("error_force before polish, where the answer was polished")
-    certificate_passed: bool | None = _column("verdict of the certificate")
-    certificate_proven: bool | None = _column("whether the certificate could bound the errors")
-    certificate_worst: float | None = _column("largest of the certificate's figures of violation")
-    certificate_figure: str = _column("which figure that is", "")
-    bound_displacement: float | None = _column("the certificate's bound on the relative error in u, energy norm")
-    bound_force: float | None = _column("the certificate's bound on the relative error in the forces, energy norm")
-    iterations: int | None = _column("iterations of the method")
-    factorisations: int | None = _column("factorisations of the stiffness")
-    back_substitutions: int | None = _column("right-hand sides solved with them")
-    polish_corrections: int | None = _column("changes of the method's contact set while polishing")
-    expectations_unmet: int | None = _column(
-        "exact values of the case that the answer misses, where they were compared"
-    )
-    message: str = _column("what the method, the certificate or the error says", "")
+    unknowns: int | None = column("unknowns of the problem")
+    contacts: int | None = column("contacts of the problem")
+    claimed: bool | None = column("whether the method itself called its raw answer solved")
+    flag_wrong: bool | None = column("the method called its raw answer solved, and that is wrong")
+    raw_error_displacement: float | None = column("error_displacement before polish, where the answer was polished")
+    raw_error_force: float | None = column("error_force before polish, where the answer was polished")
+    certificate_passed: bool | None = column("verdict of the certificate")
+    certificate_proven: bool | None = column("whether the certificate could bound the errors")
+    certificate_worst: float | None = column("largest of the certificate's figures of violation")
+    certificate_figure: str = column("which figure that is", "")
+    bound_displacement: float | None = column("the certificate's bound on the relative error in u, energy norm")
+    bound_force: float | None = column("the certificate's bound on the relative error in the forces, energy norm")
+    iterations: int | None = column("iterations of the method")
+    factorisations: int | None = column("factorisations of the stiffness")
+    back_substitutions: int | None = column("right-hand sides solved with them")
+    polish_corrections: int | None = column("changes of the method's contact set while polishing")
+    expectations_unmet: int | None = column("exact values of the case that the answer misses, where they were compared")
+    message: str = column("what the method, the certificate or the error says", "")
 
 
-COLUMNS: Mapping[str, str] = {column.name: column.metadata["meaning"] for column in fields(Row)}
+def columns_of(kind: type) -> Mapping[str, str]:
+    """The meaning of each column of a table whose rows are of a kind."""
+    return {known.name: known.metadata["meaning"] for known in fields(kind)}
 
 
-def as_dicts(rows: Iterable[Row]) -> list[dict[str, Any]]:
+COLUMNS: Mapping[str, str] = columns_of(Row)
+
+
+def as_dicts(rows: Iterable[Any]) -> list[dict[str, Any]]:
     """Rows as plain data, one key a column."""
     return [asdict(row) for row in rows]
 
 
-def to_csv(rows: Iterable[Row]) -> str:
+def to_csv(rows: Iterable[Any], columns: Mapping[str, str] = COLUMNS) -> str:
     """Comma-separated values with a header; numbers with all their digits, None as nothing."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in as_dicts(rows))
     return text.getvalue()
@@ -123,7 +125,7 @@ def _cell(value: Any) -> str:
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
-_TYPES = {column.name: str(column.type).removesuffix(" | None") for column in fields(Row)}
+_TYPES = {known.name: str(known.type).removesuffix(" | None") for known in fields(Row)}
 
 
 def _parsed(name: str, cell: str) -> Any:
@@ -179,8 +181,8 @@ def text_table(rows: Iterable[Row], widest: int = 60) -> str:
 
 def aligned(cells: Sequence[Sequence[str]]) -> str:
     """Columns side by side under the headings of the first line; columns with nothing below it are left out."""
-    shown = [column for column in zip(*cells, strict=True) if any(column[1:])]
-    widths = [max(map(len, column)) for column in shown]
+    shown = [cell for cell in zip(*cells, strict=True) if any(cell[1:])]
+    widths = [max(map(len, cell)) for cell in shown]
     padded = [[cell.ljust(width) for cell in column] for column, width in zip(shown, widths, strict=True)]
     return "\n".join("  ".join(line).rstrip() for line in zip(*padded, strict=True))
 

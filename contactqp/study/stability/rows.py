@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from contactqp.study import rows as report_rows
+from contactqp.study.rows import as_dicts, column, columns_of
 from contactqp.study.stability.condition import UNIT_ROUNDOFF
 from contactqp.study.truth import ERROR_TOLERANCE
 
@@ -35,55 +34,51 @@ def digits_lost(error: float | None) -> float | None:
     return min(math.log10(error) + ALL_DIGITS, ALL_DIGITS) if math.isfinite(error) else ALL_DIGITS
 
 
-def _column(meaning: str, default: Any = None) -> Any:
-    return field(default=default, metadata={"meaning": meaning})
-
-
 @dataclass(frozen=True)
 class StabilityRow:
     """One method at one value of an axis. What does not apply, or is not finite, is None."""
 
-    axis: str = _column("name of the axis", "")
-    value: float = _column("where on the axis; of units, their place in the list", 0.0)
-    label: str = _column("the value in words", "")
-    method: str = _column("name of the method", "")
-    kind: str = _column("family of the method", "")
-    promises_exact: bool = _column("whether the method promises the exact answer, or is approximate by design", True)
-    variant: str = _column("uzawa, or empty: the method as solve runs it", "")
-    knob: str = _column("tolerance, penalty or perturbation, where the method has such a knob", "")
-    knob_value: float | None = _column("its value, in the problem's units")
-    unknowns: int = _column("n", 0)
-    contacts: int = _column("m", 0)
-    equilibria: int | None = _column("how many answers the problem has; none: one, as the problem is convex")
-    verdict: str = _column("one of the verdicts listed below", "")
-    error_displacement: float | None = _column(
+    axis: str = column("name of the axis", "")
+    value: float = column("where on the axis; of units, their place in the list", 0.0)
+    label: str = column("the value in words", "")
+    method: str = column("name of the method", "")
+    kind: str = column("family of the method", "")
+    promises_exact: bool = column("whether the method promises the exact answer, or is approximate by design", True)
+    variant: str = column("uzawa, or empty: the method as solve runs it", "")
+    knob: str = column("tolerance, penalty or perturbation, where the method has such a knob", "")
+    knob_value: float | None = column("its value, in the problem's units")
+    unknowns: int = column("n", 0)
+    contacts: int = column("m", 0)
+    equilibria: int | None = column("how many answers the problem has; none: one, as the problem is convex")
+    verdict: str = column("one of the verdicts listed below", "")
+    error_displacement: float | None = column(
         "true error in u: energy norm, and where K is singular the largest unknown, relative"
     )
-    error_force: float | None = _column("largest true error of a contact force, relative to the largest force")
-    error_measure: str = _column("relative, or which errors are measured otherwise, and why", "")
-    largest_force: float | None = _column("the largest contact force that was returned, in the problem's units")
-    digits_lost_displacement: float | None = _column("log₁₀ of error_displacement over 2⁻⁵³, from 0 to 15.95")
-    digits_lost_force: float | None = _column("log₁₀ of error_force over 2⁻⁵³, from 0 to 15.95")
-    raw_digits_lost_displacement: float | None = _column("the same of u before polish, where the answer was polished")
-    raw_digits_lost_force: float | None = _column("the same of λ before polish, where the answer was polished")
-    refused_right: bool | None = _column("the method was refused, or gave up, and its answer is right to 1e-6")
-    claimed: bool | None = _column("whether the method itself called its raw answer solved")
-    flag_wrong: bool | None = _column("the method called its raw answer solved, and that is wrong")
-    certificate_passed: bool | None = _column("verdict of the certificate")
-    bound_force: float | None = _column("the certificate's bound on the relative error in the forces, energy norm")
-    system: str = _column("the matrix that the method factorises for the right contacts", "")
-    condition: float | None = _column("its condition number κ = ‖A‖₂ ‖A⁻¹‖₂, by an inverse in rational numbers")
-    condition_missing: str = _column("why there is no condition number", "")
-    predicted_digits_lost: float | None = _column("log₁₀ of the condition number")
-    force_condition: float | None = _column(
+    error_force: float | None = column("largest true error of a contact force, relative to the largest force")
+    error_measure: str = column("relative, or which errors are measured otherwise, and why", "")
+    largest_force: float | None = column("the largest contact force that was returned, in the problem's units")
+    digits_lost_displacement: float | None = column("log₁₀ of error_displacement over 2⁻⁵³, from 0 to 15.95")
+    digits_lost_force: float | None = column("log₁₀ of error_force over 2⁻⁵³, from 0 to 15.95")
+    raw_digits_lost_displacement: float | None = column("the same of u before polish, where the answer was polished")
+    raw_digits_lost_force: float | None = column("the same of λ before polish, where the answer was polished")
+    refused_right: bool | None = column("the method was refused, or gave up, and its answer is right to 1e-6")
+    claimed: bool | None = column("whether the method itself called its raw answer solved")
+    flag_wrong: bool | None = column("the method called its raw answer solved, and that is wrong")
+    certificate_passed: bool | None = column("verdict of the certificate")
+    bound_force: float | None = column("the certificate's bound on the relative error in the forces, energy norm")
+    system: str = column("the matrix that the method factorises for the right contacts", "")
+    condition: float | None = column("its condition number κ = ‖A‖₂ ‖A⁻¹‖₂, by an inverse in rational numbers")
+    condition_missing: str = column("why there is no condition number", "")
+    predicted_digits_lost: float | None = column("log₁₀ of the condition number")
+    force_condition: float | None = column(
         "Skeel's condition number of the forces: what relative changes of one part in all entries make of them"
     )
-    predicted_modelling: float | None = _column("relative error in λ by β or κ in exact arithmetic, S / (S + β)")
-    predicted_error_force: float | None = _column(
+    predicted_modelling: float | None = column("relative error in λ by β or κ in exact arithmetic, S / (S + β)")
+    predicted_error_force: float | None = column(
         "predicted_modelling, and rounding: β ulp / λ of the penalty method, 2⁻⁵³ force_condition of the others"
     )
-    seconds: float | None = _column("run time of one call, certificate not included")
-    message: str = _column("what the method, the certificate or the error says", "")
+    seconds: float | None = column("run time of one call, certificate not included")
+    message: str = column("what the method, the certificate or the error says", "")
 
     @property
     def name(self) -> str:
@@ -107,17 +102,12 @@ class StabilityRow:
         return self.verdict == report_rows.WRONG
 
 
-COLUMNS: Mapping[str, str] = {column.name: column.metadata["meaning"] for column in fields(StabilityRow)}
+COLUMNS: Mapping[str, str] = columns_of(StabilityRow)
 
 
 def is_small(error: float | None) -> bool:
     """Whether an error is one that a certificate must let pass."""
     return error is not None and error <= ERROR_TOLERANCE
-
-
-def as_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
-    """Rows as plain data, one key a column."""
-    return [asdict(row) for row in rows]
 
 
 def short_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
@@ -128,14 +118,4 @@ def short_dicts(rows: Iterable[StabilityRow]) -> list[dict[str, Any]]:
 
 def to_csv(rows: Iterable[StabilityRow]) -> str:
     """Comma-separated values with a header; numbers with all their digits, None as nothing."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in as_dicts(rows))
-    return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
+    return report_rows.to_csv(rows, COLUMNS)
