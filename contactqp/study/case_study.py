@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from contactqp.errors import ContactQPError
+from contactqp.errors import ContactQPError, SceneError
 from contactqp.methods import Method
 from contactqp.problem import ContactProblem
 from contactqp.scene.answers import answer_of
@@ -135,6 +135,15 @@ class FullLoad:
         return missed if self._claims else None
 
 
+def _refuse_twins(paths: Sequence[Path]) -> None:
+    """A case that is named twice would be two with one name."""
+    seen: dict[Path, Path] = {}
+    for path in paths:
+        before = seen.setdefault(path.resolve(), path)
+        if before is not path:
+            raise SceneError(f"{path}: expected each case once, got it as {before} too")
+
+
 def load_studies(
     files: Iterable[str | Path], methods: Sequence[Method], tolerances: Sequence[float] = TOLERANCES
 ) -> tuple[CaseStudy, ...]:
@@ -146,6 +155,7 @@ def load_studies(
         A file is no case, or its problem is none; the message names the file.
     """
     paths = [Path(file) for file in files]
+    _refuse_twins(paths)
     stems = [path.stem for path in paths]
     studies = []
     for path in paths:

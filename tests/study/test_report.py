@@ -224,6 +224,23 @@ def test_without_cases_those_of_the_folder_here(
     assert (tmp_path / "report" / "index.html").exists()
 
 
+def test_a_case_that_is_named_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(cq.SceneError, match=r"bar_wall.toml: expected each case once, got it as .*bar_wall.toml too"):
+        _write(tmp_path / "out", cases=[CASES[0], CASES[1], CASES[0].parent / ".." / "cases" / CASES[0].name])
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("limit", [float("nan"), float("inf"), 1e300, 0.0, -1.0])
+def test_a_time_limit_is_a_time(limit: float) -> None:
+    with pytest.raises(cq.InvalidProblem, match="time limit: expected seconds"):
+        Running(time_limit=limit)
+
+
+def test_a_folder_has_a_name() -> None:
+    with pytest.raises(cq.SceneError, match="expected a folder"):
+        report.write_report(CASES, "")
+
+
 def test_two_cases_of_one_name_stay_apart(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

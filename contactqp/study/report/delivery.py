@@ -26,6 +26,8 @@ def report_folder(folder: str | Path) -> Path:
     SceneError
         It cannot be made.
     """
+    if not str(folder):
+        raise SceneError("-o: expected a folder for the report, got an empty name")
     path = Path(folder)
     if path.exists() and not path.is_dir():
         raise SceneError(f"{path}: expected a folder for the report, and there is a file of that name")

@@ -17,6 +17,8 @@ from contactqp.study.running.workers import ONE_THREAD, Crew
 INSTALL = "pip install 'contactqp[dask]'"
 # Seconds until a scheduler must have answered.
 PATIENCE = 10.0
+# Of addresses; none stands for tcp.
+SCHEMES = ("", "tcp", "tls", "ws", "wss", "ucx")
 
 
 @contextmanager
@@ -35,6 +37,7 @@ def cluster(address: str) -> Iterator[Cluster]:
     if importlib.util.find_spec("distributed") is None:
         raise BackendMissing(f"--dask needs distributed: {INSTALL}")
     client_of: Any = importlib.import_module("distributed").Client
+    _refuse_malformed(address)
     try:
         client = client_of(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -46,6 +49,15 @@ def cluster(address: str) -> Iterator[Cluster]:
             raise InvalidProblem(f"--dask {address}: expected a cluster with workers, got one without")
         _refuse_others(client, address)
         yield Cluster(client, threads)
+
+
+def _refuse_malformed(address: str) -> None:
+    """What is no address: a client of it would talk of its end on stderr long after it was refused."""
+    scheme, _, place = address.rpartition("://")
+    host, _, port = place.rpartition(":")
+    if scheme in SCHEMES and host and port.isdecimal():
+        return
+    raise InvalidProblem(f"--dask: expected the address of a Dask scheduler such as tcp://host:8786, got {address!r}")
 
 
 def _refuse_others(client: Any, address: str) -> None:

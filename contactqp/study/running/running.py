@@ -11,6 +11,9 @@ from contactqp.errors import InvalidProblem
 from contactqp.study.running.runner import TIME_LIMIT
 from contactqp.study.running.workers import Processes, ThisProcess, Workers
 
+# Seconds of a year: no cell takes longer, and every clock counts so far.
+LONGEST = 365 * 24 * 3600.0
+
 
 @dataclass(frozen=True)
 class Running:
@@ -39,6 +42,10 @@ class Running:
     def __post_init__(self) -> None:
         if self.jobs is not None and self.dask is not None:
             raise InvalidProblem(f"expected jobs here or a Dask cluster, got both: {self.jobs} and {self.dask}")
+        if not 0 < self.time_limit <= LONGEST:
+            raise InvalidProblem(
+                f"time limit: expected seconds, more than 0 and at most {LONGEST:g}, got {self.time_limit}"
+            )
 
 
 @contextmanager

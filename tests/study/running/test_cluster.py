@@ -88,7 +88,9 @@ def test_a_report_from_there_is_the_same_table(address: str, tmp_path: Path) -> 
     assert "run by 2 workers of Dask with 2 threads" in result.notes
 
 
-@pytest.mark.parametrize("address", ["no/address", "ftp://somewhere:1", "tcp://127.0.0.1:{closed}"])
+@pytest.mark.parametrize(
+    "address", ["", "nowhere", "no/address", "http://[::", "ftp://somewhere:1", "tcp://127.0.0.1:{closed}"]
+)
 def test_a_bad_address_is_one_line(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("contactqp.study.running.cluster.PATIENCE", 0.5)
     with socket.socket() as unused:
