@@ -16,7 +16,7 @@ from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.energy_norm import CONTRACTION, energy_norm, force_norm, residual_noise, response
 from contactqp.extended import Extended, extend, extended_rows
-from contactqp.least_distance import least_closing, least_retreat
+from contactqp.least_distance import least_closing, least_forces, least_retreat
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
@@ -212,17 +212,42 @@ def _of_penetration(
     _, unloaded = condensation.reduce_load(np.zeros(problem.dimension))
     rows, ties = condensation.normal[closed], condensation.tie
     back = least_retreat(rows * condensation.scale, ties * condensation.scale, excess[closed])
-    if (
-        back is not None
-        and np.max(left_by(retreat := condensation.expand(condensation.scale * back, unloaded))) <= MISSED
-    ):
-        work = on_set.normal_force.positive_part().double() @ np.maximum(-(problem.normal @ retreat), 0.0)
-        return float(np.hypot(sum(energy_norm(problem, extend(retreat))), np.sqrt(2 * work)))
+    if back is not None:
+        retreat = condensation.expand(condensation.scale * back, unloaded)
+        if np.max(left := left_by(retreat)) <= MISSED:
+            return _by_retreat(problem, condensation, on_set, retreat, closed, abs(left) <= MISSED)
     far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
     closing = condensation.expand(condensation.scale * far, unloaded)
     if np.max(abs(left_by(closing))) <= ROUGHLY:
         return 2 * sum(energy_norm(problem, extend(closing)))
     raise Undecided(f"closed contacts that depend on each other to rounding conflict by {largest:.1e} of their lengths")
+
+
+def _by_retreat(
+    problem: ContactProblem,
+    condensation: Condensation,
+    on_set: OnSet,
+    retreat: Vector,
+    closed: NDArray[np.intp],
+    exactly: NDArray[np.bool_],
+) -> float:
+    """The smaller bound of two by a displacement w with E w <= -d, E w = -d on the closed contacts of `exactly`.
+
+    One is that of `_of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
+    u' the solution in the gaps g - E w too, and |u* - u'| <= 2 |w|; what is left of their response, |l' - l|_W, is
+    added.
+    """
+    force, held = on_set.normal_force.positive_part(), closed[exactly]
+    size = sum(energy_norm(problem, extend(retreat)))
+    work = force.double() @ np.maximum(-(problem.normal @ retreat), 0.0)
+    by_energy = float(np.hypot(size, np.sqrt(2 * work)))
+    scale, resultant = condensation.scale, force.double() @ condensation.normal
+    elsewhere = least_forces(condensation.normal[held] * scale, condensation.tie * scale, resultant * scale)
+    if elsewhere is None:
+        return by_energy
+    moved = np.zeros(problem.contacts)
+    moved[held] = elsewhere
+    return min(by_energy, 2 * size + sum(force_norm(problem, condensation, force - extend(moved))))
 
 
 def _from_repair(

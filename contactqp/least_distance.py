@@ -1,6 +1,6 @@
-"""The least displacement that opens rows by what they lack, where some of them nearly depend on others.
+"""The least displacement that opens rows by what they lack, where some of them nearly depend on others, and forces.
 
-Both work on the rows themselves: their products with each other would lose half of the digits that tell them apart.
+All work on the rows themselves: their products with each other would lose half of the digits that tell them apart.
 """
 
 from __future__ import annotations
@@ -35,6 +35,19 @@ def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
         return None
     left = matrix @ share - unit
     return None if -left[-1] <= CONFLICT else np.asarray(largest * left[:-1] / -left[-1])
+
+
+def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
+    """min |rows' l + ties' n - resultant| over l >= 0; None where too many steps would be taken."""
+    from scipy.optimize import nnls
+
+    size = np.linalg.norm(rows, axis=1)
+    matrix = np.hstack([(rows / size[:, None]).T, ties.T, -ties.T])
+    try:
+        share, _ = nnls(matrix, resultant, maxiter=30 * matrix.shape[1])
+    except RuntimeError:  # too many steps
+        return None
+    return np.asarray(share[: len(rows)] / size)
 
 
 def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.least_distance import least_closing, least_retreat
+from contactqp.least_distance import least_closing, least_forces, least_retreat
 from contactqp.solution import Solution
 
 
@@ -92,3 +92,30 @@ def test_there_is_no_retreat_between_walls() -> None:
 def test_the_least_closing_tells_rows_apart_that_their_products_do_not() -> None:
     moved = least_closing(np.array([[1.0, 0.0], [-1.0, 1e-13]]), np.zeros((0, 2)), np.array([0.0, 1e-13]))
     np.testing.assert_allclose(moved, [0.0, -1.0], atol=1e-2)
+
+
+@pytest.mark.parametrize("fall", [1e-3, 1.0, 1e3])
+def test_a_body_that_falls_onto_two_stops_at_each_node_is_right(fall: float) -> None:
+    """Gaps that differ in their last place: the energy of forces over them is no error of the displacement."""
+    n, random = 20, np.random.default_rng(1)
+    chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    chain[0, 0] = chain[-1, -1] = 1.0
+    once = fall + 0.01 * random.random(n)
+    gap = np.append(once, np.nextafter(once, np.where(random.random(n) < 0.5, -np.inf, np.inf)))
+    problem = cq.ContactProblem(chain, 1e-2 * random.random(n), np.vstack([np.eye(n), np.eye(n)]), gap)
+    certificate = cq.solve(problem).certificate
+    assert certificate.proven
+    assert certificate.energy_error is not None
+    assert certificate.energy_error < 1e-9
+    exact = cq.exact(problem).doubles.displacement
+    du, K = cq.solve(problem).displacement - exact, problem.stiffness
+    assert du @ (K @ du) <= (certificate.energy_error + 1e-12) ** 2 * (exact @ (K @ exact))
+
+
+def test_forces_are_moved_to_rows_that_hold_them_and_stay_forces() -> None:
+    rows = np.array([[1.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(least_forces(rows, np.zeros((0, 2)), np.array([3.0, 2.0])), [1.0, 2.0], rtol=1e-12)
+    np.testing.assert_allclose(least_forces(rows, np.zeros((0, 2)), np.array([-3.0, 0.0])), [0.0, 0.0], atol=1e-15)
+    tied = least_forces(rows, np.array([[0.0, 1.0]]), np.array([3.0, 7.0]))
+    assert tied is not None
+    assert tied.sum() == pytest.approx(3.0)
