@@ -80,7 +80,7 @@ class Hierarchy:
             importlib.import_module("pyamg.aggregation")
         except ImportError as error:  # one that wants a newer SciPy, say
             raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
-        matrix = _in_blocks(stiffness)
+        matrix = in_blocks(stiffness)
         B = _constants(matrix) if motions is None else _of_size_one(motions)
         B = B if B.shape[1] else _constants(matrix)
         self.bodies = _bodies(matrix)
@@ -129,7 +129,7 @@ def _positive(diagonal: Array) -> Array:
     return np.where(diagonal > 0, diagonal, 1.0)
 
 
-def _in_blocks(stiffness: Any) -> Any:
+def in_blocks(stiffness: Any) -> Any:
     """K in blocks of three or two unknowns where its entries come in such blocks, else by rows."""
     rows = sp.csr_matrix(stiffness)
     for size in (3, 2):
@@ -140,7 +140,7 @@ def _in_blocks(stiffness: Any) -> Any:
     return rows
 
 
-def _block_size(matrix: Any) -> int:
+def block_size(matrix: Any) -> int:
     return int(matrix.blocksize[0]) if matrix.format == "bsr" else 1
 
 
@@ -157,7 +157,7 @@ def _of_size_one(motions: Array) -> Array:
 
 
 def _constants(matrix: Any) -> Array:
-    size = _block_size(matrix)
+    size = block_size(matrix)
     return np.tile(np.eye(size), (matrix.shape[0] // size, 1))
 
 
@@ -166,7 +166,7 @@ def _bodies(matrix: Any) -> NDArray[np.intp]:
 
     # The graph is symmetric: its strong components are its components, and are found without transposing it.
     _, label = connected_components(_graph(matrix), directed=True, connection="strong")
-    return np.repeat(label, _block_size(matrix))
+    return np.repeat(label, block_size(matrix))
 
 
 def _aggregates(matrix: Any) -> Any:

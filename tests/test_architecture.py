@@ -65,6 +65,7 @@ LAYERS = (
     "methods",
     "solving_arguments",
     "inexact_active_set",
+    "distributed",
     "friction",
     "local_solving",
     "solvability",

@@ -1,0 +1,82 @@
+"""The processes of one run, and what they tell each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.distributed.environment import petsc
+from contactqp.errors import ContactQPError
+
+Vector = NDArray[np.float64]
+
+
+class Ranks:
+    """A communicator of mpi4py. All methods are collective, and all ranks get the same.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Intracomm, optional
+        By default all processes that were started together: ``mpiexec -n N``, or the one process.
+    """
+
+    def __init__(self, comm: Any = None) -> None:
+        petsc()
+        from mpi4py import MPI
+
+        self._MPI = MPI
+        self.comm = MPI.COMM_WORLD if comm is None else comm
+        self.rank, self.size = int(self.comm.rank), int(self.comm.size)
+
+    def sum(self, value: Any) -> Any:
+        """The sum over the ranks of a number, or of an array of one shape on all of them."""
+        return self.comm.allreduce(value, self._MPI.SUM) if np.ndim(value) == 0 else self._reduced(value, self._MPI.SUM)
+
+    def max(self, value: Any) -> Any:
+        """The largest over the ranks of a number, or of an array entry by entry."""
+        return self.comm.allreduce(value, self._MPI.MAX) if np.ndim(value) == 0 else self._reduced(value, self._MPI.MAX)
+
+    def any(self, flags: Any) -> bool:
+        """Whether any flag is set on any rank."""
+        return bool(self.comm.allreduce(bool(np.any(flags)), self._MPI.LOR))
+
+    def dot(self, a: Vector, b: Vector) -> float:
+        """a'b of vectors whose parts the ranks hold."""
+        return float(self.comm.allreduce(float(a @ b), self._MPI.SUM))
+
+    def first(self, count: int) -> int:
+        """The number of the first of `count` things of this rank, of all counted rank after rank."""
+        return int(self.comm.scan(int(count), self._MPI.SUM)) - int(count)
+
+    def gathered(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The arrays of all ranks, one after the other, on every rank: for what is small."""
+        return np.concatenate(self.comm.allgather(np.asarray(values)))
+
+    def exchanged(self, destination: NDArray[np.intp], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+        """Row i of each array goes to rank destination[i]; returned is what came here, in the order of its ranks."""
+        order = np.argsort(destination, kind="stable")
+        cuts = np.searchsorted(destination[order], np.arange(1, self.size))
+        parts = [np.split(np.asarray(array)[order], cuts) for array in arrays]
+        came = self.comm.alltoall([tuple(part[rank] for part in parts) for rank in range(self.size)])
+        return tuple(np.concatenate([part[i] for part in came]) for i in range(len(arrays)))
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """What one rank refuses, all refuse with the same error; nothing collective may stand inside."""
+        failure: ContactQPError | None = None
+        try:
+            yield
+        except ContactQPError as error:
+            failure = error
+        known = [error for error in self.comm.allgather(failure) if error is not None]
+        if known:
+            raise known[0] from failure
+
+    def _reduced(self, value: Any, operation: Any) -> Any:
+        out = np.empty_like(value := np.ascontiguousarray(value))
+        self.comm.Allreduce(value, out, operation)
+        return out
