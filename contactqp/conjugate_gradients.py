@@ -11,15 +11,24 @@ and the eigenvalues of the tridiagonal matrix of the steps (Ritz values) approac
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from contactqp.held_rows import HeldRows
 from contactqp.problem import Vector
 
 # The square of a residual that is zero.
 TINY = float(np.finfo(float).tiny)
+
+
+class Projections(Protocol):
+    """What rows that hold make of displacements and forces."""
+
+    def admit(self, z: Vector) -> None:
+        """Take out of z what moves the rows, in place."""
+
+    def balanced(self, r: Vector) -> Vector:
+        """What the forces on the rows leave of r."""
 
 
 class ConjugateGradients:
@@ -27,20 +36,28 @@ class ConjugateGradients:
 
     Parameters
     ----------
-    matrix : (n, n) sparse matrix
-        K.
+    product : callable
+        K x.
     precondition : callable
         z = M r, symmetric positive definite.
     x, residual : (n,) arrays
         Where it starts, rows closed, and f - K x there; both are changed in place.
-    rows : HeldRows
-        What x must keep.
+    rows : Projections
+        Of the rows that x must keep.
+    dot : callable
+        a'b of two vectors.
     """
 
     def __init__(
-        self, matrix: Any, precondition: Callable[[Vector], Vector], x: Vector, residual: Vector, rows: HeldRows
+        self,
+        product: Callable[[Vector], Vector],
+        precondition: Callable[[Vector], Vector],
+        x: Vector,
+        residual: Vector,
+        rows: Projections,
+        dot: Callable[[Vector, Vector], float] = np.dot,
     ) -> None:
-        self._matrix, self._precondition, self._rows = matrix, precondition, rows
+        self._product, self._precondition, self._rows, self._dot = product, precondition, rows, dot
         self.x, self.residual = x, residual
         self.unbalanced = rows.balanced(residual)  # what the forces on the rows leave of the residual
         self.gained = 0.0  # |e_0|^2 - |e|^2
@@ -62,27 +79,30 @@ class ConjugateGradients:
 
     def estimate(self) -> float:
         """rho as far as the last application of M tells, scaled with the residual; infinite before the first."""
-        return self._before * float(self.unbalanced @ self.unbalanced) / self._before_size
+        return self._before * self._size() / self._before_size
 
     def _aim(self) -> float:
         """The next direction, and rho."""
         z = self._precondition(self.unbalanced)
         self._rows.admit(z)
-        square = max(float(self.unbalanced @ z), 0.0)
+        square = max(float(self._dot(self.unbalanced, z)), 0.0)
         if self._lengths:
             self._ratios.append(square / self._before)
             self._direction *= self._ratios[-1]
             self._direction += z
         else:
             self._direction = z
-        self._before, self._before_size = square, max(float(self.unbalanced @ self.unbalanced), TINY)
+        self._before, self._before_size = square, max(self._size(), TINY)
         return square
+
+    def _size(self) -> float:
+        return float(self._dot(self.unbalanced, self.unbalanced))
 
     def step(self) -> bool:
         """One iteration; false where rounding or a singular K leave nothing to go along."""
         square = self.square()
-        force = self._matrix @ self._direction
-        stiffness = float(self._direction @ force)
+        force = self._product(self._direction)
+        stiffness = float(self._dot(self._direction, force))
         if not (square > 0 and stiffness > 0 and np.isfinite(stiffness)):
             return False
         length = square / stiffness

@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.conjugate_gradients import ConjugateGradients
-from contactqp.held_rows import HeldRows
-from contactqp.iteration import Iteration
+from contactqp.contact_iteration import ContactIteration, HeldRows, Limits
 from contactqp.methods.method import Settings
 from contactqp.multigrid_bounds import dual_norm
-from contactqp.problem import ContactProblem, Vector
+from contactqp.problem import Vector
 from contactqp.solution import Candidate
-from contactqp.violations import force_measure, ratio, stiffness_sizes
+from contactqp.violations import ratio
 
 # The bodies without contact are solved to this part of their energy norm: the first set comes from them.
 FIRST = 0.3
@@ -47,7 +46,7 @@ SETTLED = 1e-4
 ENERGY, BOUND = 1e-7, 3e-7
 
 
-def solve_by_iteration(problem: ContactProblem, way: Iteration, settings: Settings) -> Candidate:
+def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings) -> Candidate:
     """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found."""
     return _Search(problem, way, settings).run()
 
@@ -55,17 +54,14 @@ def solve_by_iteration(problem: ContactProblem, way: Iteration, settings: Settin
 class _Search:
     """The displacement of the moment, its set, and what it has cost."""
 
-    def __init__(self, problem: ContactProblem, way: Iteration, settings: Settings) -> None:
+    def __init__(self, problem: Limits, way: ContactIteration, settings: Settings) -> None:
         self.problem, self.way = problem, way
-        self.m = problem.contacts
+        self.m = len(problem.gap)
         self.limit = np.concatenate([problem.gap, problem.tie_value])
-        self.near = problem.stiffness_rows[way.touched]
-        self.near_sizes = abs(self.near)
-        self.rows, self.row_sizes = way.rows, abs(way.rows)
         self.sets_left = settings.max_iter or SETS
         self.tolerance = max(min(settings.tolerance, LOOSEST), TIGHTEST)
         self.end = np.inf if settings.time_limit is None else time.perf_counter() + settings.time_limit
-        self.seen: set[bytes] = set()
+        self.seen: set[object] = set()
         self.trust = TRUST
         self.history: list[float] = []
         self.start(settings.warm_start)
@@ -74,7 +70,7 @@ class _Search:
         """A displacement and a set, from a known solution or from the bodies without contact."""
         if known is not None and self._loaded(known):
             self.x = known.displacement.copy()
-            self.residual = self.problem.load - self.way.matrix @ self.x
+            self.residual = self.problem.load - self.way.product(self.x)
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
             self.closed = known.normal_force > 0
             return
@@ -89,20 +85,23 @@ class _Search:
 
     def _loaded(self, known: Candidate) -> bool:
         """Whether the load is more than rounding of what a known displacement takes."""
-        scale = 1 / np.sqrt(self.problem.diagonal)
-        taken = np.linalg.norm(scale * (self.way.matrix @ known.displacement))
-        return bool(np.linalg.norm(scale * self.problem.load) > UNLOADED * taken)
+        scale, norm = 1 / np.sqrt(self.way.diagonal), self.way.norm
+        taken = norm(scale * self.way.product(known.displacement))
+        return norm(scale * self.problem.load) > UNLOADED * taken
 
     def run(self) -> Candidate:
         sets = 0
         while True:
             sets += 1
-            if self.closed.tobytes() in self.seen:
+            mark = self.way.mark(self.closed)
+            if mark in self.seen:
                 self.trust *= TIGHTER
-            self.seen.add(self.closed.tobytes())
+            self.seen.add(mark)
             stopped = self._solve_on_set()
             if not stopped and (sets >= self.sets_left or self.trust < LEAST_TRUST):
-                stopped = f"no contact set was found; {int(np.sum(self.tension | self.penetrated))} contacts disagree"
+                stopped = (
+                    f"no contact set was found; {self.way.count(self.tension | self.penetrated)} contacts disagree"
+                )
             if stopped:
                 return self._candidate(sets, stopped)
             self.closed = self.closed & ~self.tension | self.penetrated
@@ -133,16 +132,14 @@ class _Search:
     def _start_on_set(self) -> tuple[NDArray[np.intp], HeldRows, ConjugateGradients]:
         on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
         held = self.way.held(on_set, self.limit[on_set])
-        away = self.x[self.way.touched]
-        held.close(self.x)
-        self.residual -= self.near.T @ (self.x[self.way.touched] - away)
+        self.way.close(held, self.x, self.residual)
         return on_set, held, self.way.run(self.x, self.residual, on_set, held)
 
     def _steps_on_set(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> str:
         goal: _Goal | None = None
         while True:
             self._look(run, held, on_set)
-            contradicted = bool(np.any(self.tension | self.penetrated))
+            contradicted = self.way.any(self.tension | self.penetrated)
             error = run.estimate()
             if contradicted:
                 if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
@@ -151,7 +148,7 @@ class _Search:
                 goal = goal or _Goal(self)
                 if goal.reached(run):
                     return FOUND
-            if time.perf_counter() > self.end:
+            if self.way.any(time.perf_counter() > self.end):
                 return "the time limit is reached"
             if run.steps >= STEPS:
                 return f"conjugate gradients did not converge in {STEPS} steps"
@@ -164,26 +161,24 @@ class _Search:
 
     def _energy(self, run: ConjugateGradients) -> float:
         """x'K x."""
-        return float(self.x @ (self.problem.load - run.residual))
+        return self.way.dot(self.x, self.problem.load - run.residual)
 
     def _penetration(self) -> Vector:
-        return np.asarray((self.rows @ self.x[self.way.touched] - self.limit)[: self.m])
+        return np.asarray((self.way.lengths(self.x) - self.limit)[: self.m])
 
     def _look(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> None:
         """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)
-        near, m, allowed = abs(self.x[self.way.touched]), self.m, SIGN * self.tolerance
-        sizes = self.near_sizes @ abs(self.x) + abs(self.problem.load[self.way.touched])
-        sizes += self.row_sizes.T @ abs(self.force)
-        pull = force_measure(self.rows[:m], self.force[:m], sizes)
+        m, allowed = self.m, SIGN * self.tolerance
+        pull = self.way.force_measure(self.force, self.x, self.problem.load)[:m]
         self.tension = (self.force[:m] < 0) & (pull > allowed)
-        depth, lengths = self._penetration(), (self.row_sizes @ near + abs(self.limit))[:m]
+        depth, lengths = self._penetration(), (self.way.length_sizes(self.x) + abs(self.limit))[:m]
         self.penetrated = ~self.closed & (depth > allowed * lengths)
         compliance = self.way.own_compliance[:m]
-        against = np.sum(compliance[self.tension] * self.force[:m][self.tension] ** 2)
-        against += np.sum(depth[self.penetrated] ** 2 / compliance[self.penetrated])
-        self.history.append(float(np.sqrt(against)))
+        pulled = np.where(self.tension, self.force[:m] * np.sqrt(compliance), 0.0)
+        sunk = np.where(self.penetrated, depth, 0.0) / np.sqrt(np.where(self.penetrated, compliance, 1.0))
+        self.history.append(float(np.hypot(self.way.norm(pulled), self.way.norm(sunk))))
 
 
 class _Goal:
@@ -191,16 +186,14 @@ class _Goal:
 
     def __init__(self, search: _Search) -> None:
         problem, way = search.problem, search.way
-        forces = np.zeros(problem.dimension)
-        forces[way.touched] = search.row_sizes.T @ abs(search.force)
-        self.sizes = stiffness_sizes(problem) @ abs(search.x) + abs(problem.load) + forces
+        self.sizes = way.product_sizes(search.x) + abs(problem.load) + way.force_sizes(search.force)
         self.equilibrium = EQUILIBRIUM * search.tolerance
         # |l|_W >= l'E v / |v|_K for any v: for the way back to the bodies without contact it is nearly equal.
         back = search.before - search.x
-        work = float(search.force @ (way.rows @ back[way.touched]))
-        energy = float(back @ (search.residual - search.residual_before))
-        if not np.any(search.force):
-            work = energy = float(search.x @ (problem.load - search.residual))
+        work = way.dot(search.force, way.lengths(back))
+        energy = way.dot(back, search.residual - search.residual_before)
+        if not way.any(search.force != 0):
+            work = energy = way.dot(search.x, problem.load - search.residual)
         self.size = abs(work) / np.sqrt(energy) if energy > 0 else 0.0
         self.energy = ENERGY * self.size
         self.way = way
@@ -211,7 +204,7 @@ class _Goal:
             return True
         if error > self.way.least_eigenvalue * self.energy**2:
             return False
-        if np.any(ratio(abs(run.unbalanced), self.sizes) > self.equilibrium):
+        if self.way.any(ratio(abs(run.unbalanced), self.sizes) > self.equilibrium):
             return False
         # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
         self.way.learn(run)

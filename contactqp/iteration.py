@@ -8,13 +8,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp import contact_iteration
 from contactqp.conjugate_gradients import ConjugateGradients
+from contactqp.contact_iteration import ContactIteration, Flags
 from contactqp.elimination import CHOICE
 from contactqp.errors import Unsupported
 from contactqp.held_rows import HeldRows
 from contactqp.multigrid import Hierarchy, available
 from contactqp.problem import ContactProblem, Vector
 from contactqp.v_cycle import HeldHierarchy, VCycle
+from contactqp.violations import force_measure, stiffness_sizes
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
 LARGE, COUPLED = 200_000, 40
@@ -53,8 +56,8 @@ def _held(problem: ContactProblem) -> bool:
         return bool(problem._shared["held"])
 
 
-class Iteration:
-    """A stiffness and its rows, ready for conjugate gradients; shared by all problems with the same K, E_N and A.
+class Iteration(ContactIteration):
+    """A stiffness and its rows in one process, with the V-cycle of a hierarchy.
 
     Attributes
     ----------
@@ -62,12 +65,6 @@ class Iteration:
         K, in blocks where it has them.
     rows, touched : (m + k, t) CSR matrix and (t,) array of int
         Contacts, then ties, over the unknowns that they touch.
-    krylov_iterations : int
-        Steps of conjugate gradients so far.
-    least_eigenvalue : float
-        The least Ritz value of M K that any run has found, on held rows or without.
-    longest_run : int
-        The steps of the longest of them.
 
     Raises
     ------
@@ -80,6 +77,7 @@ class Iteration:
     solver = "pyamg"
 
     def __init__(self, problem: ContactProblem) -> None:
+        super().__init__()
         bare = np.flatnonzero(problem.diagonal == 0)
         if bare.size:
             raise Unsupported(f"pyamg: {problem.dof_name(int(bare[0]))} has no stiffness; {_INSTEAD}")
@@ -93,40 +91,100 @@ class Iteration:
             )
         problem._shared.setdefault("bodies", hierarchy.bodies)
         self.matrix = hierarchy.levels[0].matrix
-        self.krylov_iterations = 0
-        self._compliance = 1 / problem.diagonal
+        self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
+        self._sizes = stiffness_sizes(problem)
         self._hierarchy = HeldHierarchy(hierarchy, sp.vstack([problem.normal, problem.tie], format="csr"))
         self.rows, self.touched = self._hierarchy.rows[0]
+        self._row_sizes = abs(self.rows)
+        self._near = problem.stiffness_rows[self.touched]
+        self._near_sizes = abs(self._near)
         self._no_rows = np.zeros(0, dtype=np.intp)
         self._plain = VCycle(self._hierarchy, self._no_rows)
-        self.least_eigenvalue, self.longest_run = 1.0, 0
+
+    def dot(self, a: Vector, b: Vector) -> float:
+        """a'b."""
+        return float(a @ b)
+
+    def any(self, flags: Flags | bool) -> bool:
+        """Whether any flag is set."""
+        return bool(np.any(flags))
+
+    def count(self, flags: Flags) -> int:
+        """How many are set."""
+        return int(np.sum(flags))
+
+    def mark(self, flags: Flags) -> object:
+        """Something to tell this set of flags from others by."""
+        return flags.tobytes()
+
+    @property
+    def diagonal(self) -> Vector:
+        """D = diag K (n,) [force / length]."""
+        return self._diagonal
 
     @property
     def own_compliance(self) -> Vector:
-        """(m + k,) E_i D^-1 E_i', D = diag K [length / force]."""
+        """(m + k,) E_i D^-1 E_i' [length / force]."""
         return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
+
+    def product(self, x: Vector) -> Vector:
+        """K x."""
+        return np.asarray(self.matrix @ x)
+
+    def product_sizes(self, x: Vector) -> Vector:
+        """|K||x|."""
+        return np.asarray(self._sizes @ abs(x))
+
+    def lengths(self, x: Vector) -> Vector:
+        """(m + k,) E x."""
+        return np.asarray(self.rows @ x[self.touched])
+
+    def length_sizes(self, x: Vector) -> Vector:
+        """(m + k,) |E||x|."""
+        return np.asarray(self._row_sizes @ abs(x[self.touched]))
+
+    def forces(self, force: Vector) -> Vector:
+        """(n,) E'l."""
+        return self._spread(self.rows.T @ force)
+
+    def force_sizes(self, force: Vector) -> Vector:
+        """(n,) |E|'|l|."""
+        return self._spread(self._row_sizes.T @ abs(force))
+
+    def _spread(self, near: Vector) -> Vector:
+        whole = np.zeros_like(self._diagonal)
+        whole[self.touched] = near
+        return whole
+
+    def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
+        """(m + k,) max_j |E_ij l_i| / F_j, F = |K||x| + |E|'|l| + |f|."""
+        sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
+        return force_measure(self.rows, force, sizes)
 
     def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
         """The projections of some rows, held at limits."""
         return HeldRows(self.rows[rows], self.touched, limit, self._compliance[self.touched])
 
-    def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: HeldRows) -> ConjugateGradients:
-        """Conjugate gradients on the displacements that keep some rows."""
-        return ConjugateGradients(self.matrix, VCycle(self._hierarchy, rows), x, residual, held)
+    def close(self, held: contact_iteration.HeldRows, x: Vector, residual: Vector) -> None:
+        """Move x onto the limits of held rows, and the residual with it, both in place."""
+        away = x[self.touched]
+        held.close(x)
+        residual -= self._near.T @ (x[self.touched] - away)
+
+    def run(
+        self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: contact_iteration.HeldRows
+    ) -> ConjugateGradients:
+        """Conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
+        return ConjugateGradients(self.product, VCycle(self._hierarchy, rows), x, residual, held)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
         """Conjugate gradients on K e = r from e = 0; r is changed in place."""
         held = self.held(self._no_rows, np.zeros(0))
-        return ConjugateGradients(self.matrix, self._plain, np.zeros_like(residual), residual, held)
+        return ConjugateGradients(self.product, self._plain, np.zeros_like(residual), residual, held)
 
     def smooth(self, force: Vector) -> Vector:
         """M r, M for the bodies without rows."""
         return self._plain(force)
-
-    def learn(self, run: ConjugateGradients) -> None:
-        """Keep the least Ritz value of a run."""
-        self.longest_run = max(self.longest_run, run.steps)
-        self.least_eigenvalue = min(self.least_eigenvalue, run.least_eigenvalue())
 
 
 _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"

@@ -29,14 +29,13 @@ lengths L_i; ROUNDING L_i / sqrt(E_i D^-1 E_i') is added for each of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.held_rows import HeldRows
-from contactqp.iteration import Iteration
-from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, stiffness_sizes
+from contactqp.contact_iteration import ContactIteration, Limits
+from contactqp.problem import Vector
 
 SAFETY = 10.0
 # The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
@@ -65,7 +64,20 @@ class Unrepaired(Exception):
     """Why the candidate could not be moved to a displacement that penetrates nowhere."""
 
 
-def distances(problem: ContactProblem, answer: Answer, way: Iteration) -> Distances:
+class Forces(Protocol):
+    """An answer without friction."""
+
+    @property
+    def displacement(self) -> Vector: ...  # (n,)
+
+    @property
+    def normal_force(self) -> Vector: ...  # (m,)
+
+    @property
+    def tie_force(self) -> Vector: ...  # (k,)
+
+
+def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distances:
     """The bounds of an answer.
 
     Raises
@@ -73,28 +85,28 @@ def distances(problem: ContactProblem, answer: Answer, way: Iteration) -> Distan
     Unrepaired
         No displacement without penetration was found near it.
     """
-    push = np.maximum(answer.normal_force, 0.0)
+    push = np.append(np.maximum(answer.normal_force, 0.0), np.zeros_like(answer.tie_force))
     moved, gap, rounding = _repaired(problem, answer, push, way)
     v = answer.displacement + moved
-    forces = problem.normal.T @ push + problem.tie.T @ answer.tie_force
-    r = problem.load - way.matrix @ v - forces
-    stationary = dual_norm(way, r) * (1 + _noise(problem, v, forces, r))
-    radius = float(np.sqrt(stationary**2 + 2 * push @ gap)) + rounding
-    pull = problem.normal.T @ (push - answer.normal_force)
+    forces = way.forces(push + np.append(np.zeros_like(answer.normal_force), answer.tie_force))
+    r = problem.load - way.product(v) - forces
+    stationary = dual_norm(way, r) * (1 + _noise(problem, v, forces, r, way))
+    radius = float(np.sqrt(stationary**2 + 2 * way.dot(push, gap))) + rounding
+    tension = push - np.append(answer.normal_force, np.zeros_like(answer.tie_force))
     return Distances(
         displacement=_energy_norm(way, moved) + radius,
-        force=(dual_norm(way, pull) if np.any(pull) else 0.0) + radius,
+        force=(dual_norm(way, way.forces(tension)) if way.any(tension != 0) else 0.0) + radius,
         energy_scale=_energy_norm(way, answer.displacement),
-        force_scale=_force_norm(problem, way, push),
+        force_scale=_force_norm(push, len(answer.normal_force), way),
         radius=radius,
     )
 
 
-def _energy_norm(way: Iteration, v: Vector) -> float:
-    return float(np.sqrt(max(v @ (way.matrix @ v), 0.0))) if np.any(v) else 0.0
+def _energy_norm(way: ContactIteration, v: Vector) -> float:
+    return float(np.sqrt(max(way.dot(v, way.product(v)), 0.0))) if way.any(v != 0) else 0.0
 
 
-def dual_norm(way: Iteration, force: Vector, learned: bool = False) -> float:
+def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> float:
     """An estimate from above of sqrt(r'K^-1 r), square root of energy.
 
     Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
@@ -112,54 +124,54 @@ def dual_norm(way: Iteration, force: Vector, learned: bool = False) -> float:
         way.krylov_iterations += 1
 
 
-def _noise(problem: ContactProblem, v: Vector, forces: Vector, r: Vector) -> float:
+def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIteration) -> float:
     """What rounding may be of r, both in the norm of D^-1."""
-    scale = 1 / np.sqrt(problem.diagonal)
-    size = float(np.linalg.norm(scale * r))
-    meeting = stiffness_sizes(problem) @ abs(v) + abs(problem.load) + abs(forces)
-    return ROUNDING * float(np.linalg.norm(scale * meeting)) / size if size > 0 else 0.0
+    scale = 1 / np.sqrt(way.diagonal)
+    size = way.norm(scale * r)
+    meeting = way.product_sizes(v) + abs(problem.load) + abs(forces)
+    return ROUNDING * way.norm(scale * meeting) / size if size > 0 else 0.0
 
 
-def _force_norm(problem: ContactProblem, way: Iteration, push: Vector) -> float:
+def _force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
     """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
-    if not np.any(push):
+    if not way.any(push != 0):
         return 0.0
-    load = problem.normal.T @ push
+    load = way.forces(push)
     v = way.smooth(load)
-    ties = np.arange(problem.contacts, problem.contacts + problem.ties)
-    way.held(ties, problem.tie_value).admit(v)
+    ties = np.arange(contacts, len(push))
+    way.held(ties, np.zeros(len(ties))).admit(v)
     size = _energy_norm(way, v)
-    return max(float(load @ v), 0.0) / size if size > 0 else 0.0
+    return max(way.dot(load, v), 0.0) / size if size > 0 else 0.0
 
 
-def _repaired(problem: ContactProblem, answer: Answer, push: Vector, way: Iteration) -> tuple[Vector, Vector, float]:
-    """v - u, the gaps g - E v (m,) with zero where closed, and the rounding of those [square root of energy]."""
-    m = problem.contacts
+def _repaired(problem: Limits, answer: Forces, push: Vector, way: ContactIteration) -> tuple[Vector, Vector, float]:
+    """v - u, the gaps g - E v (m + k,), zero where closed, and the rounding of those [square root of energy]."""
+    m = len(problem.gap)
     limit = np.concatenate([problem.gap, problem.tie_value])
     u = answer.displacement
-    lengths = abs(way.rows) @ abs(u[way.touched]) + abs(limit)
-    gap = limit - way.rows @ u[way.touched]
-    closed = np.append(push, np.zeros(problem.ties)) * way.own_compliance > gap
+    lengths = way.length_sizes(u) + abs(limit)
+    gap = limit - way.lengths(u)
+    closed = push * way.own_compliance > gap
     closed[m:] = True
     for _ in range(REPAIRS):
         v, left = _closed_onto(way, np.flatnonzero(closed), limit, u)
-        deep = (-left > CLOSED * lengths)[:m] & ~closed[:m]
-        if not np.any(deep):
+        deep = (-left > CLOSED * lengths) & ~closed
+        if not way.any(deep):
             break
-        closed[:m] |= deep
+        closed |= deep
     else:
         raise Unrepaired("the candidate could not be moved to a displacement that penetrates nowhere")
-    if np.any(abs(left[closed]) > CLOSED * lengths[closed]):
+    if way.any(abs(left[closed]) > CLOSED * lengths[closed]):
         raise Unrepaired("contacts that depend on each other cannot be closed together")
-    open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))[:m]
-    rounding = ROUNDING * np.linalg.norm(lengths[closed] / np.sqrt(way.own_compliance[closed]))
+    open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))
+    rounding = ROUNDING * way.norm(lengths[closed] / np.sqrt(way.own_compliance[closed]))
     return v - u, open_gap, float(rounding)
 
 
-def _closed_onto(way: Iteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
+def _closed_onto(way: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
     """u moved onto some rows, and the gaps of all rows there."""
-    held: HeldRows = way.held(rows, limit[rows])
+    held = way.held(rows, limit[rows])
     v = u.copy()
     for _ in range(2):  # the second time takes out the rounding of the first
         held.close(v)
-    return v, limit - way.rows @ v[way.touched]
+    return v, limit - way.lengths(v)

@@ -70,7 +70,7 @@ def test_a_held_face_does_not_spoil_the_preconditioner_as_the_mesh_is_refined():
             )
             cycle = preconditioner(problem, rows, hierarchy)
             load = np.random.default_rng(1).standard_normal(problem.dimension)
-            run = ConjugateGradients(problem.stiffness, cycle, np.zeros(problem.dimension), load, projection)
+            run = ConjugateGradients(problem.stiffness.__matmul__, cycle, np.zeros(problem.dimension), load, projection)
             start = np.linalg.norm(run.unbalanced)
             while np.linalg.norm(run.unbalanced) > 1e-8 * start:
                 assert run.step()
@@ -118,7 +118,7 @@ def test_steps_of_conjugate_gradients_tell_the_energy_of_the_error_and_the_spect
     exact = r @ np.linalg.solve(K, r)
     lower = np.linalg.cholesky(K)
     least = np.linalg.eigvalsh(lower.T @ dense(cycle, n) @ lower)[0]
-    run = ConjugateGradients(problem.stiffness, cycle, np.zeros(n), r.copy(), none)
+    run = ConjugateGradients(problem.stiffness.__matmul__, cycle, np.zeros(n), r.copy(), none)
     for _ in range(8):
         assert run.step()
         assert run.gained <= exact <= run.gained + run.square() / least
