@@ -143,6 +143,27 @@ class ContactIteration(ABC):
     def smooth(self, force: Vector) -> Vector:
         """M r, M for the bodies without rows."""
 
+    # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
+
+    def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
+        """Where bodies that float come to rest, and the contacts that hold them there; None where none floats."""
+        del problem
+        return None
+
+    def supported(self, problem: Limits, closed: Flags, x: Vector) -> Flags:
+        """Closed contacts (m,), with more of them where a body that floats would not be held."""
+        del problem, x
+        return closed
+
+    def balanced(self, residual: Vector, weight: Vector) -> Vector:
+        """(m + k,) the least forces, each over its weight, that leave a residual no work on rigid motions."""
+        del residual
+        return np.zeros_like(weight)
+
+    def deflated(self, force: Vector) -> Vector:
+        """A force (n,) without what it does on rigid motions, which K has no answer to."""
+        return force
+
     def norm(self, x: Vector) -> float:
         """|x|."""
         return float(np.sqrt(self.dot(x, x)))

@@ -74,6 +74,12 @@ class _Search:
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
             self.closed = known.normal_force > 0
             return
+        resting = self.way.rest(self.problem)
+        if resting is not None:
+            self.x, self.closed = resting
+            self.residual = self.problem.load.copy()
+            self.before, self.residual_before = self.x.copy(), self.problem.load
+            return
         run = self.way.run_without_rows(self.problem.load.copy())
         enough = FIRST**2 * run.square()
         while run.estimate() > enough and run.steps < STEPS and self._step(run):
@@ -104,7 +110,8 @@ class _Search:
                 )
             if stopped:
                 return self._candidate(sets, stopped)
-            self.closed = self.closed & ~self.tension | self.penetrated
+            closed = self.closed & ~self.tension | self.penetrated
+            self.closed = self.way.supported(self.problem, closed, self.x)
 
     def _candidate(self, sets: int, stopped: str) -> Candidate:
         """What there is; an answer has no tension, not even within the tolerance."""
@@ -153,7 +160,9 @@ class _Search:
             if run.steps >= STEPS:
                 return f"conjugate gradients did not converge in {STEPS} steps"
             if not self._step(run):
-                return "" if contradicted else FOUND
+                if contradicted:
+                    return ""
+                return FOUND if run.exact() else "conjugate gradients broke down"
 
     def _step(self, run: ConjugateGradients) -> bool:
         self.way.krylov_iterations += 1
@@ -196,7 +205,7 @@ class _Goal:
             work = energy = way.dot(search.x, problem.load - search.residual)
         self.size = abs(work) / np.sqrt(energy) if energy > 0 else 0.0
         self.energy = ENERGY * self.size
-        self.way = way
+        self.way, self.on_set = way, np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool))
 
     def reached(self, run: ConjugateGradients) -> bool:
         error = run.estimate()
@@ -208,7 +217,9 @@ class _Goal:
             return False
         # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
         self.way.learn(run)
-        weight = dual_norm(self.way, run.unbalanced, learned=True)
+        share = np.where(self.on_set, self.way.own_compliance, 1.0)
+        forces = self.way.balanced(run.unbalanced, np.where(self.on_set, 1 / share, 0.0))
+        weight = dual_norm(self.way, run.unbalanced - self.way.forces(forces), learned=True)
         if weight <= BOUND * self.size:
             return True
         self.energy *= min(0.5, BOUND * self.size / weight)

@@ -85,21 +85,34 @@ def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distanc
     Unrepaired
         No displacement without penetration was found near it.
     """
-    push = np.append(np.maximum(answer.normal_force, 0.0), np.zeros_like(answer.tie_force))
+    given = np.append(answer.normal_force, answer.tie_force)
+    push, forces = _forces(problem, answer, given, way)
     moved, gap, rounding = _repaired(problem, answer, push, way)
     v = answer.displacement + moved
-    forces = way.forces(push + np.append(np.zeros_like(answer.normal_force), answer.tie_force))
-    r = problem.load - way.product(v) - forces
-    stationary = dual_norm(way, r) * (1 + _noise(problem, v, forces, r, way))
+    outer = way.forces(forces)
+    r = problem.load - way.product(v) - outer
+    stationary = dual_norm(way, r) * (1 + _noise(problem, v, outer, r, way))
     radius = float(np.sqrt(stationary**2 + 2 * way.dot(push, gap))) + rounding
-    tension = push - np.append(answer.normal_force, np.zeros_like(answer.tie_force))
+    change = forces - given
     return Distances(
         displacement=_energy_norm(way, moved) + radius,
-        force=(dual_norm(way, way.forces(tension)) if way.any(tension != 0) else 0.0) + radius,
+        force=(dual_norm(way, way.forces(change)) if way.any(change != 0) else 0.0) + radius,
         energy_scale=_energy_norm(way, answer.displacement),
         force_scale=_force_norm(push, len(answer.normal_force), way),
         radius=radius,
     )
+
+
+def _forces(problem: Limits, answer: Forces, given: Vector, way: ContactIteration) -> tuple[Vector, Vector]:
+    """Contact forces without tension, zero on ties, and all forces: in balance with the load where a body floats."""
+    contact = np.arange(len(given)) < len(answer.normal_force)
+    forces = np.where(contact, np.maximum(given, 0.0), given)
+    residual = problem.load - way.product(answer.displacement) - way.forces(forces)
+    # In parts of themselves: contact forces that are changed little stay pressure.
+    forces = forces + way.balanced(residual, np.where(contact, forces, 1 / way.own_compliance))
+    if way.any(contact & (forces < 0)):
+        raise Unrepaired("the contact forces could not be brought into balance with the load")
+    return np.where(contact, forces, 0.0), forces
 
 
 def _energy_norm(way: ContactIteration, v: Vector) -> float:
@@ -112,7 +125,7 @@ def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> fl
     Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
     of earlier runs serve too, which saves steps.
     """
-    run = way.run_without_rows(force.copy())
+    run = way.run_without_rows(way.deflated(force).copy())
     while True:
         square = run.square()
         way.learn(run)
@@ -136,7 +149,7 @@ def _force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
     """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
     if not way.any(push != 0):
         return 0.0
-    load = way.forces(push)
+    load = way.deflated(way.forces(push))
     v = way.smooth(load)
     ties = np.arange(contacts, len(push))
     way.held(ties, np.zeros(len(ties))).admit(v)

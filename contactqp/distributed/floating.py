@@ -1,0 +1,194 @@
+"""Bodies that no support holds: their rigid motions, where contacts stop them, and forces that balance the load.
+
+With Z the rigid motions of all bodies as columns, a body moved by Z a touches without deforming where
+
+    max f'Z a    subject to    E_N Z a <= g,  A Z a = b,
+
+a linear program with a few unknowns. Its multipliers are contact forces that balance the load on every motion, its
+active contacts hold the bodies, and where it is unbounded the load drives a motion that nothing holds back.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rows import Rows
+from contactqp.errors import NoEquilibrium
+
+Array = NDArray[np.float64]
+# A motion that costs this part of what its unknowns, each alone, would cost is rigid (`contactqp.iteration`).
+FLOATING = 1e-12
+# Motions that differ by this part of their size are one.
+SAME_MOTION = 1e-10
+# A load that does this part of its work on a motion does none: it is rounding.
+BALANCED = 1e-10
+# What is left of a motion by rows that hold it, squared.
+HELD = 1e-16
+# A multiplier of the linear program below this part of the largest is none.
+IDLE = 1e-9
+# SciPy's words for the end of a linear program.
+_INFEASIBLE, _UNBOUNDED = 2, 3
+
+
+class Floating:
+    """The rigid motions of the bodies of a problem. Everything is collective.
+
+    Attributes
+    ----------
+    motions : (n_here, r) array
+        Z, orthonormal in the metric of D = diag K; no columns where all bodies are held.
+    """
+
+    def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
+        self._ranks, self._rows = problem.ranks, rows
+        self._contacts = problem.contacts
+        self._diagonal = problem.diagonal
+        self.motions = rigid_motions(problem)
+        self._stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
+
+    @property
+    def count(self) -> int:
+        """r."""
+        return int(self.motions.shape[1])
+
+    @cached_property
+    def moved(self) -> Array:
+        """E Z (a, r)."""
+        return np.column_stack([self._rows.lengths(z) for z in self.motions.T] or [np.zeros((self._rows.count, 0))])
+
+    def resting(self, load: Vector, limit: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+        """A rigid displacement (n_here,) where the load presses the bodies, and the contacts that hold them there.
+
+        Raises
+        ------
+        NoEquilibrium
+            The load drives a motion that nothing holds back.
+        """
+        work = self._work(load)
+        every = self._ranks.gathered(self.moved), self._ranks.gathered(limit)
+        contact = self._ranks.gathered(np.arange(len(limit)) < self._contacts)
+        a, force = self._ranks.comm.bcast(_rest(work, *every, contact) if self._ranks.rank == 0 else None)
+        if isinstance(a, str):
+            raise NoEquilibrium(a)
+        first = self._ranks.first(len(limit))
+        pressed = force[first : first + self._contacts] > IDLE * np.max(abs(force), initial=0.0)
+        return self.motions @ a, pressed
+
+    def loose(self, closed: NDArray[np.bool_]) -> Array:
+        """(r, q): the motions, as combinations of Z, that no closed contact and no tie holds."""
+        holding = np.append(closed, np.ones(self._rows.count - self._contacts, dtype=bool))
+        rows = self.moved[holding] * np.sqrt(self._stiffness[holding])[:, None]
+        gram = self._ranks.sum(rows.T @ rows)
+        values, vectors = np.linalg.eigh(gram)
+        return np.asarray(vectors[:, values <= HELD * max(values[-1], 0.0) if len(values) else slice(0)])
+
+    def holds(self, closed: NDArray[np.bool_], load: Vector) -> bool:
+        """Whether closed contacts and ties hold every motion that the load drives."""
+        return not np.any(abs(self.loose(closed).T @ self._work(load)) > 0)
+
+    def _work(self, load: Vector) -> Vector:
+        """Z'f (r,); zero where it is rounding."""
+        work, size = self._ranks.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
+        return np.where(abs(work) > BALANCED * size, work, 0.0)
+
+    def admit(self, z: Vector) -> None:
+        """Take the rigid motions out of a displacement, in the metric of D, in place."""
+        if self.count:
+            z -= self.motions @ self._ranks.sum(self.motions.T @ (self._diagonal * z))
+
+    def balanced(self, r: Vector) -> Vector:
+        """What a force does on deformations: Z'r taken off it."""
+        if not self.count:
+            return r.copy()
+        return np.asarray(r - self._diagonal * (self.motions @ self._ranks.sum(self.motions.T @ r)))
+
+    def balance(self, residual: Vector, weight: Vector) -> Vector:
+        """(a,) the least forces l, in the metric of 1/weight, that take Z'r off a residual: Z'(r - E'l) = 0."""
+        if not self.count:
+            return np.zeros(self._rows.count)
+        work = self._ranks.sum(self.motions.T @ residual)
+        gram = self._ranks.sum(self.moved.T @ (weight[:, None] * self.moved))
+        return np.asarray(weight * (self.moved @ (np.linalg.pinv(gram, rcond=HELD, hermitian=True) @ work)))
+
+
+def rigid_motions(problem: DistributedProblem) -> Array:
+    """(n_here, r): combinations of the near-null-space that cost a body nothing, D-orthonormal, body by body.
+
+    A motion b is rigid where b'Kb <= FLOATING b'Db.
+    """
+    ranks, D, B = problem.ranks, problem.diagonal, problem.near_null_space
+    forces = np.column_stack([problem.product(b) for b in B.T] or [np.zeros((len(D), 0))])
+    count = int(ranks.max(int(problem.body.max(initial=-1)))) + 1
+    q = B.shape[1]
+    energy, size = (ranks.sum(_by_body(problem.body, count, B, part)) for part in (forces, D[:, None] * B))
+    motions = []
+    for body in range(count):
+        combination = _rigid(energy[body], size[body]) if q else np.zeros((0, 0))
+        motions += [np.where(problem.body == body, B @ a, 0.0) for a in combination.T]
+    return np.column_stack(motions) if motions else np.zeros((len(D), 0))
+
+
+def _by_body(body: NDArray[np.int64], count: int, B: Array, C: Array) -> Array:
+    """(bodies, q, q) B'C of each body."""
+    q = B.shape[1]
+    out = np.empty((count, q, q))
+    for i in range(q):
+        for j in range(q):
+            out[:, i, j] = np.bincount(body, B[:, i] * C[:, j], count)
+    return out
+
+
+def _rigid(energy: Array, size: Array) -> Array:
+    """The combinations a with a'(B'KB)a <= FLOATING a'(B'DB)a, orthonormal in B'DB."""
+    scale = np.sqrt(np.maximum(np.diag(size), 0.0))
+    scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    values, vectors = np.linalg.eigh(scale[:, None] * size * scale)
+    kept = values > SAME_MOTION * values[-1]
+    basis = scale[:, None] * (vectors[:, kept] / np.sqrt(values[kept]))
+    costs, turned = np.linalg.eigh(basis.T @ ((energy + energy.T) / 2) @ basis)
+    return np.asarray(basis @ turned[:, costs <= FLOATING])
+
+
+def _rest(work: Vector, moved: Array, limit: Vector, contact: NDArray[np.bool_]) -> tuple[Vector | str, Vector]:
+    """The linear program, solved: coefficients (r,) and multipliers, or why there is none.
+
+    Where bodies overlap so that no rigid motion parts them, what overlaps counts as touching.
+    """
+    size = np.max(abs(moved), axis=1, initial=0.0)
+    acting = size > 0
+    found = _program(work, moved[acting] / size[acting, None], limit[acting] / size[acting], contact[acting])
+    if found.status == _INFEASIBLE:
+        touching = np.where(contact, np.maximum(limit, 0.0), 0.0)
+        found = _program(work, moved[acting] / size[acting, None], touching[acting] / size[acting], contact[acting])
+    if found.status == _UNBOUNDED:
+        return "the load drives a rigid motion that no contact and no tie holds back", limit
+    if found.x is None:
+        return f"the resting place of the bodies that float was not found: {found.message}", limit
+    force = np.zeros(len(limit))
+    force[np.flatnonzero(acting & contact)] = -found.ineqlin.marginals / size[acting & contact]
+    return np.asarray(found.x), force
+
+
+def _program(work: Vector, rows: Array, limit: Vector, contact: NDArray[np.bool_]) -> Any:
+    from scipy.optimize import linprog
+
+    length = np.max(abs(limit), initial=0.0) or 1.0
+    push = np.max(abs(work), initial=0.0) or 1.0
+    found = linprog(
+        -work / push,
+        A_ub=rows[contact],
+        b_ub=limit[contact] / length,
+        A_eq=rows[~contact] if not np.all(contact) else None,
+        b_eq=limit[~contact] / length if not np.all(contact) else None,
+        bounds=[(None, None)] * len(work),
+        method="highs",
+    )
+    if found.x is not None:
+        found.x = length * found.x
+    return found

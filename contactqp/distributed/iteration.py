@@ -1,0 +1,182 @@
+"""`ContactIteration` over the ranks: PETSc's products and preconditioner, sums by reduction."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.conjugate_gradients import ConjugateGradients, Projections
+from contactqp.contact_iteration import ContactIteration, Flags, HeldRows, Limits
+from contactqp.distributed.environment import petsc
+from contactqp.distributed.floating import Floating
+from contactqp.distributed.held_rows import DistributedHeldRows, Gram, SeparateGram, SharedGram
+from contactqp.distributed.preconditioner import Preconditioner
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rows import Rows
+from contactqp.violations import ratio
+
+
+class DistributedIteration(ContactIteration):
+    """A stiffness and its rows on all ranks. Everything is collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        Any with this K, E_N and A.
+    solver : str
+        What `Preconditioner` takes.
+    """
+
+    def __init__(self, problem: DistributedProblem, solver: str) -> None:
+        super().__init__()
+        self.solver = solver
+        self._ranks, self._problem = problem.ranks, problem
+        self.rows = stacked([problem.normal, problem.tie], problem.stiffness)
+        self._row_sizes = abs(self.rows.entries)
+        self._compliance = self.rows.near(1 / problem.diagonal)
+        often = self.rows.spread(np.bincount(self.rows.entries.indices, minlength=len(self.rows.touched)).astype(float))
+        self.floating = Floating(problem, self.rows, self.own_compliance)
+        self._precondition = Preconditioner(problem, self.floating.motions, solver)
+        self._separate = not self.any(often > 1)
+        self._touched = np.flatnonzero(often > 0)  # of this rank's unknowns, by rows of any
+        self._near_sizes = _sizes_of(problem.stiffness, self._touched)
+
+    def dot(self, a: Vector, b: Vector) -> float:
+        """a'b."""
+        return self._ranks.dot(a, b)
+
+    def any(self, flags: Flags | bool) -> bool:
+        """Whether any flag is set on any rank."""
+        return self._ranks.any(flags)
+
+    def count(self, flags: Flags) -> int:
+        """How many are set on all ranks."""
+        return int(self._ranks.sum(int(np.sum(flags))))
+
+    def mark(self, flags: Flags) -> object:
+        """The same on all ranks for the same flags on all ranks."""
+        return int(self._ranks.sum(hash((self._ranks.rank, flags.tobytes()))))
+
+    @property
+    def diagonal(self) -> Vector:
+        """D = diag K (n_here,) [force / length]."""
+        return self._problem.diagonal
+
+    @cached_property
+    def own_compliance(self) -> Vector:
+        """(m_here + k_here,) E_i D^-1 E_i' [length / force]."""
+        return np.asarray(self.rows.entries.multiply(self.rows.entries) @ self._compliance)
+
+    def product(self, x: Vector) -> Vector:
+        """K x."""
+        return self._problem.product(x)
+
+    def product_sizes(self, x: Vector) -> Vector:
+        """|K||x|."""
+        return self._problem.product_sizes(x)
+
+    def lengths(self, x: Vector) -> Vector:
+        """E x."""
+        return self.rows.lengths(x)
+
+    def length_sizes(self, x: Vector) -> Vector:
+        """|E||x|."""
+        return np.asarray(self._row_sizes @ abs(self.rows.near(x)))
+
+    def forces(self, force: Vector) -> Vector:
+        """E'l."""
+        return self.rows.forces(force)
+
+    def force_sizes(self, force: Vector) -> Vector:
+        """|E|'|l|."""
+        return self.rows.spread(self._row_sizes.T @ abs(force))
+
+    def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
+        """max_j |E_ij l_i| / F_j, F = |K||x| + |E|'|l| + |f|."""
+        meeting = self.force_sizes(force) + abs(load)
+        meeting[self._touched] += self._near_sizes.lengths(abs(x))
+        F = self.rows.near(meeting)
+        row = np.repeat(np.arange(self.rows.count), np.diff(self.rows.entries.indptr))
+        measure = np.zeros(self.rows.count)
+        sizes = self._row_sizes.data * abs(force)[row]
+        np.maximum.at(measure, row, ratio(sizes, F[self.rows.entries.indices]))
+        return measure
+
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> DistributedHeldRows:
+        """The projections of some rows, held at limits."""
+        gram: Gram
+        entries = self.rows.entries[rows]
+        if self._separate:
+            gram = SeparateGram(entries, self._compliance)
+        else:
+            gram = SharedGram(self._ranks, entries, self.rows.touched, self._compliance)
+        return DistributedHeldRows(self.rows, rows, limit, self._compliance, gram)
+
+    def close(self, held: HeldRows, x: Vector, residual: Vector) -> None:
+        """Move x onto the limits of held rows, and the residual with it, both in place."""
+        away = x.copy()
+        held.close(x)
+        residual -= self.product(x - away)
+
+    def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
+        """Where bodies that float come to rest, and the contacts that hold them there; None where none floats."""
+        if not self.floating.count:
+            return None
+        return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))
+
+    def supported(self, problem: Limits, closed: Flags, x: Vector) -> Flags:
+        """Closed contacts, and where they leave a body loose those that it would come to rest on."""
+        if not self.floating.count or self.floating.holds(closed, problem.load):
+            return closed
+        limit = np.concatenate([problem.gap, problem.tie_value])
+        return closed | self.floating.resting(problem.load, limit - self.lengths(x))[1]
+
+    def deflated(self, force: Vector) -> Vector:
+        """A force without what it does on rigid motions."""
+        return self.floating.balanced(force)
+
+    def balanced(self, residual: Vector, weight: Vector) -> Vector:
+        """The least forces, each over its weight, that leave a residual no work on rigid motions."""
+        return self.floating.balance(residual, weight)
+
+    def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: Projections) -> ConjugateGradients:
+        """Conjugate gradients on the displacements that keep some rows."""
+        del rows  # M is that of the bodies without rows
+        return ConjugateGradients(self.product, self._precondition, x, residual, held, self.dot)
+
+    def run_without_rows(self, residual: Vector) -> ConjugateGradients:
+        """Conjugate gradients on K e = r from e = 0; r is changed in place."""
+        return self.run(np.zeros_like(residual), residual, np.zeros(0, dtype=np.intp), self.floating)
+
+    def smooth(self, force: Vector) -> Vector:
+        """M r."""
+        return self._precondition(force)
+
+
+def stacked(parts: list[Rows], like: Any) -> Rows:
+    """Rows one below the other on every rank."""
+    touched, place = np.unique(np.concatenate([rows.touched for rows in parts]), return_inverse=True)
+    cuts = np.cumsum([len(rows.touched) for rows in parts])[:-1]
+    entries = [
+        sp.csr_matrix((rows.entries.data, where[rows.entries.indices], rows.entries.indptr), (rows.count, len(touched)))
+        for rows, where in zip(parts, np.split(place.ravel(), cuts), strict=True)
+    ]
+    return Rows(sp.vstack(entries, format="csr"), touched, like)
+
+
+def _sizes_of(stiffness: Any, local: NDArray[np.intp]) -> Rows:
+    """|K| of some rows of this rank."""
+    PETSc = petsc()
+    begin, _ = stiffness.getOwnershipRange()
+    chosen = PETSc.IS().createGeneral((begin + local).astype(PETSc.IntType), comm=stiffness.comm)
+    part = stiffness.createSubMatrix(chosen)
+    indptr, indices, values = part.getValuesCSR()
+    columns, place = np.unique(indices, return_inverse=True)
+    entries = sp.csr_matrix((abs(values), place.ravel(), indptr), shape=(len(local), len(columns)))
+    part.destroy()
+    return Rows(entries, columns, stiffness)

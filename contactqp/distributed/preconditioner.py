@@ -1,0 +1,109 @@
+"""z = M r, M near the inverse of K: PETSc's multigrids, or a direct solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.distributed.environment import petsc
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Vector
+from contactqp.errors import BackendFailed, Unsupported
+
+# Names of `solver`, and what PETSc calls them. Its own options come after: -contactqp_pc_type, -contactqp_pc_gamg_...
+SOLVERS: dict[str, dict[str, Any]] = {
+    "gamg": {"pc_type": "gamg"},
+    "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
+    "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
+}
+PREFIX = "contactqp_"
+# What holds a body that floats, of its own diagonal: little beside what any deformation costs, much beside rounding.
+LIFT = 1e-5
+
+
+class Preconditioner:
+    """M, made once for a stiffness. Making and applying it is collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        Its K and near-null-space.
+    motions : (n_here, r) array
+        Rigid motions of bodies that float: on these M is that of K + LIFT diag K.
+    solver : str
+        ``"gamg"`` (smoothed aggregation), ``"hypre"`` (BoomerAMG) or ``"mumps"``, which factorises.
+
+    Raises
+    ------
+    Unsupported
+        PETSc was built without it.
+    BackendFailed
+        PETSc gave up: singular, or out of memory.
+    """
+
+    def __init__(self, problem: DistributedProblem, motions: NDArray[np.float64], solver: str) -> None:
+        PETSc, stiffness = petsc(), problem.stiffness
+        if solver not in SOLVERS:
+            raise Unsupported(f"solver: expected one of {', '.join(SOLVERS)}, got {solver!r}")
+        if solver != "gamg" and not PETSc.Sys.hasExternalPackage(solver):
+            raise Unsupported(f"solver: this PETSc was built without {solver}")
+        if solver == "gamg":
+            _set_near_null_space(stiffness, problem.near_null_space)
+        self._pc = PETSc.PC().create(stiffness.comm)
+        self._pc.setOperators(stiffness)
+        self._pc.setOptionsPrefix(PREFIX)
+        options = PETSc.Options(PREFIX)
+        ours: dict[str, Any] = {key: value for key, value in SOLVERS[solver].items() if not options.hasName(key)}
+        for key, value in ours.items():
+            options[key] = value
+        try:
+            self._pc.setFromOptions()
+            self._set_up(problem, motions)
+        except PETSc.Error as error:
+            raise BackendFailed(f"PETSc's {solver} failed: {str(error).splitlines()[-1]}") from error
+        finally:
+            for key in ours:
+                options.delValue(key)
+        self._into, self._from = stiffness.createVecs()
+
+    def _set_up(self, problem: DistributedProblem, motions: NDArray[np.float64]) -> None:
+        """With the diagonal of bodies that float lifted for the while: a copy of K would take as much as K."""
+        floating = problem.ranks.any(motions != 0)
+        if not floating:
+            self._pc.setUp()
+            return
+        diagonal = problem.stiffness.getDiagonal()
+        afloat = np.isin(problem.body, problem.ranks.gathered(np.unique(problem.body[np.any(motions != 0, axis=1)])))
+        lifted = diagonal.copy()
+        lifted.array[:] *= np.where(afloat, 1 + LIFT, 1.0)
+        problem.stiffness.setDiagonal(lifted)
+        self._pc.setUp()
+        problem.stiffness.setDiagonal(diagonal)
+        self._pc.setReusePreconditioner(True)  # K has changed, and M shall not
+
+    def __call__(self, r: Vector) -> Vector:
+        """M r."""
+        self._from.array[:] = r
+        self._pc.apply(self._from, self._into)
+        return np.array(self._into.array)
+
+
+def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
+    PETSc = petsc()
+    basis: list[Any] = []
+    for motion in motions.T:
+        v = stiffness.createVecRight()
+        v.array[:] = motion
+        size = v.norm()
+        for known in basis * 2:  # twice: once leaves the rounding of motions that are nearly one
+            v.axpy(-v.dot(known), known)
+        if v.norm() > SAME_MOTION * size:
+            v.normalize()
+            basis.append(v)
+    stiffness.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=stiffness.comm))
+
+
+# A motion of which the others leave no more than this is one of them.
+SAME_MOTION = 1e-10
