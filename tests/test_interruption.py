@@ -49,6 +49,17 @@ def test_ctrl_c_is_one_line(place, arguments, monkeypatch, capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("code", [0, 1, 130, 143])
+def test_a_report_that_was_stopped_begins_no_study_of_stability(code, monkeypatch):
+    begun = []
+    monkeypatch.setattr("contactqp.study.report.report.report", lambda *_: code)
+    monkeypatch.setattr("contactqp.study.stability.report.report_stability", lambda *_: begun.append("study") or 0)
+    with pytest.raises(SystemExit) as exit_:
+        main(["report", "--stability", WALL])
+    assert exit_.value.code == code
+    assert begun == ["study"] * (code < 128)  # what is wrong is no reason to stop
+
+
 def test_ctrl_c_while_a_picture_is_written_leaves_nothing(monkeypatch, capsys, tmp_path):
     def half(_, file, **__):
         Path(file).write_bytes(b"\x89PNG half a pict")

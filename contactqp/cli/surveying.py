@@ -59,17 +59,18 @@ def report_command(
     stability.html, stability.csv and stability.json to DIR.
     """
     from contactqp.study.running.running import Running
+    from contactqp.study.running.stopping import OF_SIGNAL
 
-    running, codes = Running(jobs, dask, fresh, time_limit, shown=True), []
+    running, code = Running(jobs, dask, fresh, time_limit, shown=True), 0
     if cases or not stability:
         from contactqp.study.report.report import report
 
-        codes.append(report(cases, output, running))
-    if stability:
+        code = report(cases, output, running)
+    if stability and code < OF_SIGNAL:  # one Ctrl-C stops both
         from contactqp.study.stability.report import report_stability
 
-        codes.append(report_stability(output, running))
-    sys.exit(max(codes))
+        code = max(code, report_stability(output, running))
+    sys.exit(code)
 
 
 @click.command("gallery")
