@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from contactqp.cli import main
 from contactqp.errors import SceneError
 from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures
@@ -23,6 +24,7 @@ from contactqp.study.report import case_cells, case_record, report
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.running import Running
+from tests.study.running.test_journal import disk_of
 
 ROOT = Path(__file__).parents[2]
 CASES = [ROOT / "cases" / "two_bars.toml", ROOT / "cases" / "patch_two_blocks.toml"]
@@ -212,3 +214,29 @@ def test_two_reports_into_one_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="another report is being written to this folder"):
         _write(tmp_path, 0, CASES[:1], METHODS[:1])
     held.close()
+
+
+@pytest.mark.parametrize("options", [[], pytest.param(["--stability"], marks=pytest.mark.slow)], ids=["cases", "study"])
+def test_a_full_disk_is_one_line_and_exit_code_2_and_the_same_command_goes_on(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    folder = tmp_path / "report"
+    arguments = ["report", *(options or [str(case)]), "-o", str(folder), "--jobs", "1"]
+    kept = []
+    for room in (20_000, 0):
+        with monkeypatch.context() as full:
+            disk_of(full, room)
+            with pytest.raises(SystemExit) as exit_:
+                main(arguments)
+        assert exit_.value.code == 2
+        out, err = capfd.readouterr()
+        assert out == ""
+        (line,) = (line for line in err.splitlines() if " about " not in line)
+        (file,) = folder.iterdir()
+        kept.append(file.read_bytes().count(b"\n") - 1)
+        assert kept[-1] > 0
+        assert line == (
+            f"contactqp: {file}: cannot be written: No space left on device; the {kept[-1]} results found so far are "
+            "kept in it; free space there and run the same command again"
+        )
+    assert kept[0] == kept[1]  # the second found what the first had kept

@@ -7,6 +7,7 @@ result. Beside the lines nothing is needed to go on.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
@@ -25,6 +26,8 @@ SCHEMA, SCHEMA_VERSION = "contactqp-unfinished-study", 1
 SYNC = 2.0
 # How many differences between then and now are named.
 MOST = 3
+# Errors that go away where there is room: a full disk, a quota that is spent.
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Journal:
@@ -82,7 +85,13 @@ class Journal:
         return (cell for cell in cells if cell.key in self._kept and self.find(cell) is None)
 
     def write(self, cell: Cell, result: Result) -> Result:
-        """Keep a result, and return it as it will be read: the same whether a study was interrupted or not."""
+        """Keep a result, and return it as it will be read: the same whether a study was interrupted or not.
+
+        Raises
+        ------
+        SceneError
+            The disk is full, or fails; what was kept before stays.
+        """
         line = dict(key=cell.key, digest=cell.digest)
         line |= {"crash": encode(result)} if isinstance(result, Crash) else {"result": encode(result)}
         self._kept[cell.key] = self._write(line)
@@ -102,12 +111,23 @@ class Journal:
     def _write(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Write a line, and return it as it will be read."""
         line = json.dumps(data).encode("ascii")
-        self._stream.write(line + b"\n")
-        self._stream.flush()
-        if time.monotonic() - self._synced > SYNC:
-            os.fsync(self._stream.fileno())
-            self._synced = time.monotonic()
+        try:
+            self._stream.write(line + b"\n")
+            self._stream.flush()
+            if time.monotonic() - self._synced > SYNC:
+                os.fsync(self._stream.fileno())
+                self._synced = time.monotonic()
+        except OSError as error:
+            raise self._refused(error) from None
         return dict(json.loads(line))
+
+    def _refused(self, error: OSError) -> SceneError:
+        """What is said where a line cannot be written; nothing more is."""
+        with suppress(OSError):  # what is left of the line would be written now, in vain
+            self._stream.close()
+        kept = f"the {self.count} results found so far are kept in it" if self.count else "nothing was found yet"
+        todo = "free space there and run" if error.errno in FULL else "run"
+        return SceneError(f"{self.file}: cannot be written: {error.strerror}; {kept}; {todo} the same command again")
 
 
 def _open(file: Path) -> BinaryIO:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import re
@@ -152,3 +153,66 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(SceneError, match="expected a folder that can be written, got: Permission denied"):
         Journal(tmp_path / "journal", CONDITIONS)
+
+
+class Disk(io.FileIO):
+    """A file on a disk that has room for so many bytes, and says what it is asked to beyond."""
+
+    room = 0
+    error = errno.ENOSPC
+
+    def write(self, data: Any) -> int:
+        if len(data) <= self.room:
+            self.room -= len(data)
+            return super().write(data)
+        if self.room:
+            half, self.room = bytes(data)[: self.room], 0
+            return super().write(half)
+        raise OSError(self.error, os.strerror(self.error))
+
+
+def disk_of(monkeypatch: pytest.MonkeyPatch, room: int, error: int = errno.ENOSPC) -> None:
+    """Journals that are opened from now on lie on such a disk."""
+
+    honest = Path.open
+
+    def opened(file: Path, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+        if mode != "a+b":
+            return honest(file, mode, *arguments, **options)
+        disk = Disk(file, "a+")
+        disk.room, disk.error = room, error
+        return io.BufferedRandom(disk)
+
+    monkeypatch.setattr(Path, "open", opened)
+
+
+@pytest.mark.parametrize(
+    ("error", "todo"),
+    [(errno.ENOSPC, "free space there and run"), (errno.EDQUOT, "free space there and run"), (errno.EIO, "run")],
+)
+def test_a_full_disk_is_one_line_and_what_was_found_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, todo: str
+) -> None:
+    file = tmp_path / "journal"
+    whole = len(_written(file))
+    file.unlink()
+    with monkeypatch.context() as full:
+        disk_of(full, whole - 5, error)
+        journal = Journal(file, CONDITIONS)
+        for i, cell in enumerate(CELLS[:-1]):
+            journal.write(cell, Number(i / 3))
+        with pytest.raises(SceneError) as refused:
+            journal.write(CELLS[-1], Crash("died"))
+    reason = f"{os.strerror(error)}; the 3 results found so far are kept in it; {todo} the same command again"
+    assert str(refused.value) == f"{file}: cannot be written: {reason}"
+    journal.close()  # what is left of the line does not come up once more
+    assert file.stat().st_size == whole - 5
+    assert _found(file) == [Number(0.0), Number(1 / 3), Number(2 / 3), None]  # and it is locked no more
+
+
+def test_a_disk_that_was_full_from_the_start_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as full:
+        disk_of(full, 0)
+        with pytest.raises(SceneError, match="nothing was found yet; free space there and run"):
+            Journal(tmp_path / "journal", CONDITIONS)
+    assert _found(tmp_path / "journal") == [None] * 4
