@@ -31,6 +31,8 @@ from contactqp.study.truth import Truth, of_solution, proven_solution
 
 # Expected values that are stated less exactly than this are no truth to measure errors against.
 EXACT = Fraction(1, 10**12)
+# What is said of exact values that are not those of the problem.
+CONTRADICTED = "which the proven solution contradicts: one of them is wrong"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,10 @@ class CaseStudy:
         return timing(self.problem, rung, first, repeats, self.way, warm)
 
     def truth(self) -> Truth | None:
-        """What the case states exactly, and the proven solution where it states nothing."""
+        """What the case states exactly, and the proven solution where it states nothing.
+
+        Where the two contradict each other, by the measure that answers are judged by, the source says so.
+        """
         if self.scene.motion is not None:  # its exact values are those of the continuum, not of its steps
             return None
         if self.scene.large:  # no one problem has its answer
@@ -89,12 +94,15 @@ class CaseStudy:
         if not count:
             return proven
         rest = "" if count == size else f" ({count} of {size} numbers; the others: {proven.source})"
-        return replace(
+        stated = replace(
             proven,
             displacement=np.where(np.isfinite(displacement), displacement, own.displacement),
             normal_force=np.where(np.isfinite(normal_force), normal_force, own.normal_force),
             source=f"the case's exact values{rest}",
         )
+        if stated.errors(own.displacement, own.normal_force, own.tie_force).small:
+            return stated
+        return replace(stated, source=f"{stated.source}, {CONTRADICTED}", contradicted=True)
 
     def _stated(self) -> tuple[np.ndarray, np.ndarray]:
         """Exact displacements and contact forces under the full load, NaN where the case states none."""

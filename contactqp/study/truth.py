@@ -60,6 +60,7 @@ class Truth:
     source: str
     unique_forces: bool = True
     free: bool = False  # there are motions that nothing drives and nothing holds
+    contradicted: bool = False  # by a solution that is proven: one of the two is wrong
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
         """How far an answer is from the truth.

@@ -165,8 +165,9 @@ def packed(text: str) -> str:
 def _tiles(data: ReportData) -> tuple[Tile, ...]:
     found = data.summary
     wrong, unmet = found.wrong_but_passed, len(found.unmet)
+    told = "; ".join(filter(None, ["‼ must be 0", found.doubt]))
     return (
-        Tile(wrong, "wrong but passed", "‼ must be 0" if wrong else "✓ no answer passes that is wrong", wrong > 0),
+        Tile(wrong, "wrong but passed", told if wrong else "✓ no answer passes that is wrong", wrong > 0),
         Tile(unmet, "expectations unmet", "✗ see below" if unmet else "✓ all that the cases expect holds", unmet > 0),
         Tile(found.silently_wrong, "silently wrong", "answers that a method by itself calls solved, and are not"),
         Tile(len(data.rows), "rows", f"of {len(data.cases)} cases and {len(found.methods)} methods"),

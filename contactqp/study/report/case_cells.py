@@ -48,20 +48,21 @@ class FoundTruth:
     tie_force: Vector | None = None
     unique_forces: bool = True
     free: bool = False
+    contradicted: bool = False
 
     @classmethod
     def of(cls, truth: Truth | None) -> FoundTruth:
         if truth is None:
             return cls("nothing, as no answer is proven")
         values = (truth.displacement, truth.normal_force, truth.tie_force)
-        return cls(truth.source, *values, truth.unique_forces, truth.free)
+        return cls(truth.source, *values, truth.unique_forces, truth.free, truth.contradicted)
 
     def on(self, study: CaseStudy) -> Truth | None:
         """The truth of that case's problem."""
         if self.displacement is None or self.normal_force is None:
             return None
         values = (self.displacement, self.normal_force, self.tie_force)
-        return Truth(study.problem, *values, self.source, self.unique_forces, self.free)
+        return Truth(study.problem, *values, self.source, self.unique_forces, self.free, self.contradicted)
 
 
 @dataclass(frozen=True)

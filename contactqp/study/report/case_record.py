@@ -65,6 +65,7 @@ class CaseRecord:
     picture: bytes | None = None  # PNG of geometry, deformed shape and contact forces
     history_picture: bytes | None = None  # PNG of a path or a motion
     no_picture: str = ""  # why there is no picture
+    contradicted: bool = False  # the case's exact values, by the proven solution
     scheme: str = ""  # by which a motion is stepped
     linear_solve: float | None = None  # seconds of one linear solve of the bodies without contact
     footprint: Footprint | None = None  # what one answer takes in a process of its own

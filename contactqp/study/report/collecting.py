@@ -96,6 +96,7 @@ class Collector:
         records = (
             replace(
                 _record(study, truths[study.name], found[told[study.name].key]),
+                contradicted=truths[study.name].contradicted,
                 linear_solve=limits[study.name],
                 footprint=footprints.get(study.name),
             )

@@ -133,7 +133,11 @@ def write_report(
             with _told_how_far(collector):
                 records, rows = collector.collect()
                 facts |= dict(created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
-                summary = summarise(rows, (text for case in records for text in case.unmet))
+                summary = summarise(
+                    rows,
+                    unmet=(text for case in records for text in case.unmet),
+                    contradicted=(case.name for case in records if case.contradicted),
+                )
                 data = ReportData(records, rows, summary, facts)
                 notes = (*workers.notes, *journal.notes, *collector.notes, *_limited(studies), *_crashed(rows))
                 with workshop(folder) as shop:

@@ -35,6 +35,7 @@ class Summary:
     wrong_but_passed: int  # ours: must be 0
     silently_wrong: int  # the methods' own flags
     unmet: tuple[str, ...]  # expectations of the cases that are not met
+    contradicted: tuple[str, ...] = ()  # cases whose exact values are not those of the proven solution
 
     @property
     def exit_code(self) -> int:
@@ -47,14 +48,22 @@ class Summary:
         lines = [[words[cell] if isinstance(cell, bool) else str(cell) for cell in astuple(m)] for m in self.methods]
         return [[column.name.replace("_", " ") for column in fields(MethodSummary)], *lines]
 
+    @property
+    def doubt(self) -> str:
+        """Where what is wrong may be the case; empty where no case is in doubt."""
+        if not self.contradicted:
+            return ""
+        return f"see {', '.join(self.contradicted)}: the proven solution contradicts exact values of the case"
+
     def __str__(self) -> str:
+        doubt = f" ({self.doubt})" if self.doubt else ""
         return (
-            f"wrong but passed: {self.wrong_but_passed}; expectations unmet: {len(self.unmet)}; "
+            f"wrong but passed: {self.wrong_but_passed}{doubt}; expectations unmet: {len(self.unmet)}; "
             f"methods silently wrong by themselves: {self.silently_wrong}"
         )
 
 
-def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
+def summarise(all_rows: Sequence[Row], unmet: Iterable[str], contradicted: Iterable[str] = ()) -> Summary:
     """Counts by method. A raw answer is counted once: on its own row where it has one, else on that of the method."""
     methods = tuple(_of_method(rates, all_rows) for rates in method_rates(all_rows))
     of_rows = (f"{row.case}: {row.method}: {row.message}" for row in all_rows if row.expectations_unmet)
@@ -63,6 +72,7 @@ def summarise(all_rows: Sequence[Row], unmet: Iterable[str]) -> Summary:
         wrong_but_passed=sum(method.wrong_but_passed for method in methods),
         silently_wrong=sum(method.silently_wrong for method in methods),
         unmet=(*unmet, *of_rows),
+        contradicted=tuple(contradicted),
     )
 
 
