@@ -61,3 +61,21 @@ def test_wrong_answers_of_a_case_in_doubt_are_told_with_their_count(
     assert data["summary"]["contradicted"] == ["typo"]
     assert [case["truth"].endswith(CONTRADICTED) for case in data["cases"]] == [False, True]
     assert all(row["verdict"] == rows.WRONG for row in data["rows"] if row["case"] == "typo")
+
+
+def test_what_is_not_met_is_told_once_with_how_often(
+    typo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(report, "chosen_methods", lambda _: chosen_methods(["active-set", "daqp"]))
+    folder = tmp_path / "report"
+    assert report.report([str(typo)], str(folder), HERE) == 1
+    out, page = capsys.readouterr().out, (folder / "index.html").read_text(encoding="utf-8")
+    told = [line.removeprefix("not met: ") for line in out.splitlines() if line.startswith("not met: ")]
+    missed = "expected otherwise: normal force tips"
+    assert f"typo: active-set: {missed}" in told
+    assert f"typo: daqp: {missed} (4 times)" in told  # one for each tolerance
+    assert len(set(told)) == len(told)
+    assert all(f"<li>{line}</li>" in page for line in told)
+    unmet = json.loads((folder / "results.json").read_text(encoding="utf-8"))["summary"]["unmet"]
+    assert f"expectations unmet: {len(unmet)};" in out
+    assert len(unmet) == len(told) + 3

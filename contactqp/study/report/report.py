@@ -65,7 +65,7 @@ def report(cases: Sequence[str], output: str, running: Running = HERE) -> int:
     for note in result.notes:
         print(f"contactqp: {note}", file=sys.stderr)
     print(aligned(result.summary.cells()))
-    for text in result.summary.unmet:
+    for text in result.summary.unmet_lines():
         print(f"not met: {text}")
     print(f"{len(result.rows)} rows; {result.summary}")
     print(f"written: {', '.join(map(str, result.files))}")

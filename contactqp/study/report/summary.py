@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 
@@ -47,6 +48,10 @@ class Summary:
         words = {True: "yes", False: "no"}
         lines = [[words[cell] if isinstance(cell, bool) else str(cell) for cell in astuple(m)] for m in self.methods]
         return [[column.name.replace("_", " ") for column in fields(MethodSummary)], *lines]
+
+    def unmet_lines(self) -> list[str]:
+        """What is not met, each line once, with how often it is said."""
+        return [f"{text} ({count} times)" if count > 1 else text for text, count in Counter(self.unmet).items()]
 
     @property
     def doubt(self) -> str:
