@@ -87,6 +87,14 @@ def test_texts_of_users_stay_texts(page: Page, text: str) -> None:
     assert len(page.scripts) == 3  # Plotly, the figures, ours
 
 
+def test_the_head_promises_no_truth_that_a_case_has_not() -> None:
+    bare = bare_record("bar_impact")
+    assert bare.truth == "nothing"
+    said = " ".join(Page(pages.render(report_of([bare], []))).texts)
+    assert "the right one where that is known" in said
+    assert "whose right answer is known" not in said
+
+
 def _unpacked(page: Page, name: str) -> str:
     (packed,) = (script for attributes, script in page.scripts if attributes.get("id") == name)
     return gzip.decompress(base64.b64decode(packed)).decode()
