@@ -163,7 +163,7 @@ def _judged(
     failures = list(failed_figures(problem, answer, found, figures, tolerance))
     failures += failed_law(problem, law, IMPLIED * tolerance)
     failures += failed_bounds(problem, answer, known, error_tolerance)
-    grazing = _grazing(problem, answer, found, known, tolerance)
+    grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(np.max(law, initial=0.0)),
@@ -202,34 +202,35 @@ def _residuals_and_bounds(
     return left, bounds(problem, answer, left, condensation), condensation.rigid, condensation
 
 
-def _grazing(
-    problem: ContactProblem, answer: Answer, found: Violations, known: Bounds, tolerance: float
-) -> NDArray[np.bool_]:
-    """Contacts whose gap and force both vanish.
+def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
+    """Contacts whose gap and force both vanish, of an `Answer` or of one rank's part of one; `own_compliance` (m,).
 
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
     the energy of the answer is known it must vanish against that too.
     """
     vanish = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
     if known.energy_scale > 0:
-        vanish &= (
-            abs(answer.normal_force) * np.sqrt(own_compliance(problem, problem.normal))
-            <= tolerance * known.energy_scale
-        )
-    return vanish
+        vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * known.energy_scale
+    return np.asarray(vanish)
 
 
 def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
+    grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
+    return status_words(certificate, problem.friction, grazing)
+
+
+def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
+    """The words of `contact_status` for the contacts that the certificate's violations speak of."""
     found = certificate.violations
     if found is None:
-        return np.full(problem.contacts, "unknown")
+        return np.full(len(grazing), "unknown")
     pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance))
     status = np.where(pushes, "closed", "open").astype("<U8")
-    if problem.friction is not None:
-        frictional = (problem.friction > 0) & (status == "closed")
+    if friction is not None:
+        frictional = (friction > 0) & (status == "closed")
         status[frictional] = np.where(found.slip_measure[frictional] > certificate.tolerance, "slip", "stick")
-    status[list(certificate.grazing)] = "grazing"
+    status[grazing] = "grazing"
     return status
 
 

@@ -15,12 +15,14 @@ twice the move of r and once that of u + mu |u_T| e_N.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.coulomb_cone import natural_map
+from contactqp.coulomb_cone import Vectors, natural_map
 from contactqp.problem import ContactProblem, Vector
-from contactqp.row_sizes import contact_entries
+from contactqp.row_sizes import ContactEntries, contact_entries
 from contactqp.violations import Answer, Violations
 
 # The other figures imply this one up to this factor.
@@ -37,34 +39,52 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     """
     if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         return None
-    origin, friction = problem.slip_origin, answer.friction_force
-    across, felt = _tangential_force(problem, found.meeting)
-    phi = np.maximum(_normal_force(problem, found.meeting), np.where(felt, across, 0.0))
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    along = normal_force(contact_entries(problem, "normal"), found.meeting)
+    across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
+    return law_residual(answer, found, (slip, problem.friction), (along, across, felt))
+
+
+def law_residual(
+    answer: Any,
+    found: Violations,
+    rubbing: tuple[Vectors, Vector],
+    unit: tuple[Vector, Vector, NDArray[np.bool_]],
+) -> Vector:
+    """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
+
+    Parameters
+    ----------
+    rubbing : (m, d-1) and (m,) arrays
+        The slips [length] and the coefficients of friction.
+    unit : three (m,) arrays
+        `normal_force` and what `tangential_force` returns.
+    """
+    (slip, friction), (along, across, felt) = rubbing, unit
+    phi = np.maximum(along, np.where(felt, across, 0.0))
     # What is at rest to rounding (an infinite length) has no gap and no slip.
     L_N, L_T = found.lengths, np.where(felt, found.tangential_lengths, np.inf)
     L = np.maximum(np.where(np.isfinite(L_N), L_N, 0.0), np.where(np.isfinite(L_T), L_T, 0.0))
     gap = np.where(np.isfinite(L_N), found.gap, 0.0)
-    slip = (problem.tangent @ answer.displacement).reshape(origin.shape) - origin
     slip = np.where(np.isfinite(L_T)[:, None], slip, 0.0)
-    rubbed = np.zeros_like(slip) if friction is None else np.where(felt[:, None], friction, 0.0)
+    rubbed = answer.friction_force
+    rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
     force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
     velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
-    mu = np.where(felt, problem.friction, 0.0)
+    mu = np.where(felt, friction, 0.0)
     return np.asarray(np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu))
 
 
-def _normal_force(problem: ContactProblem, meeting: Vector) -> Vector:
+def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
     """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
-    entries = contact_entries(problem, "normal")
     return _inverse(entries.largest(entries.over(meeting)))
 
 
-def _tangential_force(problem: ContactProblem, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
     """(m,) at least the largest |l_T| whose own measure is one, and whether every direction of it is felt.
 
     max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
     """
-    entries = contact_entries(problem, "tangent")
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
     unit = _inverse(entries.largest(scaled))  # so that squares are doubles
     scaled = scaled * unit[entries.contact]

@@ -2,82 +2,116 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.bounds import Bounds
-from contactqp.problem import ContactProblem, Vector
+from contactqp.problem import ContactProblem, Units, Vector
 from contactqp.violations import FIGURES, Answer, Violations
+
+# Grazing contacts that a note names.
+MOST_NAMED = 8
+
+
+class Named(Protocol):
+    """A problem, or one rank's part of one, as messages know it."""
+
+    @property
+    def units(self) -> Units: ...
+
+    @property
+    def dof_name(self) -> Callable[[int], str]: ...
+
+    @property
+    def contact_name(self) -> Callable[[int], str]: ...
+
+    @property
+    def tie_name(self) -> Callable[[int], str]: ...
+
+
+PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 
 
 def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
-    called = {
-        "displacement": problem.dof_name,
-        "normal_force": problem.contact_name,
-        "friction_force": problem.contact_name,
-    }
-    for name in ("displacement", "normal_force", "friction_force", "tie_force"):
+    for name in PARTS:
         values = getattr(answer, name)
         if values is not None and not np.all(np.isfinite(values)):
-            at = np.argwhere(~np.isfinite(values))[0]
-            where = called[name](int(at[0])) if name in called else f"tie {at[0]}"
-            yield f"{name}: {values[tuple(at)]} at {where}"
+            yield said_of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))
+
+
+def said_of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+    """What part i of an answer is that is not finite."""
+    called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
+    part = np.atleast_1d(values[i])
+    return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
 
 
 def failed_figures(
     problem: ContactProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
 ) -> Iterator[str]:
-    def where(name: str) -> int:
-        return int(np.argmax(getattr(found, name)))
-
-    def said(name: str, text: str, of: str) -> str:
-        return f"{name}: {text} ({figures[name]:.3g} of the {of}, tolerance {tolerance:g})"
-
-    force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
-    failed = [name for name in FIGURES if not figures[name] <= tolerance]
-    for name in failed:
-        if name == "balance":
-            yield said(name, "the forces on a body do not balance over a rigid motion", "forces that act on it")
+    for name in FIGURES:
+        if figures[name] <= tolerance:
             continue
-        i = where(name)
-        if name == "equilibrium":
-            missing = found.residual[i]
-            yield said(
-                name, f"{problem.dof_name(i)} is out of balance by {missing:.6g}{force}", "forces that meet there"
-            )
-        elif name == "penetration":
-            text = f"{problem.contact_name(i)} is penetrated by {-found.gap[i]:.6g}{length}"
-            yield said(name, text, "lengths that meet there")
-        elif name == "tension":
-            text = f"{problem.contact_name(i)} is held with a force of {answer.normal_force[i]:.6g}{force}"
-            yield said(name, text, "forces that meet there")
-        elif name == "complementarity":
-            text = (
-                f"{problem.contact_name(i)} is open by {found.gap[i]:.6g}{length} "
-                f"and pushes with {answer.normal_force[i]:.6g}{force}"
-            )
-            yield said(name, text, "sizes that meet there")
-        elif name == "cone":
-            yield said(name, f"the friction of {problem.contact_name(i)} exceeds its bound", "forces that meet there")
-        elif name == "slip_direction":
-            text = f"{problem.contact_name(i)} slips and its friction does not oppose the slip at its bound"
-            yield said(name, text, "sizes that meet there")
+        if name == "balance":
+            yield said_of_balance(figures[name], tolerance)
         else:
-            yield said(name, f"tie {i} is not met", "lengths that meet there")
+            i = int(np.argmax(getattr(found, name)))
+            yield said_of_figure(problem, answer, found, name, i, tolerance)
+
+
+def said_of_balance(figure: float, tolerance: float) -> str:
+    text = "the forces on a body do not balance over a rigid motion"
+    return f"balance: {text} ({figure:.3g} of the forces that act on it, tolerance {tolerance:g})"
+
+
+def said_of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
+    """How unknown, contact or tie i of an answer, or of a part of one, misses a figure other than balance."""
+    force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
+    of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
+    if name == "equilibrium":
+        text = f"{problem.dof_name(i)} is out of balance by {found.residual[i]:.6g}{force}"
+    elif name == "penetration":
+        text = f"{problem.contact_name(i)} is penetrated by {-found.gap[i]:.6g}{length}"
+    elif name == "tension":
+        text = f"{problem.contact_name(i)} is held with a force of {answer.normal_force[i]:.6g}{force}"
+    elif name == "complementarity":
+        text = (
+            f"{problem.contact_name(i)} is open by {found.gap[i]:.6g}{length} "
+            f"and pushes with {answer.normal_force[i]:.6g}{force}"
+        )
+    elif name == "cone":
+        text = f"the friction of {problem.contact_name(i)} exceeds its bound"
+    elif name == "slip_direction":
+        text = f"{problem.contact_name(i)} slips and its friction does not oppose the slip at its bound"
+    else:
+        text = f"{problem.tie_name(i)} is not met"
+    measured = f"{getattr(found, name)[i]:.3g} of the {of.get(name, 'forces')} that meet there"
+    return f"{name}: {text} ({measured}, tolerance {tolerance:g})"
 
 
 def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Iterator[str]:
     if law is not None and not np.all(law <= limit):
-        i = int(np.argmax(law))
-        yield (
-            f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
-            f"of the sizes that meet there (tolerance {limit:g})"
-        )
+        yield said_of_law(problem, law, int(np.argmax(law)), limit)
+
+
+def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
+    return (
+        f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
+        f"of the sizes that meet there (tolerance {limit:g})"
+    )
 
 
 def failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
+    yield from failed_errors(known, tolerance)
+    if fails_force_bound(known, tolerance) and known.relative_force_bound is not None:
+        yield said_of_force_bound(problem, answer, known, int(np.argmax(known.relative_force_bound)), tolerance)
+
+
+def failed_errors(known: Bounds, tolerance: float) -> Iterator[str]:
+    """What is said of the bounds on the whole answer."""
     if known.suspicious is not None:
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
@@ -95,16 +129,24 @@ def failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolera
         if not value * size <= max(limit * size, known.rounding) + forgiven:
             kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+
+
+def fails_force_bound(known: Bounds, tolerance: float) -> bool:
+    """Whether the bound of a contact force, of those that are here, is beyond the tolerance."""
     relative = known.relative_force_bound
     beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
-    if relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath)):
-        i = int(np.argmax(relative))
-        unit = _with_unit(problem.units.force)
-        yield (
-            f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
-            f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
-            f"({relative[i]:.3g} of the contact forces, tolerance {tolerance:g})"
-        )
+    return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
+
+
+def said_of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
+    if known.force_bound is None or known.relative_force_bound is None:
+        raise ValueError("there is no bound to speak of")
+    unit = _with_unit(problem.units.force)
+    return (
+        f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
+        f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
+        f"({known.relative_force_bound[i]:.3g} of the contact forces, tolerance {tolerance:g})"
+    )
 
 
 def _with_unit(unit: str) -> str:
@@ -112,12 +154,16 @@ def _with_unit(unit: str) -> str:
 
 
 def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
-    said = []
-    if np.any(grazing):
-        names = ", ".join(problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:8])
-        said.append(f"grazing (gap and force both vanish): {names}")
+    said = list(said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]]))
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
-    if known.estimated:
-        said.append("nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof")
-    return tuple(said)
+    return (*said, *said_of_estimates(known))
+
+
+def said_of_grazing(names: Sequence[str]) -> tuple[str, ...]:
+    return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
+
+
+def said_of_estimates(known: Bounds) -> tuple[str, ...]:
+    said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
+    return (said,) if known.estimated else ()

@@ -150,8 +150,8 @@ class ContactProblem:
         # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
         object.__setattr__(self, "_shared", {})
         refuse_zero_rows("normal", E_N, self.contact_name)
-        refuse_zero_rows("tie", A, _tie_name)
-        for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, _tie_name)):
+        refuse_zero_rows("tie", A, self.tie_name)
+        for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
             refuse_lost_compliances(kind, rows, self.diagonal, called)
 
     @classmethod
@@ -294,13 +294,12 @@ class ContactProblem:
     def dof_name(self, j: int) -> str:
         return self.dof_names[j] if self.dof_names else f"unknown {j}"
 
+    def tie_name(self, i: int) -> str:
+        return f"tie {i}"
+
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""
         return f"ContactProblem({self.dimension} unknowns, {self.contacts} contacts, {self.ties} ties{friction})"
-
-
-def _tie_name(i: int) -> str:
-    return f"tie {i}"
 
 
 def _units(value: Units | Mapping[str, str] | None) -> Units:

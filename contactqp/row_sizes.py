@@ -26,14 +26,14 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
         if rows is getattr(problem, name):
             key = f"sizes_of_{name}"
             if key not in problem._shared:
-                problem._shared[key] = _sizes(problem, rows)
+                problem._shared[key] = sizes_of(rows, problem.diagonal)
             made: RowSizes = problem._shared[key]
             return made
-    return _sizes(problem, rows)
+    return sizes_of(rows, problem.diagonal)
 
 
-def _sizes(problem: ContactProblem, rows: Any) -> RowSizes:
-    diagonal = problem.diagonal
+def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
+    """Those of rows over unknowns with these entries K_jj."""
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     size = abs(rows)
     squares = size.copy()
@@ -79,12 +79,13 @@ def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
     """Those of `normal` or `tangent`, laid out once for the rows."""
     key = f"entries_of_{name}"
     if key not in problem._shared:
-        problem._shared[key] = _entries(getattr(problem, name), problem.contacts)
+        problem._shared[key] = entries_of(getattr(problem, name), problem.contacts)
     entries: ContactEntries = problem._shared[key]
     return entries
 
 
-def _entries(rows: Any, contacts: int) -> ContactEntries:
+def entries_of(rows: Any, contacts: int) -> ContactEntries:
+    """Those of rows in CSR, as many for each of the contacts."""
     width = rows.shape[0] // contacts if contacts else 1
     row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
     places, at = np.unique(row // width * rows.shape[1] + rows.indices, return_inverse=True)

@@ -8,6 +8,7 @@ both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a g
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from contactqp.coulomb_cone import directions, lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
-from contactqp.row_sizes import contact_entries, row_sizes
+from contactqp.row_sizes import ContactEntries, contact_entries, row_sizes
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
@@ -108,29 +109,70 @@ def violations(
     problem: ContactProblem, answer: Answer, left: Residuals, rounding: float = ROUNDING_OF_LENGTH
 ) -> Violations:
     """Every figure of an answer with these residuals; `rounding` as in `lengths_that_meet`."""
-    residual, gap, tie_error = left.force.double(), left.gap.double(), abs(left.tie.double())
-    F = forces_that_meet(problem, answer)
-    u = answer.displacement
-    length = lengths_that_meet(problem, problem.normal, problem.gap, u, rounding)
-    gap_measure, tangential = ratio(abs(gap), length), tangential_lengths(problem, u, rounding)
-    push = force_measure(problem.normal, answer.normal_force, F)
-    cone, direction, slip_measure = _friction(problem, answer, F, tangential)
+    F, u = forces_that_meet(problem, answer), answer.displacement
+    return figures(
+        answer,
+        (left.force.double(), left.gap.double(), left.tie.double()),
+        Sizes(
+            meeting=F,
+            push=force_measure(problem.normal, answer.normal_force, F),
+            lengths=lengths_that_meet(problem, problem.normal, problem.gap, u, rounding),
+            tangential_lengths=tangential_lengths(problem, u, rounding),
+            tie_lengths=lengths_that_meet(problem, problem.tie, problem.tie_value, u, rounding),
+        ),
+        _rubbing(problem, answer, F),
+    )
+
+
+def _rubbing(problem: ContactProblem, answer: Answer, F: Vector) -> Rubbing | None:
+    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    entries, friction = contact_entries(problem, "tangent"), problem.friction
+    return Rubbing(slip, friction, lambda force: vector_measure(entries, force, F))
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """What the residuals of an answer are measured against."""
+
+    meeting: Vector  # (n,) F [force]
+    push: Vector  # (m,) |l_N| as a force
+    lengths: Vector  # (m,) L of the normal rows
+    tangential_lengths: Vector  # (m,) that of the tangential rows
+    tie_lengths: Vector  # (k,) that of the ties
+
+
+@dataclass(frozen=True, eq=False)
+class Rubbing:
+    """What Coulomb's law is judged by."""
+
+    slip: Array  # (m, d-1) E_T u - slip_origin [length]
+    friction: Vector  # (m,) the coefficients
+    measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact
+
+
+def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
+    """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
+    residual, gap, open_tie = left
+    gap_measure, push = ratio(abs(gap), sizes.lengths), sizes.push
+    cone, direction, slip_measure = _friction(answer, rubbing, sizes.tangential_lengths)
     return Violations(
-        equilibrium=ratio(abs(residual), F),
+        equilibrium=ratio(abs(residual), sizes.meeting),
         residual=residual,
         penetration=np.where(gap < 0, gap_measure, 0.0),
         tension=np.where(answer.normal_force < 0, push, 0.0),
         complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(tie_error, lengths_that_meet(problem, problem.tie, problem.tie_value, u, rounding)),
+        tie=ratio(abs(open_tie), sizes.tie_lengths),
         slip_measure=slip_measure,
-        lengths=length,
-        tangential_lengths=tangential,
+        lengths=sizes.lengths,
+        tangential_lengths=sizes.tangential_lengths,
         gap=gap,
         gap_measure=gap_measure,
         force_measure=push,
-        meeting=F,
+        meeting=sizes.meeting,
     )
 
 
@@ -178,7 +220,11 @@ def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: 
     if problem.tangent is None or problem.slip_origin is None:
         return np.full(problem.contacts, np.inf)
     meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement, rounding)
-    meeting = meeting.reshape(problem.slip_origin.shape)
+    return lengths_of_pairs(meeting.reshape(problem.slip_origin.shape))
+
+
+def lengths_of_pairs(meeting: Array) -> Vector:
+    """|L| (m,) of the lengths (m, d-1) that meet along the tangential rows of each contact, infinite at rest."""
     finite = np.where(np.isfinite(meeting), meeting, 0.0)
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
@@ -221,34 +267,25 @@ def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
     return measure
 
 
+def vector_measure(entries: ContactEntries, force: Array, meeting: Vector) -> Vector:
+    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact."""
+    return entries.largest(ratio(abs(entries.forces(force)), meeting[entries.unknown])[None])
+
+
 def _row_of_entries(rows: Any) -> NDArray[np.intp]:
     """Of every entry of rows in CSR."""
     return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
 
 
-def _friction(problem: ContactProblem, answer: Answer, F: Vector, length: Vector) -> tuple[Vector, Vector, Vector]:
+def _friction(answer: Any, rubbing: Rubbing | None, length: Vector) -> tuple[Vector, Vector, Vector]:
     """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, and the slip."""
-    none = np.zeros(problem.contacts)
-    if (
-        problem.tangent is None
-        or problem.friction is None
-        or problem.slip_origin is None
-        or answer.friction_force is None
-    ):
+    if rubbing is None or answer.friction_force is None:
+        none = np.zeros(len(answer.normal_force))
         return none, none, none
-    force = answer.friction_force
-    slip = (problem.tangent @ answer.displacement).reshape(force.shape) - problem.slip_origin
+    force, slip = answer.friction_force, rubbing.slip
     size, slipped = lengths(force), lengths(slip)
-    bound = problem.friction * np.maximum(answer.normal_force, 0.0)
+    bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
     beyond = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     wrong = force - bound[:, None] * directions(slip)
     slip_measure = ratio(slipped, length)
-    return _tangential(problem, beyond, F), np.minimum(slip_measure, _tangential(problem, wrong, F)), slip_measure
-
-
-def _tangential(problem: ContactProblem, force: Array, F: Vector) -> Vector:
-    """max_j |E_T' v|_j / F_j of one tangential force vector v a contact."""
-    entries = contact_entries(problem, "tangent")
-    measure = np.zeros(len(force))
-    np.maximum.at(measure, entries.contact, ratio(abs(entries.forces(force)), F[entries.unknown]))
-    return measure
+    return rubbing.measure(beyond), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure
