@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.extended import extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
@@ -61,28 +64,59 @@ def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
     return np.asarray(known[1])
 
 
+@dataclass(frozen=True, eq=False)
+class Resultants:
+    """What the forces of a body do on p coordinates of its motions.
+
+    With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns: the coordinates are
+    those of an orthonormal basis of the columns w.
+    """
+
+    weight: Array  # (p, r) the motions of each coordinate
+    strength: Vector  # (p,) how much force acts along it, of the most
+    work: Vector  # (p,) on each
+    stray: Vector  # (p,) what K's rounding may make of that
+
+    def unseen(self, forces: Vector, hidden: float) -> bool:
+        """Whether rounding hides forces (p,), the sums of |w_j|, where that matters."""
+        return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
+
+    def seen(self, forces: Vector) -> NDArray[np.bool_]:
+        """Where next to no force acts along a motion, what the rounding of K holds is all there is to see."""
+        return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
+
+    def worst(self, forces: Vector) -> float:
+        """The figure of the worst coordinate."""
+        seen = self.seen(forces)
+        net = np.maximum(abs(self.work) - self.stray, 0.0)[seen] / forces[seen]
+        return float(np.max(net, initial=0.0))
+
+    def net(self, direction: Vector) -> float:
+        """What is left of the work on a motion (p,) in these coordinates."""
+        return float(abs(self.work @ direction) - self.stray @ abs(direction))
+
+
+def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Resultants:
+    """From the singular values and right vectors of w (n, r), and the work and its uncertainty (r,) on its motions."""
+    kept = values > SAME_MOTION * values[0]
+    weight = right[kept] / values[kept, None]
+    return Resultants(weight, values[kept] / values[0], weight @ work, abs(weight) @ stray)
+
+
 def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
     """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size; `hidden` where rounding hides what acts."""
-    # With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns.
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
-    kept = values > SAME_MOTION * values[0]
-    basis = left[:, kept]
-    weight = right[kept] / values[kept, None]
-    work, stray = weight @ work, abs(weight) @ stray
+    found = resultants(values, right, work, stray)
+    basis = left[:, : len(found.work)]
     forces = np.sum(abs(basis), axis=0)
-    # Where next to no force acts along a motion, what the rounding of K holds is all there is to see.
-    seen = stray < NOTHING_BUT_ROUNDING * forces
-    if hidden and np.any(~seen & (values[kept] > ACTING * values[0])):
+    if found.unseen(forces, hidden):
         return hidden
-    if not np.any(seen):
-        return 0.0
-    basis, work, stray, forces = basis[:, seen], work[seen], stray[seen], forces[seen]
-    worst = float(np.max(np.maximum(abs(work) - stray, 0.0) / forces))
-    if len(work) == 1 or worst <= NO_RESULTANT:
+    seen, worst = found.seen(forces), found.worst(forces)
+    if np.sum(seen) <= 1 or worst <= NO_RESULTANT:
         return worst
-    direction = _worst_direction(basis, work / np.max(abs(work)))
-    net = float(abs(work @ direction) - stray @ abs(direction))
-    return max(net / float(np.sum(abs(basis @ direction))), worst)
+    direction = np.zeros(len(seen))
+    direction[seen] = _worst_direction(basis[:, seen], found.work[seen] / np.max(abs(found.work[seen])))
+    return max(found.net(direction) / float(np.sum(abs(basis @ direction))), worst)
 
 
 def _worst_direction(basis: Array, weight: Vector) -> Vector:

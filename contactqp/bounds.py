@@ -68,6 +68,7 @@ NEXT_TO_NOTHING = 1e-12
 ITERATED_NOTHING = 1e-10
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
+FRICTION_HAS_NONE = "Coulomb friction is no minimisation: its energy bounds nothing"
 # Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
 LARGEST = 8000
 
@@ -91,11 +92,16 @@ class Bounds:
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
     reasons: tuple[str, ...] = ()
 
+    @property
+    def proven(self) -> bool:
+        """Whether energy and force error are bounded, and not only estimated."""
+        return self.energy_error is not None and self.force_error is not None and not self.estimated
+
 
 def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:
     """The bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
-        return no_bounds("Coulomb friction is no minimisation: its energy bounds nothing")
+        return no_bounds(FRICTION_HAS_NONE)
     return _iterated(problem, answer, way) if isinstance(way, Iteration) else _condensed(problem, answer, left, way)
 
 

@@ -141,7 +141,8 @@ def certify(
     refuse_other("certify", problem, ContactProblem)
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
-        return _not_finite(problem, answer, tolerance, error_tolerance)
+        failures = list(not_finite_parts(problem, answer))
+        return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with stage(CERTIFY):
         return _judged(problem, answer, tolerance, error_tolerance, factorization)
 
@@ -179,7 +180,7 @@ def _judged(
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
-        proven=known.energy_error is not None and known.force_error is not None and not known.estimated,
+        proven=known.proven,
         violations=found,
     )
 
@@ -276,19 +277,20 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
     return factorization
 
 
-def _not_finite(problem: ContactProblem, answer: Answer, tolerance: float, error_tolerance: float) -> Certificate:
+def not_finite(frictional: bool, failures: list[str], tolerance: float, error_tolerance: float) -> Certificate:
+    """That of an answer with parts that are not finite."""
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
         **figures,
-        natural_map=float("inf") if problem.frictional else None,
+        natural_map=float("inf") if frictional else None,
         energy_error=None,
         force_error=None,
         force_bound=None,
         reasons=tuple(f"{name}: the answer is not finite" for name in ("energy_error", "force_error", "force_bound")),
         grazing=(),
-        failures=tuple(not_finite_parts(problem, answer)),
+        failures=tuple(failures),
         notes=(),
-        uniqueness=(UNKNOWN,) if problem.frictional else (),
+        uniqueness=(UNKNOWN,) if frictional else (),
         contraction=None,
         tolerance=tolerance,
         error_tolerance=error_tolerance,

@@ -81,7 +81,7 @@ class Hierarchy:
         except ImportError as error:  # one that wants a newer SciPy, say
             raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
         matrix = in_blocks(stiffness)
-        B = _constants(matrix) if motions is None else _of_size_one(motions)
+        B = _constants(matrix) if motions is None else of_size_one(motions)
         B = B if B.shape[1] else _constants(matrix)
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
@@ -107,21 +107,22 @@ class Hierarchy:
         """min over a of a'(B'KB)a / a'(B'DB)a for each body; `forces` is K B."""
         q, count = B.shape[1], int(self.bodies.max()) + 1
         if count == 1:
-            return np.array([_least_ratio(B.T @ forces, B.T @ (diagonal[:, None] * B))])
+            return energy_ratios(B.T @ forces, B.T @ (diagonal[:, None] * B))[0][:1]
         energy, size = np.empty((2, count, q, q))
         for i in range(q):
             for j in range(q):
                 energy[:, i, j] = np.bincount(self.bodies, B[:, i] * forces[:, j], count)
                 size[:, i, j] = np.bincount(self.bodies, B[:, i] * diagonal * B[:, j], count)
-        return np.array([_least_ratio(e, s) for e, s in zip(energy, size, strict=True)])
+        return np.array([energy_ratios(e, s)[0][0] for e, s in zip(energy, size, strict=True)])
 
 
-def _least_ratio(energy: Array, size: Array) -> float:
-    """The least a'Ea / a'Sa on the range of S."""
+def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
+    """The values a'Ea / a'Sa (p,) of the eigenvectors a (q, p) of E a = value S a on the range of S, from the least."""
     values, vectors = np.linalg.eigh(size)
     kept = values > np.finfo(float).eps * len(size) * values[-1]
     basis = vectors[:, kept] / np.sqrt(values[kept])
-    return float(np.linalg.eigvalsh(basis.T @ ((energy + energy.T) / 2) @ basis)[0])
+    ratios, coordinates = np.linalg.eigh(basis.T @ ((energy + energy.T) / 2) @ basis)
+    return ratios, basis @ coordinates
 
 
 def _positive(diagonal: Array) -> Array:
@@ -150,7 +151,7 @@ def _graph(matrix: Any) -> Any:
     return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
 
 
-def _of_size_one(motions: Array) -> Array:
+def of_size_one(motions: Array) -> Array:
     """The motions that move anything, each with its largest entry at one: their sizes mean nothing."""
     largest = np.max(abs(motions), axis=0, initial=0.0)
     return np.asarray(motions[:, largest > 0] / largest[largest > 0])

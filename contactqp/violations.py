@@ -211,7 +211,7 @@ def lengths_that_meet(
     least = rounding * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if np.any(length <= least * np.max(size, initial=0.0)):
-        length = np.where(length <= least * _largest_of_bodies(problem, rows, size), np.inf, length)
+        length = at_rest_infinite(rows, length, least, _largest_of_bodies(problem, size))
     return np.asarray(length)
 
 
@@ -229,14 +229,19 @@ def lengths_of_pairs(meeting: Array) -> Vector:
     return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
 
 
-def _largest_of_bodies(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
-    """The largest size (n,) of an unknown on the bodies that each row touches."""
+def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) -> Vector:
+    """Lengths (m,), infinite where they are at most `least` (m,) of the `largest` (n,) unknown that a row touches."""
+    touched = np.zeros(rows.shape[0])
+    np.maximum.at(touched, _row_of_entries(rows), largest[rows.indices])
+    return np.where(length <= least * touched, np.inf, length)
+
+
+def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
+    """(n,) the largest size (n,) of an unknown on the body that each belongs to."""
     body = bodies(problem)
     largest = np.zeros(int(body.max()) + 1)
     np.maximum.at(largest, body, size)
-    touched = np.zeros(rows.shape[0])
-    np.maximum.at(touched, _row_of_entries(rows), largest[body[rows.indices]])
-    return touched
+    return np.asarray(largest[body])
 
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:

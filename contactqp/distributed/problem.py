@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -69,7 +69,7 @@ class DistributedProblem:
     tangent: Rows | None = None
     friction: Vector | None = None
     slip_origin: NDArray[np.float64] | None = None
-    units: Units | None = None
+    units: Units = field(default_factory=Units)
     dof_name: Callable[[int], str] = "unknown {}".format
     contact_name: Callable[[int], str] = "contact {}".format
     tie_name: Callable[[int], str] = "tie {}".format

@@ -1,0 +1,47 @@
+"""The motions that nothing resists, body by body, out of the near-null-space that a problem brings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.distributed.bodies import Bodies
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.iteration import FLOATING
+from contactqp.multigrid import energy_ratios
+
+
+@dataclass(frozen=True, eq=False)
+class FloatingBodies:
+    """Motions z with K z = 0 to rounding, those of all bodies side by side."""
+
+    motions: NDArray[np.float64]  # (n_here, r) zero where a body has fewer, or is held
+    floats: NDArray[np.bool_]  # (q,) of the bodies on this rank
+
+
+def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
+    """Combinations of the near-null-space whose energy is FLOATING of their diagonal's at most. Collective."""
+    B, width = _scaled(problem), problem.near_null_space.shape[1]
+    forces = np.column_stack([problem.product(b) for b in B.T]) if width else B
+    sizes = np.zeros((2, len(bodies.number), width, width))
+    for i, j in np.ndindex(width, width):
+        for k, other in enumerate((forces[:, j], problem.diagonal * B[:, j])):
+            sizes[k, :, i, j] = np.bincount(bodies.of, B[:, i] * other, len(bodies.number))
+    energy, size = (bodies.sums(part) for part in sizes)
+    mixed = np.zeros((bodies.count, width, width))
+    for place in np.flatnonzero(np.trace(size, axis1=1, axis2=2) > 0):  # a body that is held everywhere has no motion
+        ratios, vectors = energy_ratios(energy[place], size[place])
+        free = ratios <= FLOATING
+        mixed[place, :, : np.count_nonzero(free)] = vectors[:, free]
+    combined = bodies.told(mixed)
+    most = int(problem.ranks.max(int(np.sum(np.any(combined, axis=(0, 1))))))
+    return FloatingBodies(bodies.combined(B, combined[:, :, :most]), np.any(combined, axis=(1, 2)))
+
+
+def _scaled(problem: DistributedProblem) -> NDArray[np.float64]:
+    """The near-null-space, the largest entry of each motion one on some rank: their sizes mean nothing."""
+    B = problem.near_null_space
+    largest = problem.ranks.max(np.max(abs(B), axis=0, initial=0.0))
+    return np.asarray(B / np.where(largest > 0, largest, 1.0))

@@ -1,0 +1,101 @@
+"""Certificates of right and wrong answers, dealt out to the ranks: figure for figure those of one process."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import contactqp as cq
+from contactqp.certificate import contact_status as status_of_one
+from contactqp.distributed.answer import DistributedAnswer
+from contactqp.distributed.certificate import certify_distributed, contact_status
+from contactqp.distributed.distributing import distribute
+from contactqp.distributed.ranks import Ranks
+from contactqp.scene.models import build
+from contactqp.violations import FIGURES, Answer
+
+CASES = Path(__file__).parents[3] / "cases"
+# Residuals in double precision differ from those in extended precision by a few dozen roundings.
+ROUNDING, RELATIVE = 1e-13, 1e-6
+
+
+def right(problem: cq.ContactProblem) -> Answer:
+    found = cq.solve(problem)
+    return Answer(found.displacement, found.normal_force, found.friction_force, found.tie_force)
+
+
+def wrong(problem: cq.ContactProblem, answer: Answer) -> Iterator[tuple[str, Answer]]:
+    """Each kind of wrong answer that the problem can have."""
+    rng = np.random.default_rng(1)
+    u, push, rub, tie = answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force
+    largest, at = np.max(abs(u)), int(np.argmax(push)) if len(push) else 0
+    moved = u.copy()
+    moved[int(np.argmax(abs(u)))] *= 1 + 1e-4
+    yield "one unknown moved", replace(answer, displacement=moved)
+    yield "half-converged", replace(answer, displacement=u + 1e-5 * largest * rng.standard_normal(len(u)))
+    if np.any(push):
+        yield "flipped sign", replace(answer, normal_force=-push)
+        pulled = push.copy()
+        pulled[at] *= -0.5
+        yield "tension", replace(answer, normal_force=pulled)
+        deep = problem.normal[[at]]
+        yield "penetration", replace(answer, displacement=u + np.asarray(deep.sum(axis=0)).ravel() * 0.01 * largest)
+    for name, values in (("displacement", u), ("normal_force", push), ("friction_force", rub), ("tie_force", tie)):
+        if values is not None and values.size:
+            nothing = values.copy()
+            nothing.flat[values.size // 2] = np.nan
+            yield f"{name} is NaN", replace(answer, **{name: nothing})
+    if rub is not None and rub.size and np.any(rub):
+        yield "friction along the slip", replace(answer, friction_force=-rub)
+        yield "friction beyond its bound", replace(answer, friction_force=3.0 * rub)
+    if len(tie):
+        yield "tie force", replace(answer, tie_force=tie + 0.1 * max(np.max(abs(tie)), 1.0))
+        along = np.asarray(problem.tie[[0]].sum(axis=0)).ravel()
+        yield "tie", replace(answer, displacement=u + along * 1e-3 * largest)
+
+
+def same(one: cq.Certificate, many: cq.Certificate, what: str) -> None:
+    for name in (*FIGURES, "natural_map"):
+        a, b = getattr(one, name), getattr(many, name)
+        assert (a is None) == (b is None), (what, name, a, b)
+        if a is not None:
+            assert a == b or abs(a - b) <= ROUNDING + RELATIVE * abs(a), (what, name, a, b)
+    of_figures = [text for text in one.failures if not text.startswith(("energy_error", "force_", "unproven"))]
+    assert of_figures == list(many.failures), (what, of_figures, many.failures)
+
+
+def judge(problem: cq.ContactProblem, ranks: Ranks, what: str) -> None:
+    part = distribute(problem, ranks)
+    answer = right(problem)
+    for kind, candidate in [("right", answer), *wrong(problem, answer)]:
+        called = f"{what}, {kind}"
+        one = cq.certify(
+            problem, candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force
+        )
+        here = DistributedAnswer(
+            candidate.displacement[part.dof_number],
+            candidate.normal_force[part.contact_number],
+            None if candidate.friction_force is None else candidate.friction_force[part.contact_number],
+            candidate.tie_force[part.tie_number],
+        )
+        many = certify_distributed(part, here)
+        same(one, many, called)
+        assert kind != "right" or many.passed, called
+        assert kind == "right" or not many.passed, called
+        status = part.whole(contact_status(part, many), part.contact_number)
+        assert list(status) == list(status_of_one(problem, one)), called
+        assert one.grazing == many.grazing, (called, one.grazing, many.grazing)
+        if ranks.rank == 0:
+            print(
+                f"{called}: {max(getattr(many, name) for name in FIGURES):.2g}, balance {many.balance:.2g}", flush=True
+            )
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        scene = cq.load_scene(CASES / f"{name}.toml")
+        judge(build(scene).problem, Ranks(), name)
