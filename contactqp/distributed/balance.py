@@ -60,7 +60,7 @@ class _Parts:
         width = self._columns.shape[1]
         factors = np.zeros((len(self._floats), width, width))
         for place in np.flatnonzero(self._floats):
-            factor = np.linalg.qr(self._columns[self._bodies.members(int(place))]).R
+            factor = np.linalg.qr(self._columns[self._bodies.members(int(place))])[1]
             factors[place, : len(factor)] = factor
         came, body = self._bodies.parts(factors)
         stacked = (came[body == i].reshape(-1, width) for i in range(self._bodies.count))
