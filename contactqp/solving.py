@@ -12,7 +12,8 @@ from contactqp.blas_threads import one_blas_thread
 from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
-from contactqp.errors import NotCertified, NotConverged, refuse_other
+from contactqp.engines import SERIAL, refuse_unknown_engine
+from contactqp.errors import NotCertified, NotConverged, Unsupported, refuse_other
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
 from contactqp.local_problem import LocalProblem
@@ -39,6 +40,7 @@ def solve(
     problem: ContactProblem | LocalProblem,
     method: str = "active-set",
     *,
+    engine: str = SERIAL,
     tolerance: float = 1e-9,
     condense: bool | str = "auto",
     polish: bool = True,
@@ -54,6 +56,9 @@ def solve(
     ----------
     method : str
         A name of `contactqp.methods()`.
+    engine : str
+        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this with the same problem and gets
+        the same solution; `method` is "active-set".
     tolerance : float
         Of the method, relative, on the nondimensional problem.
     condense : bool or "auto"
@@ -110,13 +115,20 @@ def solve(
     """
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
+    refuse_unknown_engine(engine)
     if isinstance(problem, LocalProblem):
+        if engine != SERIAL:
+            raise Unsupported(f"engine {engine!r}: a problem in local form has no stiffness to deal out")
         from contactqp.local_solving import solve_local
 
         return solve_local(problem, method, warm_start=warm_start, **same)
     refuse_other("solve", problem, ContactProblem, LocalProblem)
     same["condense"] = condense
     start = warm_candidate(problem, warm_start)
+    if engine != SERIAL:
+        from contactqp.distributed.whole import solve_whole
+
+        return solve_whole(problem, method, warm_start=warm_start, **same)
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
         with problem.lock, stage(METHOD):
             return solve_among(

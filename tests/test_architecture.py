@@ -14,6 +14,8 @@ PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
 # From the bottom to the top: a module imports from its own layer or from layers before it.
 LAYERS = (
     "errors",
+    "engines",
+    "whole_file",
     "stages",
     "problem_data",
     "problem",

@@ -137,7 +137,7 @@ def _walked(
         for fraction in fractions:
             solutions.go_to(fraction)
             times.append(leg + fraction)
-    return History(solutions, times, lambda: found if exactly else _changes(solutions, times))
+    return History(solutions, times, lambda: found if exactly else changes(solutions, times))
 
 
 class _Steps(LazySolutions):
@@ -188,7 +188,7 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
     return [np.zeros(problem.dimension), *(problem.replace(load=load).load for load in loads)]
 
 
-def _changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
+def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
     """Contacts that carry a force at one step and none at the one before, or the other way round."""
     for (before, now), time in zip(pairwise(solutions), times[1:], strict=True):
         was, carries = before.normal_force > 0, now.normal_force > 0

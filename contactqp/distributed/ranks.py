@@ -66,15 +66,21 @@ class Ranks:
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """What one rank refuses, all refuse with the same error; nothing collective may stand inside."""
+        """What one rank refuses, all refuse with the same error; nothing collective may stand inside.
+
+        The message names the first rank that refuses, unless all do.
+        """
         failure: ContactQPError | None = None
         try:
             yield
         except ContactQPError as error:
             failure = error
-        known = [error for error in self.comm.allgather(failure) if error is not None]
+        known = [(rank, other) for rank, other in enumerate(self.comm.allgather(failure)) if other is not None]
         if known:
-            raise known[0] from failure
+            rank, first = known[0]
+            if len(known) < self.size:
+                first.args = (f"rank {rank}: {first}", *first.args[1:])
+            raise first from failure
 
     def _reduced(self, value: Any, operation: Any) -> Any:
         out = np.empty_like(value := np.ascontiguousarray(value))

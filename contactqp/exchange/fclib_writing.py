@@ -17,9 +17,9 @@ from contactqp.exchange.matrix_storage import Storage, StoredMatrix, stored_form
 from contactqp.exchange.refusal import Path
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
-from contactqp.pictures.whole_file import check_file, write_whole
 from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
+from contactqp.whole_file import check_file, write_whole
 
 SUFFIXES = (".hdf5", ".h5")
 # As published files have it.

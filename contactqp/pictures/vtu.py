@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from contactqp.elements.mesh_files import MESHIO_KINDS
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.frame_fields import FrameFields
-from contactqp.pictures.whole_file import VTU, check_file, check_installed, write_whole
+from contactqp.whole_file import VTU, check_file, check_installed, write_whole
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

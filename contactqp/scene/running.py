@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.analysis.history import History
+from contactqp.engines import SERIAL, refuse_unknown_engine
+from contactqp.errors import Unsupported
 from contactqp.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
@@ -17,7 +20,14 @@ if TYPE_CHECKING:
     from contactqp.scene.models import Model
 
 
-def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
+def run(
+    scene: Scene,
+    method: str = "active-set",
+    *,
+    engine: str = SERIAL,
+    checkpoint: str | Path | None = None,
+    **options: Any,
+) -> History:
     """Solve a scene; ``history[-1]`` is the solution under the full load, or at the end of the motion.
 
     Parameters
@@ -29,14 +39,47 @@ def run(scene: Scene, method: str = "active-set", **options: Any) -> History:
         `large_deformation`.
     method : str
         A name of `contactqp.methods()`.
+    engine : str
+        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same; `method` is
+        "active-set", and load paths are without friction and take steps.
+    checkpoint : str or Path, optional
+        With "petsc", a folder where every step is kept. Steps that are there already are not solved again, whatever
+        number of ranks has solved them.
     **options
         Of `contactqp.solve`; numbers are in the scene's units.
+
+    Raises
+    ------
+    Unsupported
+        With "petsc", a motion, large deformations, exact events, a load path with friction, or a method or an option of
+        one process.
+    InvalidProblem
+        A `checkpoint` of another scene; and as `contactqp.solve`.
     """
-    return run_model(build(scene), method, **options)
+    return run_model(built(scene, engine), method, engine, checkpoint, **options)
 
 
-def run_model(model: Model, method: str, **options: Any) -> History:
+def built(scene: Scene, engine: str = SERIAL) -> Model:
+    """The scene's model, for an engine; what one rank refuses, a file that is missing there, all ranks do."""
+    refuse_unknown_engine(engine)
+    if engine == SERIAL:
+        return build(scene)
+    from contactqp.distributed.ranks import Ranks
+
+    with Ranks().together():
+        return build(scene)
+
+
+def run_model(
+    model: Model, method: str, engine: str = SERIAL, checkpoint: str | Path | None = None, **options: Any
+) -> History:
     """As `run`, of a scene that is built already."""
+    if engine != SERIAL:
+        from contactqp.scene.running_on_ranks import run_on_ranks
+
+        return run_on_ranks(model, method, checkpoint, **options)
+    if checkpoint is not None:
+        raise Unsupported("checkpoint: only engine='petsc' keeps the steps of a load path")
     return walk(model, model.problem, method, **options)
 
 

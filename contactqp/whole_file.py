@@ -42,8 +42,13 @@ def check_installed(package: str, extra: str, purpose: str) -> None:
         raise BackendMissing(f"{purpose} needs {package}: pip install 'contactqp[{extra}]'")
 
 
-def write_whole(file: Path, write: Callable[[Path], None]) -> None:
+def write_whole(file: Path, write: Callable[[Path], None], *, durable: bool = False) -> None:
     """Let `write` fill a file beside this one with the same suffix, then put it in place.
+
+    Parameters
+    ----------
+    durable : bool
+        It is on the disk before this returns: a machine that dies afterwards does not lose it.
 
     Raises
     ------
@@ -53,8 +58,21 @@ def write_whole(file: Path, write: Callable[[Path], None]) -> None:
     beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
     try:
         write(beside)
+        if durable:
+            _onto_disk(beside)
         os.replace(beside, file)
+        if durable:
+            _onto_disk(file.parent)
     except OSError as error:
         raise InvalidProblem(f"{file}: cannot be written ({error.strerror or error})") from error
     finally:
         beside.unlink(missing_ok=True)
+
+
+def _onto_disk(path: Path) -> None:
+    """Have what is in memory of a file or a folder written."""
+    place = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
