@@ -43,6 +43,7 @@ import numpy as np
 
 from contactqp.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair
 from contactqp.condensation import Condensation
+from contactqp.contact_iteration import ContactIteration, Limits
 from contactqp.energy_norm import (
     RIGID_ROUNDING,
     energy_norm,
@@ -54,7 +55,7 @@ from contactqp.energy_norm import (
 )
 from contactqp.extended import Extended, extend
 from contactqp.iteration import Iteration
-from contactqp.multigrid_bounds import Unrepaired, distances
+from contactqp.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
@@ -102,7 +103,9 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
     """The bounds of an answer, or the reasons why there are none."""
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
-    return _iterated(problem, answer, way) if isinstance(way, Iteration) else _condensed(problem, answer, left, way)
+    if isinstance(way, Iteration):
+        return estimated_bounds(problem, answer, way)
+    return _condensed(problem, answer, left, way)
 
 
 def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
@@ -122,7 +125,8 @@ def no_bounds(reason: str) -> Bounds:
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
-def _iterated(problem: ContactProblem, answer: Answer, way: Iteration) -> Bounds:
+def estimated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
+    """Those of an answer without friction where nothing is factorised (`contactqp.multigrid_bounds`)."""
     try:
         found = distances(problem, answer, way)
     except Unrepaired as reason:

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from contactqp.distributed.solution import DistributedSolution
     from contactqp.local_solution import LocalSolution
     from contactqp.solution import Candidate, Solution
+
+    AnySolution = Solution | LocalSolution | DistributedSolution
 
 
 class ContactQPError(Exception):
@@ -37,7 +40,10 @@ class NotConverged(ContactQPError):
     """
 
     def __init__(
-        self, message: str, history: Sequence[Any] = (), solution: Solution | LocalSolution | None = None
+        self,
+        message: str,
+        history: Sequence[Any] = (),
+        solution: AnySolution | None = None,
     ) -> None:
         super().__init__(message)
         self.history = history
@@ -47,7 +53,7 @@ class NotConverged(ContactQPError):
 class NotCertified(ContactQPError):
     """A method that promises the exact answer returned one that the certificate refuses; `solution` is that answer."""
 
-    def __init__(self, message: str, solution: Solution | LocalSolution) -> None:
+    def __init__(self, message: str, solution: AnySolution) -> None:
         super().__init__(message)
         self.solution = solution
 

@@ -46,16 +46,19 @@ SETTLED = 1e-4
 ENERGY, BOUND = 1e-7, 3e-7
 
 
-def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings) -> Candidate:
-    """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found."""
-    return _Search(problem, way, settings).run()
+def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings, energy: float = ENERGY) -> Candidate:
+    """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found.
+
+    `energy` is the error in energy on that set, over the energy of the contact forces.
+    """
+    return _Search(problem, way, settings, energy).run()
 
 
 class _Search:
     """The displacement of the moment, its set, and what it has cost."""
 
-    def __init__(self, problem: Limits, way: ContactIteration, settings: Settings) -> None:
-        self.problem, self.way = problem, way
+    def __init__(self, problem: Limits, way: ContactIteration, settings: Settings, energy: float) -> None:
+        self.problem, self.way, self.energy = problem, way, energy
         self.m = len(problem.gap)
         self.limit = np.concatenate([problem.gap, problem.tie_value])
         self.sets_left = settings.max_iter or SETS
@@ -151,7 +154,7 @@ class _Search:
             if contradicted:
                 if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
                     return ""
-            elif error <= SETTLED**2 * self._energy(run):
+            elif error <= SETTLED**2 * self._work(run):
                 goal = goal or _Goal(self)
                 if goal.reached(run):
                     return FOUND
@@ -168,7 +171,7 @@ class _Search:
         self.way.krylov_iterations += 1
         return run.step()
 
-    def _energy(self, run: ConjugateGradients) -> float:
+    def _work(self, run: ConjugateGradients) -> float:
         """x'K x."""
         return self.way.dot(self.x, self.problem.load - run.residual)
 
@@ -204,7 +207,7 @@ class _Goal:
         if not way.any(search.force != 0):
             work = energy = way.dot(search.x, problem.load - search.residual)
         self.size = abs(work) / np.sqrt(energy) if energy > 0 else 0.0
-        self.energy = ENERGY * self.size
+        self.energy = search.energy * self.size
         self.way, self.on_set = way, np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool))
 
     def reached(self, run: ConjugateGradients) -> bool:

@@ -301,7 +301,7 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
     stays = np.linalg.norm(rows, axis=1) > UNRESISTED * np.sqrt(own_compliance(problem, problem.normal)) * motion_size
     if np.any(stays):
         gap = problem.gap - problem.normal @ answer.displacement
-        shift = _shift_within_gaps(rows[stays], gap[stays], shift)
+        shift = shift_within_gaps(rows[stays], gap[stays], shift)
     return free @ shift, free
 
 
@@ -316,7 +316,7 @@ def _push(problem: ContactProblem, answer: Answer) -> Vector:
     return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)
 
 
-def _shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
+def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap."""
     length = np.linalg.norm(rows, axis=1)
     unit, room = rows / length[:, None], gap / length

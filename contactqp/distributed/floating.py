@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.condensation import UNRESISTED
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium
+from contactqp.polishing import shift_within_gaps
 
 Array = NDArray[np.float64]
 # A motion that costs this part of what its unknowns, each alone, would cost is rigid (`contactqp.iteration`).
@@ -91,6 +93,28 @@ class Floating:
     def holds(self, closed: NDArray[np.bool_], load: Vector) -> bool:
         """Whether closed contacts and ties hold every motion that the load drives."""
         return not np.any(abs(self.loose(closed).T @ self._work(load)) > 0)
+
+    def at_rest(self, problem: DistributedProblem, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
+        """The displacement of least norm within the gaps, and the motions (n_here, q) that nothing resists.
+
+        They are orthonormal.
+        """
+        free = self.motions @ self.loose(normal_force > 0)
+        gram = self._ranks.sum(free.T @ free)
+        values, vectors = np.linalg.eigh(gram)
+        free = free @ (vectors / np.sqrt(values))
+        if not free.shape[1]:
+            return displacement, free
+        rows = np.column_stack([problem.normal.lengths(z) for z in free.T])
+        gap = problem.gap - problem.normal.lengths(displacement)
+        size = self._ranks.max(float(np.max(np.sqrt(self._diagonal)[:, None] * abs(free), initial=0.0)))
+        own = 1 / np.sqrt(self._stiffness[: self._contacts])
+        stays = np.linalg.norm(rows, axis=1) > UNRESISTED * own * size
+        shift = -self._ranks.sum(free.T @ displacement)
+        every, room = self._ranks.gathered(rows[stays]), self._ranks.gathered(gap[stays])
+        if len(room):
+            shift = shift_within_gaps(every, room, shift)
+        return displacement + free @ shift, free
 
     def _work(self, load: Vector) -> Vector:
         """Z'f (r,); zero where it is rounding."""

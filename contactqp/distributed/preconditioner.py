@@ -19,8 +19,25 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
 }
 PREFIX = "contactqp_"
+# Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
+AUTO, FACTORISED = "auto", 100_000
 # What holds a body that floats, of its own diagonal: little beside what any deformation costs, much beside rounding.
 LIFT = 1e-5
+
+
+def chosen_solver(solver: str, dimension: int) -> str:
+    """The name of a solver, "auto" resolved.
+
+    Raises
+    ------
+    Unsupported
+        There is none of that name.
+    """
+    if solver == AUTO:
+        return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
+    if solver not in SOLVERS:
+        raise Unsupported(f"solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
+    return solver
 
 
 class Preconditioner:
@@ -45,8 +62,6 @@ class Preconditioner:
 
     def __init__(self, problem: DistributedProblem, motions: NDArray[np.float64], solver: str) -> None:
         PETSc, stiffness = petsc(), problem.stiffness
-        if solver not in SOLVERS:
-            raise Unsupported(f"solver: expected one of {', '.join(SOLVERS)}, got {solver!r}")
         if solver != "gamg" and not PETSc.Sys.hasExternalPackage(solver):
             raise Unsupported(f"solver: this PETSc was built without {solver}")
         if solver == "gamg":

@@ -73,6 +73,7 @@ class DistributedProblem:
     dof_name: Callable[[int], str] = "unknown {}".format
     contact_name: Callable[[int], str] = "contact {}".format
     tie_name: Callable[[int], str] = "tie {}".format
+    shared: dict[str, Any] = field(default_factory=dict, repr=False)  # made once for K and the rows; `replace` keeps it
 
     @property
     def contacts(self) -> int:

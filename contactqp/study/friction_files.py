@@ -121,8 +121,8 @@ def run_file(file: str, method: str | None = None, options: Mapping[str, Any] | 
         The file, the method or its options are no good. That a method finds no answer is an outcome.
     """
     problem, chosen = solvable_form(file), dict(options or {})
+    solution: Any
     began = time.perf_counter()
-    solution: LocalSolution | Solution | None
     try:
         with naming(file):
             solution, failure = solve(problem, method or DEFAULT_METHOD, **chosen), None

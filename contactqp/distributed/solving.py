@@ -1,0 +1,153 @@
+"""solve_distributed(): the active set over the ranks, and its certificate."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from contactqp.bounds import Bounds, estimated_bounds
+from contactqp.distributed.answer import DistributedAnswer
+from contactqp.distributed.certificate import certify_distributed, contact_status
+from contactqp.distributed.iteration import DistributedIteration
+from contactqp.distributed.preconditioner import AUTO, chosen_solver
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.solution import DistributedSolution
+from contactqp.errors import NotCertified, NotConverged, Unsupported
+from contactqp.inexact_active_set import solve_by_iteration
+from contactqp.methods import Settings, find
+from contactqp.solution import Candidate, Work
+
+# Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9.
+ENERGY = 1e-10
+
+
+def solve_distributed(
+    problem: DistributedProblem,
+    method: str = "active-set",
+    *,
+    solver: str = AUTO,
+    tolerance: float = 1e-9,
+    time_limit: float | None = None,
+    max_iter: int | None = None,
+    warm_start: DistributedAnswer | None = None,
+) -> DistributedSolution:
+    """The minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate. Collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+    method : str
+        ``"active-set"``: the primal-dual active set with truncated conjugate gradients
+        (`contactqp.inexact_active_set`).
+    solver : str
+        What preconditions them: ``"gamg"``, ``"hypre"``, ``"mumps"`` (a factorisation), or ``"auto"``: MUMPS up to
+        100 000 unknowns and GAMG beyond. Options of PETSc's with the prefix ``contactqp_`` come after.
+    tolerance, time_limit, max_iter
+        As in `contactqp.solve`; max_iter counts contact sets.
+    warm_start : DistributedAnswer, optional
+        Of a problem with the same K and rows.
+
+    Raises
+    ------
+    NoEquilibrium
+        The load drives a rigid motion that nothing holds back.
+    NotConverged, NotCertified
+        As `contactqp.solve`; the solution they carry is a DistributedSolution.
+    Unsupported
+        Another method, a solver that this PETSc has not.
+    BackendFailed
+        PETSc gave up.
+    """
+    started = time.perf_counter()
+    refuse_method(method)
+    way = _iteration(problem, chosen_solver(solver, problem.dimension))
+    before = way.krylov_iterations
+    settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
+    candidate = solve_by_iteration(problem, way, settings, ENERGY)
+    motions = np.zeros((len(problem.load), 0))
+    displacement = candidate.displacement
+    if way.floating.count:
+        displacement, motions = way.floating.at_rest(problem, displacement, candidate.normal_force)
+    answer = DistributedAnswer(displacement, candidate.normal_force, None, candidate.tie_force)
+    solution = _judged(
+        problem, answer, way, method, started, candidate.iterations, way.krylov_iterations - before, motions
+    )
+    return _accepted(solution, candidate)
+
+
+def judged(
+    problem: DistributedProblem, answer: DistributedAnswer, method: str, solver: str = AUTO
+) -> DistributedSolution:
+    """An answer that is known already, with its certificate. Collective."""
+    way = _iteration(problem, chosen_solver(solver, problem.dimension))
+    motions = np.zeros((len(problem.load), 0))
+    if way.floating.count:
+        _, motions = way.floating.at_rest(problem, answer.displacement, answer.normal_force)
+    return _judged(problem, answer, way, method, time.perf_counter(), 0, 0, motions)
+
+
+def refuse_method(method: str) -> None:
+    """Raise Unsupported for what is not done over ranks."""
+    if find(method).kind != "active set":
+        raise Unsupported(f"{method}: engine 'petsc' has one method, active-set")
+
+
+def _iteration(problem: DistributedProblem, solver: str) -> DistributedIteration:
+    """Made once for a stiffness and its rows; shared by all problems that have both."""
+    key = f"iteration by {solver}"
+    if key not in problem.shared:
+        problem.shared[key] = DistributedIteration(problem, solver)
+    way: DistributedIteration = problem.shared[key]
+    return way
+
+
+def _start(known: DistributedAnswer | None) -> Candidate | None:
+    return None if known is None else Candidate(known.displacement, known.normal_force, known.tie_force)
+
+
+def _judged(
+    problem: DistributedProblem,
+    answer: DistributedAnswer,
+    way: DistributedIteration,
+    method: str,
+    started: float,
+    sets: int | None,
+    steps: int,
+    motions: Any,
+) -> DistributedSolution:
+    answered, before = time.perf_counter(), way.krylov_iterations
+
+    def known() -> Bounds:
+        return estimated_bounds(problem, answer, way)
+
+    certificate = certify_distributed(problem, answer, bounds=known)
+    ended = time.perf_counter()
+    return DistributedSolution(
+        problem=problem,
+        answer=answer,
+        status=contact_status(problem, certificate),
+        certificate=certificate,
+        method=method,
+        seconds=float(problem.ranks.max(ended - started)),
+        certify_seconds=float(problem.ranks.max(ended - answered)),
+        work=Work(
+            factorisations=int(way.solver == "mumps"),
+            iterations=sets,
+            retained=problem.dimension,
+            solver=way.solver,
+            krylov_iterations=steps + way.krylov_iterations - before,
+        ),
+        motions=motions,
+    )
+
+
+def _accepted(solution: DistributedSolution, candidate: Candidate) -> DistributedSolution:
+    if not candidate.claimed:
+        message = f"{solution.method}: {candidate.status} (after {candidate.iterations} iterations)"
+        raise NotConverged(message, candidate.history, solution)
+    if not solution.certificate.passed:
+        failures = "; ".join(solution.certificate.failures)
+        raise NotCertified(f"{solution.method}: the certificate refuses the answer: {failures}", solution)
+    return solution
