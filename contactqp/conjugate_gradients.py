@@ -77,10 +77,6 @@ class ConjugateGradients:
             self._square = self._aim()
         return self._square
 
-    def exact(self) -> bool:
-        """Whether nothing is left to be balanced."""
-        return self._size() == 0.0
-
     def estimate(self) -> float:
         """rho as far as the last application of M tells, scaled with the residual; infinite before the first."""
         return self._before * self._size() / self._before_size

@@ -98,7 +98,7 @@ def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distanc
         displacement=_energy_norm(way, moved) + radius,
         force=(dual_norm(way, way.forces(change)) if way.any(change != 0) else 0.0) + radius,
         energy_scale=_energy_norm(way, answer.displacement),
-        force_scale=_force_norm(push, len(answer.normal_force), way),
+        force_scale=force_norm(push, len(answer.normal_force), way),
         radius=radius,
     )
 
@@ -145,7 +145,7 @@ def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIt
     return ROUNDING * way.norm(scale * meeting) / size if size > 0 else 0.0
 
 
-def _force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
+def force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
     """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
     if not way.any(push != 0):
         return 0.0

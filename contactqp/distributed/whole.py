@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate import contact_status
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedProblem
@@ -14,8 +13,9 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import Unsupported
+from contactqp.existence import describe_motion
 from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
+from contactqp.solution import FreeMotion, Solution
 
 # What `solve` takes for a problem in one process and has no meaning on several, with what leaves it out.
 _OF_ONE_PROCESS = {"condense": "auto", "polish": True, "time_limit": None, "max_iter": None}
@@ -72,8 +72,8 @@ def gathered(problem: ContactProblem, solution: DistributedSolution) -> Solution
         normal_force=solution.normal_force,
         friction_force=solution.friction_force,
         tie_force=solution.tie_force,
-        contact_status=contact_status(problem, certificate),
-        free_motions=(),
+        contact_status=solution.contact_status,
+        free_motions=tuple(FreeMotion(motion, describe_motion(problem, motion)) for motion in solution.free_motions),
         certificate=certificate,
         method=solution.method,
         seconds=solution.seconds,
