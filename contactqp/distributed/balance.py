@@ -38,9 +38,9 @@ def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodi
     at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0]  # no force acts on the others
     searches = {i: _Search(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
     parts.mix({i: search.found.weight for i, search in searches.items()})
-    forces = bodies.totals(abs(parts.basis))
+    forces, hidden = bodies.totals(abs(parts.basis)), 1.0 if problem.frictional else 0.0
     for i, search in searches.items():
-        search.begin(forces[i], 1.0 if problem.frictional else 0.0)
+        search.begin(forces[i], hidden)
     while problem.ranks.any([search.planes is not None for search in searches.values()]):
         sums = parts.asked({i: search.direction() for i, search in searches.items()})
         for i, search in searches.items():
