@@ -81,7 +81,7 @@ class Hierarchy:
         except ImportError as error:  # one that wants a newer SciPy, say
             raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
         matrix = in_blocks(stiffness)
-        B = _constants(matrix) if motions is None else of_size_one(motions)
+        B = _constants(matrix) if motions is None else _of_size_one(motions)
         B = B if B.shape[1] else _constants(matrix)
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
@@ -151,7 +151,7 @@ def _graph(matrix: Any) -> Any:
     return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
 
 
-def of_size_one(motions: Array) -> Array:
+def _of_size_one(motions: Array) -> Array:
     """The motions that move anything, each with its largest entry at one: their sizes mean nothing."""
     largest = np.max(abs(motions), axis=0, initial=0.0)
     return np.asarray(motions[:, largest > 0] / largest[largest > 0])

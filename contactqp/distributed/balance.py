@@ -24,7 +24,7 @@ from contactqp.problem import Vector
 def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:
     """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
-    Bodies float as far as `near_null_space` tells; one whose motions are not in it is believed to be held.
+    Bodies float as far as `soft_motions` tell; one that floats in another way is taken for held.
     """
     floating = floating_bodies(problem, bodies)
     if not problem.ranks.any(floating.floats):

@@ -14,6 +14,7 @@ from contactqp.distributed.partition import partition
 from contactqp.distributed.problem import DistributedProblem, Numbers
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
+from contactqp.factorization import null_space
 from contactqp.multigrid import block_size, in_blocks
 from contactqp.problem import ContactProblem
 from contactqp.violations import bodies
@@ -58,6 +59,7 @@ def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:
         held=np.zeros(len(dofs), dtype=bool),
         body=bodies(problem)[dofs].astype(np.int64),
         near_null_space=_constants(len(dofs), size) if B is None else B[dofs],
+        rigid=_null_space(problem)[dofs] if B is None else None,
         dof_number=dofs.astype(np.int64),
         contact_number=contacts.astype(np.int64),
         tie_number=ties.astype(np.int64),
@@ -67,6 +69,17 @@ def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:
         tie_name=_named("tie {}".format, ties),
         **tangential,
     )
+
+
+def _null_space(problem: ContactProblem) -> NDArray[np.float64]:
+    """(n, r) the motions that nothing resists, each body's from the first column on."""
+    motions = null_space(problem.stiffness_rows).motions
+    of = bodies(problem)[np.argmax(abs(motions), axis=0)] if motions.size else np.zeros(0, dtype=np.intp)
+    column = [int(np.sum(of[:i] == body)) for i, body in enumerate(of)]
+    packed = np.zeros((len(motions), max(column, default=-1) + 1))
+    for i, place in enumerate(column):
+        packed[:, place] += motions[:, i]
+    return packed
 
 
 def _owners(ranks: Ranks, K: Any) -> NDArray[np.intp]:

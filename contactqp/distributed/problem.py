@@ -42,6 +42,9 @@ class DistributedProblem:
         The number of the body, a connected part of K, that an unknown belongs to; the same on all ranks.
     near_null_space : (n_here, q) array
         Motions that cost a body little energy; zero where held.
+    rigid : (n_here, r) array, optional
+        Motions that nothing resists where they are known, each body's from the first column on; bodies that float in
+        a way that neither these nor `near_null_space` have are taken for held.
     dof_number, contact_number, tie_number : arrays of int
         The place of each unknown, contact and tie in the ContactProblem that one process would have made; -1 where
         held.
@@ -69,6 +72,7 @@ class DistributedProblem:
     tangent: Rows | None = None
     friction: Vector | None = None
     slip_origin: NDArray[np.float64] | None = None
+    rigid: NDArray[np.float64] | None = None
     units: Units = field(default_factory=Units)
     dof_name: Callable[[int], str] = "unknown {}".format
     contact_name: Callable[[int], str] = "contact {}".format
@@ -89,6 +93,12 @@ class DistributedProblem:
     def dimension(self) -> int:
         """How many unknowns the problem has on all ranks, without the held ones; first asked collectively."""
         return int(self.ranks.sum(int(np.sum(~self.held))))
+
+    @property
+    def soft_motions(self) -> NDArray[np.float64]:
+        """(n_here, q + r) motions among whose combinations, body by body, are those that nothing resists."""
+        known = (self.near_null_space,) if self.rigid is None else (self.near_null_space, self.rigid)
+        return np.hstack(known)
 
     @property
     def frictional(self) -> bool:

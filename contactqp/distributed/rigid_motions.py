@@ -1,4 +1,4 @@
-"""The motions that nothing resists, body by body, out of the near-null-space that a problem brings."""
+"""The motions that nothing resists, body by body, out of the soft motions that a problem brings."""
 
 from __future__ import annotations
 
@@ -22,12 +22,15 @@ class FloatingBodies:
 
 
 def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    """Combinations of the near-null-space whose energy is FLOATING of their diagonal's at most. Collective."""
-    B, width = _scaled(problem), problem.near_null_space.shape[1]
+    """Combinations of the soft motions whose energy is FLOATING of their diagonal's at most. Collective."""
+    B = _scaled(problem)
+    width = B.shape[1]
+    # What has no stiffness at all floats by itself, and any metric will do.
+    metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
     forces = np.column_stack([problem.product(b) for b in B.T]) if width else B
     sizes = np.zeros((2, len(bodies.number), width, width))
     for i, j in np.ndindex(width, width):
-        for k, other in enumerate((forces[:, j], problem.diagonal * B[:, j])):
+        for k, other in enumerate((forces[:, j], metric * B[:, j])):
             sizes[k, :, i, j] = np.bincount(bodies.of, B[:, i] * other, len(bodies.number))
     energy, size = (bodies.sums(part) for part in sizes)
     mixed = np.zeros((bodies.count, width, width))
@@ -41,7 +44,7 @@ def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodi
 
 
 def _scaled(problem: DistributedProblem) -> NDArray[np.float64]:
-    """The near-null-space, the largest entry of each motion one on some rank: their sizes mean nothing."""
-    B = problem.near_null_space
+    """The soft motions, the largest entry of each motion one on some rank: their sizes mean nothing."""
+    B = problem.soft_motions
     largest = problem.ranks.max(np.max(abs(B), axis=0, initial=0.0))
     return np.asarray(B / np.where(largest > 0, largest, 1.0))
