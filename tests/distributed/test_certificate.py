@@ -1,0 +1,50 @@
+"""Certificates of answers that no rank has whole, against those of one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+# Supports, ties, bodies that float, friction in the plane and in space, contacts that graze.
+CASES = (
+    "truss_floor",
+    "tie_beam_section",
+    "tie_symmetry",
+    "floating_disc",
+    "truss_friction",
+    "stacked_blocks",
+    "two_masses",
+    "string_just_touching",
+    "hanging_block",
+    "block_on_incline_sideways",
+    "hertz_bodies",
+)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_every_figure_and_word_is_that_of_one_process(on_ranks: Callable[..., str], count: int) -> None:
+    said = on_ranks("certificates.py", count, *CASES)
+    judged = [line.partition(": ")[0].partition(", ") for line in said.splitlines()]
+    assert {case for case, _, _ in judged} == set(CASES)
+    # What is judged alike must have been wrong in every way.
+    assert {kind for _, _, kind in judged} >= {
+        "right",
+        "half-converged",
+        "flipped sign",
+        "tension",
+        "penetration",
+        "friction along the slip",
+        "friction beyond its bound",
+        "tie",
+        "tie force",
+        "displacement is NaN",
+        "tie_force is NaN",
+    }
+    unbalanced = [line for line in said.splitlines() if not line.endswith(("balance 0", "balance inf"))]
+    assert unbalanced, "no answer leaves a floating body without balance"
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_bounds_that_a_solver_has_enter_the_verdict(on_ranks: Callable[..., str], count: int) -> None:
+    assert "judged" in on_ranks("bounds.py", count)

@@ -1,0 +1,39 @@
+"""The search for the motion on which forces balance worst, against the linear program of all unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contactqp.balance import _worst_direction
+from contactqp.distributed.cutting_planes import CuttingPlanes
+
+
+def _found(basis: np.ndarray, weight: np.ndarray) -> tuple[float, int]:
+    search, questions = CuttingPlanes(weight), 0
+    while not search.done:
+        asked, questions = search.question, questions + 1
+        search.tell(basis.T @ np.sign(basis @ asked))
+    best = search.best
+    return abs(float(weight @ best)) / float(np.sum(abs(basis @ best))), questions
+
+
+@pytest.mark.parametrize(("count", "width"), [(3, 2), (20, 3), (2000, 3), (12, 6), (300, 6), (3000, 6)])
+def test_the_worst_motion_is_that_of_the_whole_program(count: int, width: int) -> None:
+    rng = np.random.default_rng(count)
+    sizes = np.exp(2 * rng.standard_normal(count)) * (rng.random(count) < 0.8)
+    sizes[: width + 1] = 1.0
+    basis = np.linalg.qr(rng.standard_normal((count, width)) * sizes[:, None])[0]
+    weight = rng.standard_normal(width)
+    direction = _worst_direction(basis, weight / np.max(abs(weight)))
+    expected = abs(weight @ direction) / np.sum(abs(basis @ direction))
+    found, questions = _found(basis, weight)
+    assert found == pytest.approx(expected, rel=1e-8)
+    # No coordinate alone is as bad, so there was something to search.
+    assert np.max(abs(weight) / np.sum(abs(basis), axis=0)) < found
+    assert questions < 200
+
+
+def test_a_force_on_one_unknown_alone_is_found() -> None:
+    found, _ = _found(np.linalg.qr(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]))[0], np.array([1.0, 0.0]))
+    assert 0 < found <= 1.0
