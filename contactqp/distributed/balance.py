@@ -25,6 +25,11 @@ def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodi
     """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
     Bodies float as far as `soft_motions` tell; one that floats in another way is taken for held.
+
+    Raises
+    ------
+    NotConverged
+        The worst motion of a body was not found.
     """
     floating = floating_bodies(problem, bodies)
     if not problem.ranks.any(floating.floats):
@@ -43,8 +48,9 @@ def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodi
         search.begin(forces[i], hidden)
     while problem.ranks.any([search.planes is not None for search in searches.values()]):
         sums = parts.asked({i: search.direction() for i, search in searches.items()})
-        for i, search in searches.items():
-            search.tell(sums[i])
+        with problem.ranks.together():
+            for i, search in searches.items():
+                search.tell(sums[i])
     return float(problem.ranks.max(max((search.worst for search in searches.values()), default=0.0)))
 
 

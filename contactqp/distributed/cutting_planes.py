@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from contactqp.errors import NotConverged
 from contactqp.problem import Vector
 
 # How near to each other the bounds end: figures are read with a few digits.
@@ -48,7 +49,13 @@ class CuttingPlanes:
         return np.asarray(self._questions[0])
 
     def tell(self, sums: Vector) -> None:
-        """Take the sums of the question, and ask the next."""
+        """Take the sums of the question, and ask the next.
+
+        Raises
+        ------
+        NotConverged
+            The bounds did not come together.
+        """
         asked = self._questions.pop(0)
         along = abs(float(self._weight @ asked))
         value = float(sums @ asked) / along if along > 0 else np.inf
@@ -61,7 +68,7 @@ class CuttingPlanes:
         self._questions = [following]
         self.done = self._least - lower <= NEAR * self._least
         if not self.done and len(self._cuts) >= MOST_QUESTIONS:
-            raise ArithmeticError(f"the balance of forces could not be judged: {MOST_QUESTIONS} motions were too few")
+            raise NotConverged(f"the balance of forces could not be judged: {MOST_QUESTIONS} motions were too few")
 
 
 def _program(cuts: Vector, weight: Vector) -> tuple[Vector, float]:
@@ -81,5 +88,5 @@ def _program(cuts: Vector, weight: Vector) -> tuple[Vector, float]:
         options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
     )
     if found.x is None:
-        raise ArithmeticError(f"the balance of forces could not be judged: {found.message}")
+        raise NotConverged(f"the balance of forces could not be judged: {found.message}")
     return np.asarray(found.x[:width]), float(found.x[width])

@@ -13,8 +13,8 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 
-# Rows that are copied at a time. With the eighty entries a row of bodies in space the copies take a tenth of a
-# gigabyte, whatever the size of K; with fewer rows PETSc's way through all columns, each time, takes longer than they.
+# Rows that are copied at a time. With the eighty entries a row of bodies in space the copies take 0.15 GB,
+# whatever the size of K; with fewer rows PETSc's way through all columns, each time, takes longer than they.
 AT_A_TIME = 2**15
 
 

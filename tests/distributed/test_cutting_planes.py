@@ -7,6 +7,7 @@ import pytest
 
 from contactqp.balance import _worst_direction
 from contactqp.distributed.cutting_planes import CuttingPlanes
+from contactqp.errors import NotConverged
 
 
 def _found(basis: np.ndarray, weight: np.ndarray) -> tuple[float, int]:
@@ -34,6 +35,8 @@ def test_the_worst_motion_is_that_of_the_whole_program(count: int, width: int) -
     assert questions < 200
 
 
-def test_a_force_on_one_unknown_alone_is_found() -> None:
-    found, _ = _found(np.linalg.qr(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]))[0], np.array([1.0, 0.0]))
-    assert 0 < found <= 1.0
+def test_a_search_that_gets_no_nearer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("contactqp.distributed.cutting_planes.MOST_QUESTIONS", 8)
+    basis = np.linalg.qr(np.random.default_rng(0).standard_normal((2000, 6)))[0]
+    with pytest.raises(NotConverged, match="balance of forces"):
+        _found(basis, np.arange(1.0, 7.0))
