@@ -6,6 +6,7 @@ import _thread
 import os
 import sys
 import threading
+import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -13,7 +14,8 @@ import click
 
 import contactqp
 from contactqp.cli.judging import check_command, explain_command, oracle_command
-from contactqp.cli.output import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET, complain
+from contactqp.cli.output import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET
+from contactqp.cli.ranks import Ending, explained, leave_to_the_first, speakers
 from contactqp.cli.solving import run_command
 from contactqp.cli.surveying import gallery_command, methods_command, report_command
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported
@@ -62,21 +64,32 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             stream.reconfigure(errors="replace")
     if sys.unraisablehook is sys.__unraisablehook__:
         sys.unraisablehook = _insist
+    speakers.forget()
+    sys.exit(speakers.settle(_ended(arguments)))
+
+
+def _ended(arguments: Sequence[str] | None) -> Ending:
+    """How the command ends in this process."""
     try:
         command(arguments, prog_name="contactqp", standalone_mode=False)
+    except SystemExit as end:
+        return Ending(end.code if isinstance(end.code, int) else 0)
     except ContactQPError as error:
-        complain(str(error))
-        sys.exit(_exit_code(error))
+        return Ending(_exit_code(error), str(error))
     except click.ClickException as error:
+        leave_to_the_first()
         error.show()
-        sys.exit(BAD_INPUT)
+        return Ending(BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
-        complain("interrupted")
-        sys.exit(INTERRUPTED)
+        return Ending(INTERRUPTED, "interrupted")
     except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
     except OSError as error:  # a name too long, no permission, a full disk
-        complain(f"{error.filename or 'file'}: {error.strerror or error}")
-        sys.exit(BAD_INPUT)
-    sys.exit(0)
+        return Ending(BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}")
+    except Exception as error:
+        if not speakers.asked:
+            raise
+        # The other ranks wait for this one: it must not go before they know.
+        bug = not isinstance(error, MemoryError | RuntimeError)  # PETSc's errors are RuntimeErrors
+        return Ending(NOT_MET, explained(error), traceback.format_exc() if bug else "")
+    return Ending(0)

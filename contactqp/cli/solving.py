@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from contactqp.cli.output import NOT_MET, complain, console, print_json
+from contactqp.cli.ranks import Ending, speakers
+from contactqp.engines import ENGINES, SERIAL
+from contactqp.errors import InvalidProblem, Unsupported
+
+if TYPE_CHECKING:
+    from contactqp.scene.judging import Failure, Judgement
+    from contactqp.scene.schema import Scene
+    from contactqp.study.answer_files import AnswerFiles
+    from contactqp.study.friction_files import FileOutcome
 
 
 @click.command("run")
@@ -15,6 +26,14 @@ from contactqp.cli.output import NOT_MET, complain, console, print_json
 @click.option("--penalty", metavar="BETA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--perturbation", metavar="KAPPA", help='With its unit, as in "1e8 kN/m".')
 @click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Any other option of the method.")
+@click.option(
+    "--engine",
+    type=click.Choice(ENGINES),
+    default=SERIAL,
+    show_default=True,
+    help="In this process, or by PETSc on the ranks of mpiexec.",
+)
+@click.option("--checkpoint", metavar="DIR", help="With petsc: keep the steps of a load path, go on from them.")
 @click.option("--plot", metavar="FILE", help="Draw the structure, and its history: .png, .pdf or .svg.")
 @click.option("--vtu", metavar="FILE", help="Write displacements, stresses and contacts for ParaView: .vtu.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
@@ -24,6 +43,8 @@ def run_command(
     penalty: str | None,
     perturbation: str | None,
     options: tuple[str, ...],
+    engine: str,
+    checkpoint: str | None,
     plot: str | None,
     vtu: str | None,
     as_json: bool,
@@ -38,12 +59,49 @@ def run_command(
     --plot and --vtu show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as
     displacements, forces and energies with its events, to FILE with "history" before the suffix.
+
+    With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
+    the first one prints and writes the files.
     """
-    from contactqp.scene.arguments import are_case_files, case_files, read_knobs
-    from contactqp.scene.judging import Failure, Judgement, judge_all
+    from contactqp.scene.arguments import read_knobs
+
+    speakers.start(engine)
+    with speakers.together():
+        if checkpoint is not None and engine == SERIAL:
+            raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
+        knobs = read_knobs(penalty, perturbation, options)
+        scenes, foreign, files = _read(cases, plot, vtu, every_method=bool(methods))
+        if checkpoint is not None and len(scenes) != 1:
+            raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
+    data, met = list[Any](), True
+    for scene in scenes:
+        from contactqp.scene.judging import Failure, judge_all
+
+        found = judge_all(scene, methods, knobs, engine, checkpoint)
+        speakers.meet(_failed(outcome.message for outcome in found if isinstance(outcome, Failure)))
+        met = met and all(outcome.met for outcome in found)
+        if speakers.speaks:
+            data += _tell(found, files, as_json)
+    if foreign:
+        from contactqp.study.friction_files import run_files
+
+        shows = speakers.speaks and sys.stderr.isatty()
+        solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=shows, engine=engine)
+        speakers.meet(_failed(outcome.failure for outcome in solved if outcome.failure is not None))
+        met = met and all(outcome.passed for outcome in solved)
+        if speakers.speaks:
+            data += _tell_of_files(solved, as_json)
+    if as_json and speakers.speaks:
+        print_json(data)
+    sys.exit(0 if met else NOT_MET)
+
+
+def _read(
+    cases: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
+) -> tuple[list[Scene], list[str], AnswerFiles | None]:
+    """The scenes, the problems in files of other codes, and where answers are drawn to."""
+    from contactqp.scene.arguments import are_case_files, case_files
     from contactqp.scene.loading import load_scene
-    from contactqp.scene.printing import judgement_data, print_judgements
-    from contactqp.scene.printing_paths import print_failure
 
     named, foreign = list(cases), list[str]()
     if not are_case_files(cases):
@@ -51,36 +109,44 @@ def run_command(
 
         named, foreign = split_files(cases)
     scenes = [load_scene(file) for file in case_files(named)]
-    knobs = read_knobs(penalty, perturbation, options)
-    files = None
-    if plot is not None or vtu is not None:
-        from contactqp.study.answer_files import answer_files
+    if plot is None and vtu is None:
+        return scenes, foreign, None
+    from contactqp.study.answer_files import answer_files
 
-        files = answer_files(scenes, plot, vtu, every_method=bool(methods))
-    terminal, outcomes = console(), []
-    for scene in scenes:
-        outcomes += (found := judge_all(scene, methods, knobs))
-        for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
-            complain(failure.message)
-            if not as_json:
-                print_failure(terminal, failure)
+    return scenes, foreign, answer_files(scenes, plot, vtu, every_method=every_method)
+
+
+def _failed(messages: Iterable[str]) -> Ending:
+    """Where one rank alone has no answer, the others wait for it in some exchange; this is what it ends them with."""
+    return Ending(NOT_MET, "; ".join(messages))
+
+
+def _tell(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:
+    """Print and draw the outcomes of one scene; with `as_json`, what is to be printed in the end."""
+    from contactqp.scene.judging import Failure, Judgement
+    from contactqp.scene.printing import judgement_data, print_judgements
+    from contactqp.scene.printing_paths import print_failure
+
+    terminal = console()
+    for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
+        complain(failure.message)
         if not as_json:
-            print_judgements(terminal, [outcome for outcome in found if isinstance(outcome, Judgement)])
-        for file in files.write(found) if files is not None else ():
-            click.echo(f"written: {file}", err=as_json)
-    data, met = [judgement_data(outcome) for outcome in outcomes] if as_json else [], all(o.met for o in outcomes)
-    if foreign:
-        from contactqp.study.friction_files import outcome_data, run_files
-        from contactqp.study.friction_printing import print_outcomes
+            print_failure(terminal, failure)
+    if not as_json:
+        print_judgements(terminal, [outcome for outcome in found if isinstance(outcome, Judgement)])
+    for file in files.write(found) if files is not None else ():
+        click.echo(f"written: {file}", err=as_json)
+    return [judgement_data(outcome) for outcome in found] if as_json else []
 
-        solved = run_files(foreign, methods, knobs, drawn=bool(plot or vtu), progress=sys.stderr.isatty())
-        for message in (outcome.failure for outcome in solved if outcome.failure is not None):
-            complain(message)
-        if as_json:
-            data += [outcome_data(outcome) for outcome in solved]
-        else:
-            print_outcomes(terminal, solved)
-        met = met and all(outcome.passed for outcome in solved)
+
+def _tell_of_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
+    """The same of problems in files of other codes."""
+    from contactqp.study.friction_files import outcome_data
+    from contactqp.study.friction_printing import print_outcomes
+
+    for message in (outcome.failure for outcome in solved if outcome.failure is not None):
+        complain(message)
     if as_json:
-        print_json(data)
-    sys.exit(0 if met else NOT_MET)
+        return [outcome_data(outcome) for outcome in solved]
+    print_outcomes(console(), solved)
+    return []

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.history import History
+from contactqp.engines import SERIAL
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -28,8 +29,7 @@ from contactqp.scene.claims import KNOBS, Claim
 from contactqp.scene.corners import end_time, has_corners
 from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
 from contactqp.scene.instant import Instant
-from contactqp.scene.models import build
-from contactqp.scene.running import run_model
+from contactqp.scene.running import built, run_model
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solution import Solution
@@ -52,6 +52,8 @@ class Trial:
 
     method: str = "active-set"
     knobs: Mapping[str, Knob] = field(default_factory=dict)
+    engine: str = SERIAL
+    checkpoint: str | None = None  # the folder for the steps of a load path, of engines that keep them
 
     def options(self, scene: Scene) -> dict[str, Any]:
         """The knobs as numbers in the scene's units."""
@@ -63,12 +65,13 @@ class Trial:
     def concerns(self, claim: Claim) -> bool:
         """Whether the claim is about this method: by name and knobs, or because both are about the exact answer."""
         if claim.method is None:
-            return find(self.method).exact
+            return self.engine != SERIAL or find(self.method).exact
         stated = {name: knob for name, knob in self.knobs.items() if name in (*KNOBS, "update")}
         return claim.method == self.method and claim.knobs == stated
 
     def __str__(self) -> str:
-        return " ".join([self.method, *(f"{name}={knob}" for name, knob in self.knobs.items())])
+        engine = [] if self.engine == SERIAL else [f"engine={self.engine}"]
+        return " ".join([self.method, *(f"{name}={knob}" for name, knob in self.knobs.items()), *engine])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +108,13 @@ class Failure:
 
 
 def judge_all(
-    scene: Scene, methods: Sequence[str] = (), knobs: Mapping[str, Knob] | None = None
+    scene: Scene,
+    methods: Sequence[str] = (),
+    knobs: Mapping[str, Knob] | None = None,
+    engine: str = SERIAL,
+    checkpoint: str | None = None,
 ) -> list[Judgement | Failure]:
-    """Every trial of a scene.
+    """Every trial of a scene; with an engine of several ranks the same on all of them.
 
     Raises
     ------
@@ -116,6 +123,9 @@ def judge_all(
     """
     where = f"{scene.file}: " if scene.file else ""
     try:
+        if engine != SERIAL:
+            asked = (Trial(method, dict(knobs or {}), engine, checkpoint) for method in methods or (Trial.method,))
+            return [_outcome(scene, trial, where) for trial in asked]
         return [
             _outcome(scene, trial, where) for method in methods or (None,) for trial in trials(scene, method, knobs)
         ]
@@ -179,11 +189,14 @@ def judge(scene: Scene, trial: Trial) -> Judgement:
 
     Methods that are approximate by design are asked along a load path only where the way matters, with friction.
     """
-    options, model = trial.options(scene), build(scene)
-    if scene.motion is not None:
+    options, model = trial.options(scene), built(scene, trial.engine)
+    history: History
+    if trial.engine != SERIAL:
+        history = run_model(model, trial.method, trial.engine, trial.checkpoint, **options)
+    elif scene.motion is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TimeStepWarning)  # the history's notes keep what it says
-            history: History = run_model(model, trial.method, **options)
+            history = run_model(model, trial.method, **options)
     elif scene.large or (scene.path is not None and (find(trial.method).exact or model.problem.frictional)):
         history = run_model(model, trial.method, **options)
     else:
@@ -271,5 +284,6 @@ class _Answers:
                 "the way, and no load off the path has one"
             )
         problem = self._model.problem.replace(load=self._model.load_at(time))
-        solution = solve(problem, self._trial.method, **self._trial.options(self._model.scene))
+        trial = self._trial
+        solution = solve(problem, trial.method, engine=trial.engine, **trial.options(self._model.scene))
         return answer_of(self._model, solution, Instant(time, self._history))

@@ -177,6 +177,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         "title": scene.title,
         "units": {"length": scene.units.length, "force": scene.units.force},
         "method": judgement.trial.method,
+        "engine": judgement.trial.engine,
         "solved_by": solution.method,
         "knobs": {name: str(knob) for name, knob in judgement.trial.knobs.items()},
         "met": judgement.met,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.certificate import Certificate
+from contactqp.engines import SERIAL
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
@@ -89,6 +90,7 @@ def run_files(
     *,
     drawn: bool = False,
     progress: bool = False,
+    engine: str = SERIAL,
 ) -> list[FileOutcome]:
     """Every file by every method, by our own where none is named; `progress` shows a bar on stderr.
 
@@ -109,10 +111,12 @@ def run_files(
 
     trials = [(file, method) for file in files for method in methods or (DEFAULT_METHOD,)]
     shown = track(trials, "solving", console=Console(stderr=True), transient=True, disable=not progress)
-    return [run_file(file, method, knobs) for file, method in shown]
+    return [run_file(file, method, knobs, engine) for file, method in shown]
 
 
-def run_file(file: str, method: str | None = None, options: Mapping[str, Any] | None = None) -> FileOutcome:
+def run_file(
+    file: str, method: str | None = None, options: Mapping[str, Any] | None = None, engine: str = SERIAL
+) -> FileOutcome:
     """Solve a file's problem.
 
     Raises
@@ -125,7 +129,7 @@ def run_file(file: str, method: str | None = None, options: Mapping[str, Any] | 
     began = time.perf_counter()
     try:
         with naming(file):
-            solution, failure = solve(problem, method or DEFAULT_METHOD, **chosen), None
+            solution, failure = solve(problem, method or DEFAULT_METHOD, engine=engine, **chosen), None
     except (NotConverged, NotCertified) as error:
         solution, failure = error.solution, f"{file}: {error}"
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
