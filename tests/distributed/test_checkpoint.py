@@ -1,0 +1,95 @@
+"""Steps of a load path are kept, and a run that was ended goes on from them, on any number of ranks."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from tests.distributed.cases import STEPS, path_case
+from tests.distributed.conftest import SCRIPTS
+
+SCRIPT = "path_in_steps.py"
+
+
+def serial(case):
+    history = cq.run(cq.load_scene(case))
+    return history.displacements, [[event.kind, event.name, event.time] for event in history.events]
+
+
+def same(found: dict, case) -> bool:
+    displacements, events = serial(case)
+    assert np.abs(displacements).max() > 0
+    assert len(events) == 2  # the bodies meet, and the second one meets the wall
+    close = np.abs(np.array(found["displacements"]) - displacements).max() <= 1e-9 * np.abs(displacements).max()
+    return bool(close) and found["events"] == events
+
+
+def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(on_ranks, python_on_ranks, tmp_path):
+    case, folder = path_case(tmp_path), tmp_path / "steps"
+    killed = python_on_ranks(2, SCRIPTS / SCRIPT, case, folder, 4)
+    assert killed.code == 128 + signal.SIGKILL
+    assert "rank 1" in killed.err
+    assert killed.out == ""
+    assert sorted(file.name for file in folder.glob("step-*.json")) == [f"step-{i:06d}.json" for i in range(4)]
+    found = json.loads(on_ranks(SCRIPT, 3, case, folder))
+    assert found["solved"] == STEPS + 1 - 4
+    assert same(found, case)
+    again = json.loads(on_ranks(SCRIPT, 1, case, folder))
+    assert again["solved"] == 0
+    assert same(again, case)
+
+
+def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, tmp_path):
+    case, folder = path_case(tmp_path), tmp_path / "steps"
+    on_ranks(SCRIPT, 1, case, folder)
+    (folder / "step-000005.json").unlink()  # the run ended before this was written
+    (folder / "step-000005" / "0-of-1.npz").write_bytes(b"half a fi")
+    found = json.loads(on_ranks(SCRIPT, 1, case, folder))
+    assert found["solved"] == 1
+    assert same(found, case)
+
+
+@pytest.fixture
+def kept(start_ranks, tmp_path):
+    """A case and the folder of all its steps."""
+    case, folder = path_case(tmp_path), tmp_path / "steps"
+    assert start_ranks(1, SCRIPTS / SCRIPT, case, folder).wait() == 0
+    return case, folder
+
+
+def run(python_on_ranks, case, folder):
+    return python_on_ranks(1, "-m", "contactqp", "run", case, "--engine", "petsc", "--checkpoint", folder)
+
+
+def refused(python_on_ranks, case, folder) -> str:
+    done = run(python_on_ranks, case, folder)
+    assert done.code == 2
+    assert done.out == ""
+    (line,) = done.err.strip().splitlines()
+    return line
+
+
+def test_what_is_no_folder_of_this_case_is_refused_in_one_line(python_on_ranks, kept, tmp_path):
+    case, folder = kept
+    (folder / "step-000002" / "0-of-1.npz").write_bytes(b"half a fi")
+    assert "0-of-1.npz: expected a file of a step" in refused(python_on_ranks, case, folder)
+    (folder / "step-000002" / "0-of-1.npz").unlink()
+    assert "0-of-1.npz: No such file" in refused(python_on_ranks, case, folder)
+    other = path_case(tmp_path, load="2001 kN")
+    assert "steps of another case" in refused(python_on_ranks, other, folder)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").touch()
+    assert "expected the steps of a run, or an empty folder" in refused(python_on_ranks, case, mine)
+
+
+def test_words_of_a_case_may_change_between_its_runs(python_on_ranks, kept):
+    case, folder = kept
+    case.write_text(case.read_text().replace("Two bars in a row", "Bars, and a wall"))
+    done = run(python_on_ranks, case, folder)
+    assert done.code == 0, done.err
+    assert "Bars, and a wall" in done.out

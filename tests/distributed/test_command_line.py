@@ -1,0 +1,84 @@
+"""`contactqp run --engine petsc` on several ranks: the answers of one process, said once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contactqp.cli import main
+from tests.distributed.cases import path_case
+
+CASES = Path(__file__).parents[2] / "cases"
+PARTS = ("displacement", "normal_force", "gap")
+
+
+def run(python_on_ranks, count, *arguments):
+    return python_on_ranks(count, "-m", "contactqp", "run", *arguments, "--engine", "petsc")
+
+
+def in_one_process(capsys, case) -> dict:
+    with pytest.raises(SystemExit) as end:
+        main(["run", str(case), "--method", "active-set", "--json"])
+    assert end.value.code == 0
+    (outcome,) = json.loads(capsys.readouterr().out)
+    return outcome
+
+
+@pytest.mark.parametrize(("case", "count"), [("bar_wall", 2), ("tie_symmetry", 3), ("hertz_line", 2)])
+def test_the_answer_is_that_of_one_process(python_on_ranks, capsys, case, count):
+    file = CASES / f"{case}.toml"
+    done = run(python_on_ranks, count, file, "--json")
+    assert done.code == 0, done.err
+    (found,) = json.loads(done.out)
+    wanted = in_one_process(capsys, file)
+    assert found["engine"] == "petsc"
+    assert found["certificate"] == wanted["certificate"]
+    for part in PARTS:
+        values, others = (np.array(list(outcome[part].values())) for outcome in (found, wanted))
+        assert np.abs(values - others).max(initial=0) <= 1e-9 * np.abs(others).max(initial=1e-300)
+    keys = ("quantity", "ok")
+    assert [[row[key] for key in keys] for row in found["expectations"]] == [
+        [row[key] for key in keys] for row in wanted["expectations"]
+    ]
+
+
+def test_tables_and_files_are_written_once(python_on_ranks, tmp_path):
+    case = path_case(tmp_path)
+    done = run(python_on_ranks, 2, case, "--plot", tmp_path / "p.png")
+    assert done.code == 0, done.err
+    assert done.out.count("Two bars in a row, active-set engine=petsc: certificate passed") == 1
+    assert done.out.count("closed   stop") == 1
+    assert done.out.count("written: ") == 2
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["p.history.png", "p.png", "path.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["bar_bounces.toml"], "engine 'petsc': a motion"),
+        (["von_mises_truss.toml"], "engine 'petsc': large deformations"),
+        (["truss_floor.toml"], "engine 'petsc': exact events of a load path; state its steps alone"),
+        (["bar_wall.toml", "--method", "clarabel"], "clarabel"),
+        (["bar_wall.toml", "--option", "condense=false"], "engine 'petsc': condense is an option of one process"),
+    ],
+)
+def test_what_is_not_offered_there_is_refused_in_one_line(python_on_ranks, arguments, said):
+    name, *rest = arguments
+    done = run(python_on_ranks, 1, CASES / name, *rest)
+    assert done.code == 2
+    assert done.out == ""
+    (line,) = done.err.strip().splitlines()
+    assert said in line
+
+
+def test_an_expectation_that_is_not_met_is_the_exit_code_of_all_ranks(python_on_ranks, tmp_path):
+    case = tmp_path / "wrong.toml"
+    case.write_text((CASES / "bar_wall.toml").read_text().replace('"285/2 kN"', '"143 kN"'))
+    assert "143 kN" in case.read_text()
+    done = run(python_on_ranks, 2, case)
+    assert done.code == 1
+    assert done.said == []
+    assert done.out.count("NOT MET") == 1

@@ -1,0 +1,53 @@
+"""A rank that fails ends the run: no hang, one line, an exit code, and no file that is half written."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.distributed.cases import path_case
+from tests.distributed.conftest import SCRIPTS
+
+FAILING = SCRIPTS / "failing.py"
+
+
+def run(python_on_ranks, tmp_path, kind, rank=1, *more):
+    case = path_case(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    plot = ["--plot", tmp_path / "p.png", "--vtu", tmp_path / "v.vtu"] if kind != "no_file" else []
+    done = python_on_ranks(2, FAILING, kind, rank, "run", case.name, "--engine", "petsc", "--json", *plot, *more)
+    assert sorted(tmp_path.iterdir()) == before
+    assert done.out == ""
+    return done
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "said", "traced"),
+    [
+        ("no_file", 2, "path.toml: expected a case file, and there is none of that name", False),
+        ("refused", 1, "path.toml: active-set engine=petsc: this rank alone sees no equilibrium", False),
+        ("memory", 1, "out of memory: Unable to allocate 256. MiB", False),
+        ("petsc_memory", 1, "out of memory: PETSc", False),
+        ("petsc_error", 1, "PETSc: Unknown Mat type given: no such type", False),
+        ("bug", 1, "KeyError: 'nothing'", True),
+    ],
+)
+def test_one_rank_fails(python_on_ranks, tmp_path, kind, code, said, traced):
+    done = run(python_on_ranks, tmp_path, kind)
+    assert done.code == code
+    (line,) = done.said
+    assert line.startswith(f"contactqp: rank 1: {said}")
+    assert ("Traceback" in done.err) is traced
+
+
+def test_the_first_rank_fails(python_on_ranks, tmp_path):
+    done = run(python_on_ranks, tmp_path, "petsc_error", 0)
+    assert done.code == 1
+    assert done.said == ["contactqp: rank 0: PETSc: Unknown Mat type given: no such type"]
+
+
+def test_a_rank_is_killed(python_on_ranks, tmp_path):
+    done = run(python_on_ranks, tmp_path, "killed")
+    assert done.code == 137
+    assert "rank 1" in done.err
+    assert "signal 9 (Killed)" in done.err
+    assert "Traceback" not in done.err
