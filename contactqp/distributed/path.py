@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.distributed.checkpoint import Checkpoint
+from contactqp.distributed.preconditioner import AUTO
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.solution import DistributedSolution
@@ -39,7 +40,7 @@ def follow_distributed(
     for step, load in enumerate(loads):
         at = replace(problem, load=load)
         if checkpoint is not None and step < checkpoint.steps:
-            before = judged(at, checkpoint.read(step, at), method)
+            before = judged(at, checkpoint.read(step, at), method, options.get("solver", AUTO))
         else:
             start = None if before is None else before.answer
             before = solve_distributed(at, method, warm_start=start, **options)

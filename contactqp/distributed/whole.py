@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
+from contactqp.certificate import Certificate
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
-from contactqp.errors import Unsupported
+from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.existence import describe_motion
 from contactqp.problem import ContactProblem
 from contactqp.solution import FreeMotion, Solution
+from contactqp.violations import Violations
 
+# What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
+_OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
 # What `solve` takes for a problem in one process and has no meaning on several, with what leaves it out.
-_OF_ONE_PROCESS = {"condense": "auto", "polish": True, "time_limit": None, "max_iter": None}
+_OF_ONE_PROCESS = {"condense": "auto", "polish": True, "algorithm": None}
 
 
 def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
@@ -32,7 +39,8 @@ def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None,
     chosen = options_on_ranks(options)
     part = distribute(problem, Ranks())
     start = None if warm_start is None else dealt(part, warm_start)
-    return gathered(problem, solve_distributed(part, method, warm_start=start, **chosen))
+    with whole_in_errors(problem):
+        return gathered(problem, solve_distributed(part, method, warm_start=start, **chosen))
 
 
 def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
@@ -46,8 +54,7 @@ def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
     stated = [name for name, usual in _OF_ONE_PROCESS.items() if name in options and options[name] != usual]
     if stated:
         raise Unsupported(f"engine 'petsc': {stated[0]} is an option of one process, leave it out")
-    left_out = {*_OF_ONE_PROCESS, *(["algorithm"] if options.get("algorithm") is None else [])}
-    return {name: value for name, value in options.items() if name not in left_out}
+    return {name: value for name, value in options.items() if name not in _OF_ONE_PROCESS}
 
 
 def dealt(part: DistributedProblem, solution: Solution) -> DistributedAnswer:
@@ -63,9 +70,20 @@ def dealt(part: DistributedProblem, solution: Solution) -> DistributedAnswer:
     )
 
 
+@contextmanager
+def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
+    """The solution that an error carries is whole, as that of one process. Collective where all ranks raise it."""
+    try:
+        yield
+    except (NotConverged, NotCertified) as error:
+        found: Any = error.solution
+        if isinstance(found, DistributedSolution):
+            error.solution = gathered(problem, found)
+        raise
+
+
 def gathered(problem: ContactProblem, solution: DistributedSolution) -> Solution:
     """A distributed solution as one process would have it, on every rank. Collective."""
-    certificate = solution.certificate
     return Solution(
         problem=problem,
         displacement=solution.displacement,
@@ -74,9 +92,28 @@ def gathered(problem: ContactProblem, solution: DistributedSolution) -> Solution
         tie_force=solution.tie_force,
         contact_status=solution.contact_status,
         free_motions=tuple(FreeMotion(motion, describe_motion(problem, motion)) for motion in solution.free_motions),
-        certificate=certificate,
+        certificate=_certificate(solution),
         method=solution.method,
         seconds=solution.seconds,
         certify_seconds=solution.certify_seconds,
         work=solution.work,
+    )
+
+
+def _certificate(solution: DistributedSolution) -> Certificate:
+    """With what it says contact by contact of all ranks."""
+    part, certificate = solution.problem, solution.certificate
+    bound, found = certificate.force_bound, certificate.violations
+    numbers = dict.fromkeys(_OF_UNKNOWNS, part.dof_number) | {"tie": part.tie_number}
+    return replace(
+        certificate,
+        force_bound=None if bound is None else part.whole(bound, part.contact_number),
+        violations=None
+        if found is None
+        else Violations(
+            **{
+                each.name: part.whole(getattr(found, each.name), numbers.get(each.name, part.contact_number))
+                for each in fields(found)
+            }
+        ),
     )

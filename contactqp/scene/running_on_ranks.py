@@ -14,7 +14,7 @@ from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.path import follow_distributed, instants
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.whole import gathered, options_on_ranks
+from contactqp.distributed.whole import gathered, options_on_ranks, whole_in_errors
 from contactqp.errors import Unsupported
 from contactqp.problem import Vector
 from contactqp.scene.corners import end_time
@@ -47,9 +47,10 @@ def run_on_ranks(model: Model, method: str, checkpoint: str | Path | None = None
     part = distribute(model.problem, ranks)
     at = list(_instants(model))
     along = follow_distributed(part, (load[part.dof_number] for _, load in at), method, kept, **chosen)
-    solutions = [
-        gathered(model.problem.replace(load=load), solution) for (_, load), solution in zip(at, along, strict=True)
-    ]
+    with whole_in_errors(model.problem):
+        solutions = [
+            gathered(model.problem.replace(load=load), solution) for (_, load), solution in zip(at, along, strict=True)
+        ]
     times = [time for time, _ in at]
     return History(solutions, times, lambda: changes(solutions, times))
 
