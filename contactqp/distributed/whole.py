@@ -77,8 +77,9 @@ def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
         yield
     except (NotConverged, NotCertified) as error:
         found: Any = error.solution
+        carrier: Any = error
         if isinstance(found, DistributedSolution):
-            error.solution = gathered(problem, found)
+            carrier.solution = gathered(problem, found)
         raise
 
 

@@ -21,7 +21,7 @@ bars = [
     {{ name = "d", nodes = ["4", "right"], area = "15 cm^2", modulus = "2.1e8 kN/m^2" }},
 ]
 fixed = ["left", "right"]
-obstacles = [{{ name = "wall", point = ["3002 mm"], normal = [-1] }}]
+obstacles = [{{ name = "wall", point = ["3000.5 mm"], normal = [-1] }}]
 contacts = [{{ name = "gap", nodes = ["2", "3"] }}, {{ name = "stop", node = "4", obstacle = "wall" }}]
 loads = [{{ unknown = "1.x", value = "2000 kN" }}]
 path = {{ steps = {STEPS} }}

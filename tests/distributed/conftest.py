@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -76,6 +77,17 @@ def python_on_ranks(start_ranks: Callable[..., subprocess.Popen[str]]) -> Callab
 
 
 @pytest.fixture
+def commands(on_ranks: Callable[..., str]) -> Callable[..., list[tuple[int, str, str]]]:
+    """``commands([...], [...])``: exit code, output and errors of each, all run by one process that has PETSc."""
+
+    def run(*commands: Sequence[object]) -> list[tuple[int, str, str]]:
+        asked = [[str(part) for part in command] for command in commands]
+        return [tuple(done) for done in json.loads(on_ranks("many_commands.py", 1, json.dumps(asked)))]
+
+    return run
+
+
+@pytest.fixture
 def on_ranks(python_on_ranks: Callable[..., Finished]) -> Callable[..., str]:
     """``on_ranks("script.py", n, *arguments)``: what a script prints on n ranks; one that fails fails the test."""
 
@@ -128,8 +140,8 @@ def _openmpi() -> bool:
 
 
 def _environment() -> dict[str, str]:
-    """One thread a rank, this package, and OpenMPI's leave to run as root, as in a container."""
+    """One thread a rank, ranks that wait leave their core, this package, and OpenMPI's leave to run as root."""
     allowed = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     return {**os.environ, **allowed, **threads, "PYTHONPATH": path, "PYTHONWARNINGS": "error"}

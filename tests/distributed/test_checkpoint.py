@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 
 import numpy as np
@@ -46,8 +47,8 @@ def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(on_r
 def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, tmp_path):
     case, folder = path_case(tmp_path), tmp_path / "steps"
     on_ranks(SCRIPT, 1, case, folder)
-    (folder / "step-000005.json").unlink()  # the run ended before this was written
-    (folder / "step-000005" / "0-of-1.npz").write_bytes(b"half a fi")
+    (folder / "step-000006.json").unlink()  # the run ended before this was written
+    (folder / "step-000006" / "0-of-1.npz").write_bytes(b"half a fi")
     found = json.loads(on_ranks(SCRIPT, 1, case, folder))
     assert found["solved"] == 1
     assert same(found, case)
@@ -61,35 +62,35 @@ def kept(start_ranks, tmp_path):
     return case, folder
 
 
-def run(python_on_ranks, case, folder):
-    return python_on_ranks(1, "-m", "contactqp", "run", case, "--engine", "petsc", "--checkpoint", folder)
+def run(case, folder) -> list[object]:
+    return ["run", case, "--engine", "petsc", "--checkpoint", folder]
 
 
-def refused(python_on_ranks, case, folder) -> str:
-    done = run(python_on_ranks, case, folder)
-    assert done.code == 2
-    assert done.out == ""
-    (line,) = done.err.strip().splitlines()
-    return line
-
-
-def test_what_is_no_folder_of_this_case_is_refused_in_one_line(python_on_ranks, kept, tmp_path):
+def test_what_is_no_folder_of_this_case_is_refused_in_one_line(commands, kept, tmp_path):
     case, folder = kept
-    (folder / "step-000002" / "0-of-1.npz").write_bytes(b"half a fi")
-    assert "0-of-1.npz: expected a file of a step" in refused(python_on_ranks, case, folder)
-    (folder / "step-000002" / "0-of-1.npz").unlink()
-    assert "0-of-1.npz: No such file" in refused(python_on_ranks, case, folder)
-    other = path_case(tmp_path, load="2001 kN")
-    assert "steps of another case" in refused(python_on_ranks, other, folder)
-    mine = tmp_path / "mine"
-    mine.mkdir()
+    shutil.copytree(folder, half := tmp_path / "half")
+    (half / "step-000002" / "0-of-1.npz").write_bytes(b"half a fi")
+    shutil.copytree(folder, less := tmp_path / "less")
+    (less / "step-000002" / "0-of-1.npz").unlink()
+    (other := tmp_path / "other").mkdir()
+    (mine := tmp_path / "mine").mkdir()
     (mine / "thesis.tex").touch()
-    assert "expected the steps of a run, or an empty folder" in refused(python_on_ranks, case, mine)
+    asked = {
+        (case, half): "0-of-1.npz: expected a file of a step",
+        (case, less): "0-of-1.npz: No such file",
+        (path_case(other, load="2001 kN"), folder): "steps of another case",
+        (case, mine): "expected the steps of a run, or an empty folder",
+    }
+    found = commands(*(run(*each) for each in asked))
+    for (code, out, err), said in zip(found, asked.values(), strict=True):
+        assert (code, out) == (2, "")
+        (line,) = err.strip().splitlines()
+        assert said in line
 
 
-def test_words_of_a_case_may_change_between_its_runs(python_on_ranks, kept):
+def test_words_of_a_case_may_change_between_its_runs(commands, kept):
     case, folder = kept
     case.write_text(case.read_text().replace("Two bars in a row", "Bars, and a wall"))
-    done = run(python_on_ranks, case, folder)
-    assert done.code == 0, done.err
-    assert "Bars, and a wall" in done.out
+    ((code, out, err),) = commands(run(case, folder))
+    assert code == 0, err
+    assert "Bars, and a wall" in out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from contactqp.cli.ranks import explained
 from tests.distributed.cases import path_case
 from tests.distributed.conftest import SCRIPTS
 
@@ -26,8 +27,6 @@ def run(python_on_ranks, tmp_path, kind, rank=1, *more):
         ("no_file", 2, "path.toml: expected a case file, and there is none of that name", False),
         ("refused", 1, "path.toml: active-set engine=petsc: this rank alone sees no equilibrium", False),
         ("memory", 1, "out of memory: Unable to allocate 256. MiB", False),
-        ("petsc_memory", 1, "out of memory: PETSc", False),
-        ("petsc_error", 1, "PETSc: Unknown Mat type given: no such type", False),
         ("bug", 1, "KeyError: 'nothing'", True),
     ],
 )
@@ -51,3 +50,17 @@ def test_a_rank_is_killed(python_on_ranks, tmp_path):
     assert "rank 1" in done.err
     assert "signal 9 (Killed)" in done.err
     assert "Traceback" not in done.err
+
+
+def test_petscs_errors_are_one_line():
+    text = "error code 86\n[1] MatSetType() at matreg.c:146\n[1] Unknown type.\n[1] Unknown Mat type given: nonono"
+    assert explained(_petscs(text, 86)) == "PETSc: Unknown Mat type given: nonono"
+    text = "error code 34\n[0] VecCreate_Seq() at bvec3.c:34\n[0] PetscMallocA() at mal.c:410\n[0] VecCreate_Seq"
+    assert explained(_petscs(text, 34)) == "out of memory: PETSc, VecCreate_Seq"
+    assert explained(_petscs("error code 55", 55)) == "out of memory: PETSc, error code 55"
+
+
+def _petscs(text: str, code: int) -> Exception:
+    error = type("Error", (RuntimeError,), {"__module__": "petsc4py.PETSc"})(text)
+    error.ierr = code
+    return error

@@ -38,15 +38,6 @@ def memory():
     np.ones(MORE // 8)
 
 
-def petsc_memory():
-    """The same, noticed by PETSc."""
-    with open("/proc/self/statm") as file:
-        taken = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (taken + LEFT, taken + LEFT))
-    PETSc = petsc()
-    PETSc.Vec().createSeq(MORE // 8, comm=PETSc.COMM_SELF).set(1.0)
-
-
 def killed():
     """By the system, say, which needed its memory."""
     os.kill(os.getpid(), signal.SIGKILL)
@@ -57,7 +48,7 @@ def refused():
     raise NoEquilibrium("this rank alone sees no equilibrium")
 
 
-KINDS = {found.__name__: found for found in (bug, petsc_error, memory, petsc_memory, killed, refused)}
+KINDS = {found.__name__: found for found in (bug, petsc_error, memory, killed, refused)}
 kind, failing = sys.argv[1], int(sys.argv[2])
 here = Ranks().rank == failing
 if kind == "no_file":
