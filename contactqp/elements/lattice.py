@@ -11,12 +11,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.boundary import boundary
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import KINDS, REFERENCES, Reference
@@ -53,14 +53,32 @@ class Patch:
             keys[..., column] = value
         return keys
 
+    def ends(self, components: int) -> tuple[Index, Index]:
+        """The smallest and the largest value of each component of its keys."""
+        low = np.zeros(components, dtype=np.int64)
+        low[list(self.fixed)] = list(self.fixed.values())
+        high = low.copy()
+        for axis, column in zip(self.axes, self.columns, strict=True):
+            low[column], high[column] = axis.min(), axis.max()
+        return low, high
 
-def lattice_mesh(
-    patches: Sequence[Patch],
-    kind: str,
-    position: Callable[[Index], NDArray[np.float64]],
-    sides: Mapping[str, Callable[[Index], NDArray[np.bool_]]],
-) -> Mesh:
-    """The mesh of all patches.
+    def part(self, part: int, parts: int) -> Patch | None:
+        """One of several equal slabs of cells across its longest direction; None where there are fewer cells."""
+        along = int(np.argmax([len(axis) for axis in self.axes]))
+        count = (len(self.axes[along]) - 1) // 2
+        begin, end = (count * (part + i) // parts for i in range(2))
+        if begin == end:
+            return None
+        axes = list(self.axes)
+        axes[along] = axes[along][2 * begin : 2 * end + 1]
+        return Patch(axes, self.columns, self.fixed)
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """A mesh before it is made: all of it or the part of one of several processes.
+
+    Nodes are numbered in the order of their keys, so that every part has the numbers of the whole.
 
     Parameters
     ----------
@@ -71,41 +89,78 @@ def lattice_mesh(
         Coordinates (N, d) of nodes with the keys (N, components) [length].
     sides : mapping of name to function
         Which keys lie on the side: a boundary facet belongs to it when all its nodes do.
+    nearest : mapping of name to (d,) point
+        Node sets of one node, the nearest to the point [length].
 
     Raises
     ------
     InvalidProblem
-        A kind of another dimension; a mesh that is no good.
+        A kind of another dimension.
     """
-    dimension = len(patches[0].axes)
-    allowed = [name for name in KINDS if REFERENCES[name].dimension == dimension]
-    if kind not in allowed:
-        raise InvalidProblem(f"shape: expected a kind of {', '.join(allowed)}, got {kind!r}")
-    components = 1 + max(column for patch in patches for column in (*patch.columns, *patch.fixed))
-    lattices = [patch.keys(components) for patch in patches]
-    flat = np.concatenate([keys.reshape(-1, components) for keys in lattices])
-    keys, number = _distinct(flat)
-    cells, first = [], 0
-    for patch, lattice in zip(patches, lattices, strict=True):
-        shape = lattice.shape[:-1]
-        size = int(np.prod(shape))
-        cells.append(_cells(patch, number[first : first + size].reshape(shape), REFERENCES[kind]))
-        first += size
-    elements = np.concatenate(cells)
-    used = np.unique(elements)
-    renumber = np.full(len(keys), -1)
-    renumber[used] = np.arange(len(used))
-    keys = keys[used]
-    mesh = Mesh(position(keys), (Block(REFERENCES[kind], renumber[elements]),))
-    return mesh.with_sides({name: _on_side(mesh, inside(keys)) for name, inside in sides.items()})
 
+    patches: Sequence[Patch]
+    kind: str
+    position: Callable[[Index], NDArray[np.float64]]
+    sides: Mapping[str, Callable[[Index], NDArray[np.bool_]]]
+    nearest: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
-def _distinct(keys: Index) -> tuple[Index, Index]:
-    """The distinct keys, and the number of each given key among them."""
-    low = keys.min(axis=0)
-    shape = tuple(int(n) for n in keys.max(axis=0) - low + 1)
-    packed, number = np.unique(np.ravel_multi_index(tuple((keys - low).T), shape), return_inverse=True)
-    return np.stack(np.unravel_index(packed, shape), axis=1) + low, number.ravel()
+    def __post_init__(self) -> None:
+        dimension = len(self.patches[0].axes)
+        allowed = [name for name in KINDS if REFERENCES[name].dimension == dimension]
+        if self.kind not in allowed:
+            raise InvalidProblem(f"shape: expected a kind of {', '.join(allowed)}, got {self.kind!r}")
+
+    @property
+    def reference(self) -> Reference:
+        """The kind of element."""
+        return REFERENCES[self.kind]
+
+    @cached_property
+    def frame(self) -> tuple[Index, tuple[int, ...]]:
+        """The lowest value of each component of the keys, and how many values it may have."""
+        components = 1 + max(column for patch in self.patches for column in (*patch.columns, *patch.fixed))
+        ends = np.array([patch.ends(components) for patch in self.patches])
+        low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
+        return low, tuple(int(n) for n in high - low + 1)
+
+    def keys(self, codes: Index) -> Index:
+        """The keys (N, components) that these codes stand for."""
+        low, shape = self.frame
+        return np.stack(np.unravel_index(codes, shape), axis=1) + low
+
+    def elements(self, part: int = 0, parts: int = 1) -> Index:
+        """The codes (E, n) of the elements' nodes, which are ordered as the keys are; or an equal part of them."""
+        low, shape = self.frame
+        found = [np.zeros((0, len(self.reference.nodes)), dtype=np.int64)]
+        for patch in self.patches:
+            piece = patch.part(part, parts)
+            if piece is not None:
+                codes = np.ravel_multi_index(tuple(np.moveaxis(piece.keys(len(shape)) - low, -1, 0)), shape)
+                found.append(_cells(piece, codes, self.reference))
+        return np.concatenate(found)
+
+    def on_side(self, name: str, codes: Index) -> NDArray[np.bool_]:
+        """Which of these nodes lie on a side."""
+        return self.sides[name](self.keys(codes))
+
+    def mesh(self) -> Mesh:
+        """All of it.
+
+        Raises
+        ------
+        InvalidProblem
+            A mesh that is no good.
+        """
+        codes = self.elements()
+        used, numbers = np.unique(codes, return_inverse=True)
+        mesh = Mesh(self.position(self.keys(used)), (Block(self.reference, numbers.reshape(codes.shape)),))
+        pairs = mesh.boundary
+        facets = np.take_along_axis(
+            mesh.blocks[0].nodes[pairs[:, 0]], np.array(self.reference.facets)[pairs[:, 1]], axis=1
+        )
+        sides = {name: pairs[self.on_side(name, used)[facets].all(axis=1)] for name in self.sides}
+        nearest = {name: np.array([mesh.nearest(point)]) for name, point in self.nearest.items()}
+        return mesh.with_sides(sides).with_node_sets(nearest)
 
 
 def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
@@ -142,10 +197,3 @@ def _simplices(kind: Reference, turned: tuple[bool, ...]) -> list[Index]:
             corners[[-2, -1]] = corners[[-1, -2]]
         found.append(np.round(REFERENCES[kind.linear].shape(kind.nodes) @ corners).astype(np.int64))
     return found
-
-
-def _on_side(mesh: Mesh, inside: NDArray[np.bool_]) -> Index:
-    block = mesh.blocks[0]
-    pairs = boundary(mesh.blocks)
-    facets = np.take_along_axis(block.nodes[pairs[:, 0]], np.array(block.kind.facets)[pairs[:, 1]], axis=1)
-    return pairs[inside[facets].all(axis=1)]

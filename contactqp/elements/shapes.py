@@ -20,17 +20,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from dataclasses import replace
+from functools import update_wrapper
+from typing import Generic, Literal, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.lattice import Index, Patch, lattice_mesh
+from contactqp.elements.lattice import Index, Lattice, Patch
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.o_grid import Half, OGrid
 from contactqp.elements.spacing import Towards, spacing
 from contactqp.errors import InvalidProblem
 
+P = ParamSpec("P")
 Part = Literal["full", "half", "quarter", "eighth"]
 _AXIS_SIDES = {2: (("left", "right"), ("bottom", "top")), 3: (("left", "right"), ("front", "back"), ("bottom", "top"))}
 _CYLINDER_PARTS: dict[str, tuple[Half, ...]] = {
@@ -46,6 +49,18 @@ _BALL_PARTS: dict[str, tuple[Half, ...]] = {
 }
 
 
+class Shape(Generic[P]):
+    """What a function says of a mesh: called, the mesh; its `lattice`, the mesh before it is made."""
+
+    def __init__(self, lattice: Callable[P, Lattice]) -> None:
+        self.lattice = lattice
+        update_wrapper(self, lattice)
+
+    def __call__(self, *args: P.args, **options: P.kwargs) -> Mesh:
+        return self.lattice(*args, **options).mesh()
+
+
+@Shape
 def rectangle(
     width: float,
     height: float,
@@ -55,7 +70,7 @@ def rectangle(
     grading: float = 1.0,
     towards: Sequence[str] = ("bottom",),
     corner: tuple[float, float] = (0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The rectangle from `corner`, its lowest x and y, to corner + (width, height).
 
     Parameters
@@ -72,6 +87,7 @@ def rectangle(
     return _box((width, height), divisions, kind, grading, towards, corner)
 
 
+@Shape
 def box(
     lengths: tuple[float, float, float],
     divisions: tuple[int, int, int],
@@ -81,16 +97,16 @@ def box(
     towards: Sequence[str] = ("bottom",),
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
     crown: float | None = None,
-) -> Mesh:
+) -> Lattice:
     """The box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
 
     ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
     higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
     flat top.
     """
-    mesh = _box(lengths, divisions, kind, grading, towards, corner)
+    lattice = _box(lengths, divisions, kind, grading, towards, corner)
     if crown is None:
-        return mesh
+        return lattice
     radius, bottom, height = _length("crown", crown), corner[2], lengths[2]
     highest = sum(max(abs(low), abs(low + length)) ** 2 for low, length in zip(corner[:2], lengths[:2], strict=True))
     if highest >= 2 * radius * height:
@@ -99,13 +115,14 @@ def box(
             f"shape: expected a crown that stays below the top, of a radius above {least:g}, got {radius:g}"
         )
 
-    def crowned(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, y, z = points.T
+    def crowned(keys: Index) -> NDArray[np.float64]:
+        x, y, z = lattice.position(keys).T
         return np.column_stack([x, y, z + (x**2 + y**2) / (2 * radius) * (1 - (z - bottom) / height)])
 
-    return mesh.mapped(crowned)
+    return replace(lattice, position=crowned)
 
 
+@Shape
 def disc(
     radius: float,
     divisions: tuple[int, int],
@@ -113,7 +130,7 @@ def disc(
     *,
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
 
     With (n, m) there are 8 n elements along the whole arc and n + m along a radius.
@@ -121,6 +138,7 @@ def disc(
     return _round(OGrid(("full", "full"), *_pair(divisions), grading), radius, center, kind, {})
 
 
+@Shape
 def half_disc(
     radius: float,
     divisions: tuple[int, int],
@@ -128,11 +146,12 @@ def half_disc(
     *,
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The lower half of the disc around `center`, y <= center_y; as `disc`."""
     return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
 
 
+@Shape
 def quarter_disc(
     radius: float,
     divisions: tuple[int, int],
@@ -140,12 +159,13 @@ def quarter_disc(
     *,
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
     grid = OGrid(("positive", "negative"), *_pair(divisions), grading)
     return _round(grid, radius, center, kind, {"top": 1, "left": 0})
 
 
+@Shape
 def ball(
     radius: float,
     divisions: tuple[int, int],
@@ -154,7 +174,7 @@ def ball(
     part: Part = "full",
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The ball or a part of it; `divisions` as for `disc`."""
     if part not in _BALL_PARTS:
         raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
@@ -163,6 +183,7 @@ def ball(
     return _round(OGrid(halves, *_pair(divisions), grading), radius, center, kind, cuts)
 
 
+@Shape
 def cylinder(
     radius: float,
     height: float,
@@ -172,7 +193,7 @@ def cylinder(
     part: Part = "full",
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Mesh:
+) -> Lattice:
     """The cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
 
     `divisions` are those of `disc` and the elements along z, which get smaller towards the bottom.
@@ -195,7 +216,7 @@ def cylinder(
     def position(keys: Index) -> NDArray[np.float64]:
         return np.asarray(center) + np.column_stack([R * grid.position(keys), z[keys[:, 2]]])
 
-    return lattice_mesh(grid.patches(), kind, position, sides)
+    return Lattice(grid.patches(), kind, position, sides)
 
 
 def _box(
@@ -205,7 +226,7 @@ def _box(
     grading: float,
     towards: Sequence[str],
     corner: Sequence[float],
-) -> Mesh:
+) -> Lattice:
     names = _AXIS_SIDES[len(lengths)]
     if np.shape(divisions) != (len(names),):
         raise InvalidProblem(f"shape: expected {len(names)} divisions, got {divisions!r}")
@@ -225,7 +246,7 @@ def _box(
         return np.stack([values[axis][keys[:, axis]] for axis in range(len(names))], axis=1)
 
     patch = Patch([np.arange(2 * n + 1) for n in divisions], range(len(names)))
-    return lattice_mesh([patch], kind, position, sides)
+    return Lattice([patch], kind, position, sides)
 
 
 def _towards(pair: tuple[str, str], towards: Sequence[str], *, horizontal: bool) -> Towards | None:
@@ -235,7 +256,7 @@ def _towards(pair: tuple[str, str], towards: Sequence[str], *, horizontal: bool)
     return "middle" if horizontal and "middle" in towards else None
 
 
-def _round(grid: OGrid, radius: float, center: Sequence[float], kind: str, cuts: dict[str, int]) -> Mesh:
+def _round(grid: OGrid, radius: float, center: Sequence[float], kind: str, cuts: dict[str, int]) -> Lattice:
     R, axes = _length("radius", radius), len(grid.halves)
     curved = "arc" if axes == 2 else "sphere"
     sides = {curved: _at(grid.layer, 2 * grid.layers), **{name: _at(axis, 0) for name, axis in cuts.items()}}
@@ -243,9 +264,7 @@ def _round(grid: OGrid, radius: float, center: Sequence[float], kind: str, cuts:
     def position(keys: Index) -> NDArray[np.float64]:
         return np.asarray(center) + R * grid.position(keys)
 
-    mesh = lattice_mesh(grid.patches(), kind, position, sides)
-    pole = np.array([*center[:-1], center[-1] - R])
-    return mesh.with_node_sets({"pole": np.array([mesh.nearest(pole)])})
+    return Lattice(grid.patches(), kind, position, sides, {"pole": np.array([*center[:-1], center[-1] - R])})
 
 
 def _at(component: int, value: int) -> Callable[[Index], NDArray[np.bool_]]:
