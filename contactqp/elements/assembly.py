@@ -46,7 +46,12 @@ def pattern(connectivities: Sequence[Index], nodes: int) -> Pattern:
 
 
 def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
-    """The (nodes d, nodes d) CSC matrix of symmetric element matrices.
+    """The (nodes d, nodes d) CSC matrix of symmetric element matrices; as `blocks_of_nodes`."""
+    return from_blocks(where, blocks_of_nodes(where, entries))
+
+
+def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The blocks (pairs in the pattern, d, d) of symmetric element matrices, summed up.
 
     Parameters
     ----------
@@ -57,14 +62,19 @@ def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
     Notes
     -----
     Both (i, j) and (j, i) add up their elements one after the other in the order of the elements, so that symmetric
-    element matrices give a matrix that is symmetric to the last digit; its rows are then its columns.
+    element matrices give a matrix that is symmetric to the last digit.
     """
     d, count = entries.shape[0], len(where.indices)
     blocks = np.empty((count, d, d))
     for a in range(d):
         for b in range(d):
             blocks[:, a, b] = np.bincount(where.slots, weights=entries[a, b], minlength=count)
-    size = d * (len(where.indptr) - 1)
+    return blocks
+
+
+def from_blocks(where: Pattern, blocks: NDArray[np.float64]) -> Any:
+    """The (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
+    size = blocks.shape[1] * (len(where.indptr) - 1)
     # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
     whole = np.int32 if blocks.size < np.iinfo(np.int32).max else np.int64
     indices, indptr = where.indices.astype(whole), where.indptr.astype(whole)

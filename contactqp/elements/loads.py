@@ -183,10 +183,7 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
     numbers = np.unique(np.asarray(nodes))
     if not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
         raise InvalidProblem(f"{body.name}: expected a named set or node numbers, got {nodes!r}")
-    if numbers[0] < 0 or numbers[-1] >= len(body.mesh.points):
-        wrong = numbers[0] if numbers[0] < 0 else numbers[-1]
-        raise InvalidProblem(f"{body.name}: expected nodes from 0 to {len(body.mesh.points) - 1}, got {wrong}")
-    return numbers.astype(np.int64)
+    return body.mesh.places(body.name, numbers)
 
 
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:

@@ -82,6 +82,25 @@ class Mesh:
             return np.unique(np.concatenate([block.nodes.ravel() for block in self.facets_of(self.sides[name])]))
         raise self._unknown(name)
 
+    def places(self, what: str, numbers: Index) -> Index:
+        """The nodes that have these numbers, ascending; `what` is what an error names first.
+
+        Raises
+        ------
+        InvalidProblem
+            A number is out of range.
+        """
+        count = self.total
+        if numbers[0] < 0 or numbers[-1] >= count:
+            wrong = numbers[0] if numbers[0] < 0 else numbers[-1]
+            raise InvalidProblem(f"{what}: expected nodes from 0 to {count - 1}, got {wrong}")
+        return numbers.astype(np.int64)
+
+    @property
+    def total(self) -> int:
+        """How many nodes there are."""
+        return len(self.points)
+
     def side(self, name: str) -> tuple[Block, ...]:
         """The facets of a side, turned outward, one block for each kind of facet.
 
@@ -96,12 +115,10 @@ class Mesh:
             return self.facets_of(self.sides[name])
         if name not in self.node_sets:
             raise self._unknown(name)
-        inside = np.zeros(len(self.points), dtype=bool)
-        inside[self.node_sets[name]] = True
-        facets = [Block(b.kind, b.nodes[inside[b.nodes].all(axis=1)]) for b in self.facets_of(self.boundary)]
-        if not any(map(len, facets)):
+        facets = self.facets_within(self.node_sets[name])
+        if not facets:
             raise InvalidProblem(f"side {name!r} has no faces: no boundary facet has all its nodes in that node set")
-        return tuple(block for block in facets if len(block))
+        return facets
 
     def nearest(self, point: ArrayLike) -> int:
         """The number of the node nearest to a point.
@@ -161,6 +178,13 @@ class Mesh:
                 found.setdefault(block.kind.facet, []).append(facets)
             first += len(block)
         return tuple(Block(REFERENCES[kind], np.concatenate(facets)) for kind, facets in found.items())
+
+    def facets_within(self, nodes: Index) -> tuple[Block, ...]:
+        """Blocks of the boundary facets that have all their nodes among these."""
+        inside = np.zeros(len(self.points), dtype=bool)
+        inside[nodes] = True
+        facets = [Block(b.kind, b.nodes[inside[b.nodes].all(axis=1)]) for b in self.facets_of(self.boundary)]
+        return tuple(block for block in facets if len(block))
 
     def find_facets(self, facets: Index, kind: str) -> Index:
         """For facets given by their nodes (corners first, in any turn): their rows in `boundary`, or -1."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.assembly import assemble, pattern
+from contactqp.elements.assembly import Pattern, blocks_of_nodes, from_blocks, pattern
 from contactqp.elements.geometry import Block, Geometry, at_rule, batches
 from contactqp.elements.kinematics import measure, strain_matrix
 from contactqp.elements.material import MODELS, STRAINS, Material, Model
@@ -64,7 +65,7 @@ class Body:
         positive_number(self.name, self.thickness, "thickness")
         if self.model in ("3d", "axisymmetric") and self.thickness != 1:
             raise InvalidProblem(f"{self.name}: the model {self.model!r} has no thickness, got {self.thickness}")
-        if self.model == "axisymmetric" and self.mesh.points[:, 0].min() < 0:
+        if self.model == "axisymmetric" and self.mesh.points[:, 0].min(initial=0.0) < 0:
             i = int(np.argmin(self.mesh.points[:, 0]))
             raise InvalidProblem(f"{self.name}: expected radii x >= 0, got {self.mesh.points[i, 0]:.6g} at node {i}")
 
@@ -89,11 +90,15 @@ class Body:
 
         [force / length], per unit thickness times `thickness` in plane problems.
         """
-        d = self.dimension
         where = pattern([block.nodes for block in self.mesh.blocks], len(self.mesh.points))
+        return from_blocks(where, self.node_blocks(self.mesh.blocks, where))
+
+    def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> NDArray[np.float64]:
+        """What these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""
+        d = self.dimension
         entries = np.empty((d, d, len(where.slots)))
         at = 0
-        for block in self.mesh.blocks:
+        for block in blocks:
             n = block.nodes.shape[1]
             points = len(self.stiffness_rule(block).weights)
             for part in batches(block, points * len(STRAINS[self.model]) * n * d):
@@ -101,7 +106,7 @@ class Body:
                 K = self.element_stiffness(part).reshape(len(part), n, d, n, d)
                 entries[:, :, at : at + pairs] = np.transpose(K, (2, 4, 0, 1, 3)).reshape(d, d, pairs)
                 at += pairs
-        return assemble(where, entries)
+        return blocks_of_nodes(where, entries)
 
     def element_stiffness(self, block: Block) -> NDArray[np.float64]:
         """The symmetric element matrices (E, n d, n d) of a block, all at once [force / length]."""
@@ -138,16 +143,16 @@ class Body:
         where = f"{self.name}.{name}"
         return Surface(self.mesh.points, facets[0].nodes, unknowns, where, self.thickness, self.model == "axisymmetric")
 
-    def rigid_motions(self) -> NDArray[np.float64]:
-        """The motions without strain as columns: translations, then rotations about the centre of the nodes [length].
+    def rigid_motions(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """The motions without strain as columns: translations, then rotations about `centre` [length].
 
-        (N d, 3) in the plane, (N d, 6) in space, (N d, 1), along the axis, in axial symmetry. For two axes a < b the
-        rotation is u_a = -x_b, u_b = x_a.
+        By default about the mean of the nodes. (N d, 3) in the plane, (N d, 6) in space, (N d, 1), along the axis, in
+        axial symmetry. For two axes a < b the rotation is u_a = -x_b, u_b = x_a.
         """
         N, d = self.mesh.points.shape
         if self.model == "axisymmetric":
             return np.tile([[0.0], [1.0]], (N, 1))
-        x = self.mesh.points - self.mesh.points.mean(axis=0)
+        x = self.mesh.points - (self.mesh.points.mean(axis=0) if centre is None else centre)
         motions = [np.tile(np.eye(d)[:, a], N) for a in range(d)]
         for a, b in ((0, 1), (1, 2), (0, 2))[: 1 if d == 2 else 3]:
             turn = np.zeros((N, d))

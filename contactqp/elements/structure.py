@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from contactqp.elements.free_contacts import free_contacts, kept_contacts, stacked
 from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
@@ -24,6 +25,7 @@ Index = NDArray[np.int64]
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
 ROUNDING = 1e-12
+EVERYTHING_HELD = "structure: the supports hold every unknown; expected some that are free"
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
 
@@ -147,10 +149,19 @@ class Structure:
             first = self.first(acting.body)
             body = self.solid(acting.body)
             load[first : first + body.size] += acting.forces(body)
-        return System(self, load, self._prescribed(supports))
+        prescribed = self.prescribed(supports)
+        if not np.isnan(prescribed).any():
+            raise InvalidProblem(EVERYTHING_HELD)
+        return System(self, load, prescribed)
 
-    def _prescribed(self, supports: Sequence[Support]) -> Vector:
-        """(n,): the prescribed displacements, NaN at free unknowns."""
+    def prescribed(self, supports: Sequence[Support]) -> Vector:
+        """(n,): the prescribed displacements, NaN at free unknowns.
+
+        Raises
+        ------
+        InvalidProblem
+            An unknown body or set, an axis the body has not, two supports that ask one node for two displacements.
+        """
         prescribed = np.full(self.size, np.nan)
         for support in supports:
             body = self.body(support.body)
@@ -170,8 +181,6 @@ class Structure:
                     f"{values[i]:.12g} and, by another support, by {before[i]:.12g}"
                 )
             prescribed[places] = values
-        if not np.isnan(prescribed).any():
-            raise InvalidProblem("structure: the supports hold every unknown; expected some that are free")
         return prescribed
 
 
@@ -230,8 +239,7 @@ class System:
 
     def free_contacts(self, pairings: Sequence[Pairing]) -> Index:
         """The contacts, counted through all pairings, that depend on a free unknown; `problem` keeps these."""
-        normal = sp.csr_array(self._stacked([pairing.normal for pairing in pairings])[:, self.free])
-        return np.flatnonzero(abs(normal) @ np.ones(len(self.free)) > 0)
+        return kept_contacts(stacked([pairing.normal for pairing in pairings], self.structure.size), self.prescribed)
 
     def problem(
         self,
@@ -259,45 +267,18 @@ class System:
         InvalidProblem
             Rows of another length than u; supported nodes that are pressed into an obstacle.
         """
-        normal = self._stacked([pairing.normal for pairing in pairings])
-        gap = np.concatenate([np.zeros(0), *[np.asarray(pairing.gap, dtype=float) for pairing in pairings]])
-        gap = gap - normal @ self.given
-        kept = self.free_contacts(pairings)
-        held = np.setdiff1d(np.arange(len(gap)), kept)
-        called = [f"contact {i}" for i in range(len(gap))] if names is None else names
-        if len(called) != len(gap):
-            raise InvalidProblem(f"names: expected one for each of {len(gap)} rows, got {len(called)}")
-        if held.size and gap[held].min() < 0:
-            i = held[np.argmin(gap[held])]
-            raise InvalidProblem(
-                f"{called[i]}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
-            )
+        contacts = free_contacts(pairings, self.prescribed, friction=friction, names=names)
         unknowns = self.structure.unknown_names()
-        tangential: dict[str, Any] = {}
-        if friction is not None:
-            tangent = self._stacked([pairing.tangent for pairing in pairings])
-            per_contact = tangent.shape[0] // max(len(gap), 1)
-            rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
-            tangential = {
-                "tangent": tangent[rows][:, self.free],
-                "friction": np.broadcast_to(np.asarray(friction, dtype=float), gap.shape)[kept],
-                "slip_origin": -(tangent @ self.given)[rows],
-            }
         return ContactProblem(
             stiffness=self.K,
             load=self.f,
-            normal=sp.csr_array(normal[kept][:, self.free]),
-            gap=gap[kept],
+            normal=contacts.normal,
+            gap=contacts.gap,
+            tangent=contacts.tangent,
+            friction=contacts.friction,
+            slip_origin=contacts.slip_origin,
             dof_names=[unknowns[j] for j in self.free],
-            contact_names=[called[i] for i in kept],
+            contact_names=contacts.names,
             units=units,
             near_null_space=self.structure.rigid_motions()[self.free],
-            **tangential,
         )
-
-    def _stacked(self, rows: Sequence[Any]) -> Any:
-        n = self.structure.size
-        for i, matrix in enumerate(rows):
-            if matrix.shape[1] != n:
-                raise InvalidProblem(f"pairing {i}: expected rows over all {n} unknowns, got {matrix.shape[1]}")
-        return sp.csr_array(sp.vstack([sp.csr_array((0, n)), *rows], format="csr"))

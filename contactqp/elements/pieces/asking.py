@@ -1,0 +1,76 @@
+"""Questions to other ranks, and who answers for what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.distributed.ranks import Ranks
+
+Index = NDArray[np.int64]
+Answer = Callable[[NDArray[Any], Index], tuple[NDArray[Any], ...]]
+# Each rank shows so many of its codes, for the ranges of codes to become about equal.
+SAMPLES = 128
+
+
+def asked(ranks: Ranks, whom: NDArray[Any], question: NDArray[Any], answer: Answer) -> tuple[NDArray[Any], ...]:
+    """Row i of a question goes to rank whom[i]; the answers come back row for row. Collective.
+
+    Parameters
+    ----------
+    answer : function
+        From the rows that came to this rank and the ranks that they came from to arrays, row for row. All ranks call
+        it once, so that it may be collective.
+    """
+    place = np.arange(len(question))
+    came, where, asker = ranks.exchanged(whom, question, place, np.full(len(place), ranks.rank))
+    back, *found = ranks.exchanged(asker, where, *answer(came, asker))
+    order = np.empty(len(back), dtype=np.int64)
+    order[back] = np.arange(len(back))
+    return tuple(part[order] for part in found)
+
+
+def ranges(ranks: Ranks, codes: Index) -> Index:
+    """Where to cut all codes into one range for each rank, about equally full: (size - 1,). Collective.
+
+    Parameters
+    ----------
+    codes : (k,) array of int
+        Those of this rank, ascending.
+    """
+    shown = codes[np.linspace(0, len(codes) - 1, min(SAMPLES, len(codes))).astype(np.int64)]
+    every = np.sort(ranks.gathered(shown))
+    return every[len(every) * np.arange(1, ranks.size) // ranks.size]
+
+
+def numbered(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
+    """The number of each code among the distinct ones of all ranks in ascending order, and who owns it. Collective.
+
+    Parameters
+    ----------
+    codes : (k,) array of int
+        Those of this rank, distinct and ascending.
+
+    Returns
+    -------
+    numbers, owners : (k,) arrays of int
+        The owner is the lowest rank that has the code.
+    total : int
+        How many distinct codes there are.
+    """
+    total = 0
+
+    def answer(came: Index, asker: Index) -> tuple[Index, Index]:
+        nonlocal total
+        distinct, inverse = np.unique(came, return_inverse=True)
+        owner = np.full(len(distinct), ranks.size)
+        np.minimum.at(owner, inverse, asker)
+        total = int(ranks.sum(len(distinct)))
+        return ranks.first(len(distinct)) + inverse, owner[inverse]
+
+    whom = np.searchsorted(ranges(ranks, codes), codes, side="right")
+    numbers, owners = asked(ranks, whom, codes, answer)
+    return numbers, owners, total
