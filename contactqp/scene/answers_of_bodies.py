@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.answers_of_motions import OF_MOTIONS
-from contactqp.scene.bodies import BodyModel, PairedContact
+from contactqp.scene.bodies import BodyModel
 from contactqp.scene.claims import Claim
+from contactqp.scene.contact_entries import PairedContact
 from contactqp.scene.instant import Instant
 from contactqp.scene.meshing import nearest_node
 from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words

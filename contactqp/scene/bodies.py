@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ from contactqp.elements import loads, solid
 from contactqp.elements.facet import diameters
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
+from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.node_to_segment import pair_node_to_segment
-from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, pair
 from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.structure import Part, Structure, System
@@ -26,6 +26,7 @@ from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Units
 from contactqp.scene.body_loads import at_key, loads_of, supports_of
+from contactqp.scene.contact_entries import ContactEntries, PairedContact
 from contactqp.scene.corners import Factors, end_time, factors_at, has_corners
 from contactqp.scene.meshing import body_mesh
 from contactqp.scene.obstacles import height_of, obstacle
@@ -41,94 +42,50 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class PairedContact:
-    """One entry of the scene's contacts: many contacts in the problem, one for each paired node.
+class Surfaces(Protocol):
+    """Sides of bodies, numbered in one u."""
 
-    Attributes
-    ----------
-    name : str
-    body : str
-        The body or membrane that touches; of two bodies the slave.
-    pairing : Pairing
-    area : (p,) array
-        What the force of each is divided by to be a pressure [length^2]: with the thickness, and in axial symmetry of
-        the full circle.
-    friction : Fraction
-    """
+    @property
+    def size(self) -> int: ...
 
-    name: str
-    body: str
-    pairing: Pairing
-    area: Vector
-    friction: Fraction
+    def surface(self, body: str, side: str) -> Surface: ...
 
 
 @dataclass(frozen=True, eq=False)
-class BodyModel:
+class BodyModel(ContactEntries):
     """What a scene of bodies is made into, all numbers in the scene's units."""
 
     scene: Scene
     structure: Structure
     system: System
     supports: tuple[Held, ...]
-    contacts: tuple[PairedContact, ...]
     loads: Mapping[str, Vector]  # on all unknowns at their full values, by their names
 
     @cached_property
     def problem(self) -> ContactProblem:
-        """On the free unknowns. A contact is called ``floor 12``: its entry in the scene and its node."""
-        friction = np.concatenate([np.zeros(0), *[np.full(len(c.area), float(c.friction)) for c in self.contacts]])
+        """On the free unknowns."""
         with stage(BUILD):
             return self.system.problem(
                 [contact.pairing for contact in self.contacts],
-                friction=friction if friction.any() else None,
+                friction=self.row_friction,
                 units=Units(length=self.scene.units.length, force=self.scene.units.force),
-                names=[f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes],
+                names=self.row_names,
             )
+
+    @property
+    def kept(self) -> NDArray[np.int64]:
+        """Which rows of all pairings are contacts of the problem."""
+        return self.system.free_contacts([contact.pairing for contact in self.contacts])
 
     def load_on_all(self, time: Fraction) -> Vector:
         """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
         if not has_corners(self.scene):
             return float(time) * self.system.load
-        return _sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
+        return sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
 
     def load_at(self, time: Fraction) -> Vector:
         """The right-hand side under that load; prescribed displacements stay."""
         return np.asarray((self.load_on_all(time) - self.structure.stiffness @ self.system.given)[self.system.free])
-
-    def place(self, name: str) -> int:
-        """The place of an entry of the scene's contacts among them."""
-        return [contact.name for contact in self.contacts].index(name)
-
-    def normal_forces(self, name: str, solution: Solution) -> Vector:
-        """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
-        return self.of_entry(name, solution.normal_force, 0.0)
-
-    def pressures(self, name: str, solution: Solution) -> Vector:
-        """lambda / area of each paired node of one entry, (p,) [force / length^2], positive in compression."""
-        return self.normal_forces(name, solution) / self.contacts[self.place(name)].area
-
-    def friction_vectors(self, name: str, solution: Solution) -> Vector:
-        """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
-        pairing = self.contacts[self.place(name)].pairing
-        frames, along = tangent_frames(pairing.direction), self._tangential(name, solution.friction_force)
-        return np.asarray(np.einsum("pk,pkd->pd", along, frames))
-
-    def closed(self, name: str, solution: Solution) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press, (p,)."""
-        return self._has_status(name, solution, "closed", "stick", "slip")
-
-    def stuck(self, name: str, solution: Solution) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press and stick, (p,)."""
-        return self._has_status(name, solution, "stick")
-
-    def _has_status(self, name: str, solution: Solution, *statuses: str) -> NDArray[np.bool_]:
-        return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
-
-    def gaps(self, name: str, solution: Solution) -> Vector:
-        """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
-        return self.of_entry(name, solution.gap, np.nan)
 
     def displacement(self, solution: Solution) -> Vector:
         """u of all unknowns, prescribed ones included."""
@@ -156,21 +113,6 @@ class BodyModel:
         body = self.structure.body(held.body)
         return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
 
-    def _tangential(self, name: str, values: Any) -> Vector:
-        """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
-        width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
-        if values is None:
-            return np.zeros((len(self.contacts[self.place(name)].area), width))
-        return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
-
-    def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
-        """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
-        sizes = [len(contact.area) for contact in self.contacts]
-        every = np.full(sum(sizes), otherwise)
-        every[self.system.free_contacts([contact.pairing for contact in self.contacts])] = values
-        start = sum(sizes[: self.place(name)])
-        return every[start : start + sizes[self.place(name)]]
-
 
 def body_model(scene: Scene) -> BodyModel:
     """Meshes, structure, supports, loads and pairs of a scene.
@@ -183,7 +125,7 @@ def body_model(scene: Scene) -> BodyModel:
     bodies: list[Part] = []
     for i, body in enumerate(scene.bodies):
         with at_key(f"bodies[{i}] ({body.name!r})"):
-            bodies.append(_body(scene, body))
+            bodies.append(solid_body(scene, body, body_mesh(scene, body)))
     for i, membrane in enumerate(scene.membranes):
         with at_key(f"membranes[{i}] ({membrane.name!r})"):
             tension = number(scene.system, membrane.tension)
@@ -198,29 +140,38 @@ def body_model(scene: Scene) -> BodyModel:
     if has_corners(scene):
         for name, _ in acting:
             by_name[name] = whole.assemble((), [load for other, load in acting if other == name]).load
-        system = replace(system, load=_sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
+        system = replace(system, load=sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
     contacts = []
     for i, contact in enumerate(scene.contacts):
         with at_key(f"contacts[{i}] ({contact.name!r})"):
-            contacts.append(_contact(scene, whole, contact))
-    return BodyModel(scene, whole, system, tuple(supports), tuple(contacts), by_name)
+            if contact.membrane is not None:
+                contacts.append(_membrane_contact(scene, whole, contact, contact.membrane))
+            else:
+                contacts.append(paired_contact(scene, whole, contact))
+    return BodyModel(tuple(contacts), scene, whole, system, tuple(supports), by_name)
 
 
-def _sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
+def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
+    """The loads times their factors."""
     return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
-def _body(scene: Scene, body: Body) -> solid.Body:
+def solid_body(scene: Scene, body: Body, mesh: Mesh) -> solid.Body:
+    """An elastic body of the scene on its mesh."""
     density = 0.0 if body.density is None else number(scene.system, body.density)
     material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
     thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
-    return solid.Body(body_mesh(scene, body), material, body.model, thickness=thickness, name=body.name)
+    return solid.Body(mesh, material, body.model, thickness=thickness, name=body.name)
 
 
-def _contact(scene: Scene, whole: Structure, contact: Contact) -> PairedContact:
-    if contact.membrane is not None:
-        return _membrane_contact(scene, whole, contact, contact.membrane)
-    ends = [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
+def sides_of(contact: Contact) -> list[tuple[str, str]]:
+    """The bodies and sides of an entry of the scene's contacts."""
+    return [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
+
+
+def paired_contact(scene: Scene, whole: Surfaces, contact: Contact) -> PairedContact:
+    """An entry of the scene's contacts between sides of bodies, or one side and an obstacle."""
+    ends = sides_of(contact)
     surfaces = [whole.surface(*end) for end in ends]
     overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
     if contact.obstacle is not None:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from contactqp.elements.solid import Body
-from contactqp.scene.bodies import BodyModel, PairedContact
+from contactqp.scene.bodies import BodyModel
+from contactqp.scene.contact_entries import PairedContact
 from contactqp.scene.explanation import (
     BuildingBlock,
     Explanation,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.elements import shapes
+from contactqp.elements.lattice import Lattice
 from contactqp.elements.membrane import Membrane as MembranePart
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mesh_files import read_mesh
@@ -25,6 +27,16 @@ if TYPE_CHECKING:
 NEAR = 0.01
 
 
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The node of a mesh nearest to a point: its number, where it is, and the smallest element that has it [length]."""
+
+    apart: float
+    node: int
+    at: tuple[float, ...]
+    smallest: float
+
+
 def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
     """The mesh of a body in the scene's unit of length.
 
@@ -36,20 +48,22 @@ def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
         A file that needs meshio, which is not installed.
     """
     if body.shape is not None:
-        return _mesh_of_shape(scene, body.shape)
+        return lattice_of_shape(scene, body.shape).mesh()
     if body.mesh is not None:
-        return _mesh_of_file(scene, body.mesh)
+        return mesh_of_file(scene, body.mesh)
     raise InvalidProblem("expected 'shape' or 'mesh', got neither")
 
 
-def _mesh_of_file(scene: Scene, source: MeshFile) -> Mesh:
+def mesh_of_file(scene: Scene, source: MeshFile) -> Mesh:
+    """The mesh in the file, in the scene's unit of length."""
     folder = Path() if scene.file is None else scene.file.parent
     mesh = read_mesh(folder / source.file, part=source.part, drop_unconnected=source.drop_unconnected)
     scale = float(read_unit(source.unit)[0] / read_unit(scene.units.length)[0])
     return mesh if scale == 1 else mesh.mapped(lambda points: scale * points)
 
 
-def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
+def lattice_of_shape(scene: Scene, shape: Shape) -> Lattice:
+    """The mesh of a shape before it is made, in the scene's unit of length."""
     options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
     for key, name in (("corner", "corner"), ("centre", "center")):
         if getattr(shape, key) is not None:
@@ -59,17 +73,17 @@ def _mesh_of_shape(scene: Scene, shape: Shape) -> Mesh:
     size: Any = None if shape.size is None else vector(scene.system, shape.size)
     radius = 0.0 if shape.radius is None else number(scene.system, shape.radius)
     if shape.kind == "rectangle":
-        return shapes.rectangle(size[0], size[1], divisions, shape.element, **options)
+        return shapes.rectangle.lattice(size[0], size[1], divisions, shape.element, **options)
     if shape.kind == "box":
         options |= {} if shape.crown is None else {"crown": number(scene.system, shape.crown)}
-        return shapes.box(size, divisions, shape.element, **options)
+        return shapes.box.lattice(size, divisions, shape.element, **options)
     if shape.kind == "cylinder":
         height = 0.0 if shape.height is None else number(scene.system, shape.height)
-        return shapes.cylinder(radius, height, divisions, shape.element, **options)
+        return shapes.cylinder.lattice(radius, height, divisions, shape.element, **options)
     if shape.kind == "ball":
-        return shapes.ball(radius, divisions, shape.element, **options)
+        return shapes.ball.lattice(radius, divisions, shape.element, **options)
     discs = {"disc": shapes.disc, "half-disc": shapes.half_disc, "quarter-disc": shapes.quarter_disc}
-    return discs[shape.kind](radius, divisions, shape.element, **options)
+    return discs[shape.kind].lattice(radius, divisions, shape.element, **options)
 
 
 def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
@@ -80,15 +94,26 @@ def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
     InvalidProblem
         There is none so near: a neighbour would be held, loaded or asked instead. The nearest is named.
     """
+    return near_enough(nearest_to(body, point), what)
+
+
+def nearest_to(body: Part, point: ArrayLike) -> Nearest:
+    """The node of a body or membrane nearest to a point, however far."""
     points = body.points if isinstance(body, MembranePart) else body.mesh.points
     apart = np.linalg.norm(points - np.asarray(point), axis=1)
     node = int(np.argmin(apart))
     around = [points[block.nodes[(block.nodes == node).any(axis=1)]] for block in body.mesh.blocks]
     smallest = min(float(np.linalg.norm(np.ptp(x, axis=1), axis=1).min()) for x in around if len(x))
-    if apart[node] > NEAR * smallest:
-        at = ", ".join(f"{x:.9g}" for x in points[node])
+    return Nearest(float(apart[node]), node, tuple(points[node].tolist()), smallest)
+
+
+def near_enough(nearest: Nearest, what: str) -> int:
+    """Its number, if it is within NEAR of its smallest element; as `nearest_node`."""
+    reach = NEAR * nearest.smallest
+    if nearest.apart > reach:
+        at = ", ".join(f"{x:.9g}" for x in nearest.at)
         raise InvalidProblem(
-            f"near: expected a node of {what} within {NEAR * smallest:.3g} of the point (1 % of an element), got the "
-            f"nearest, node {node} at ({at}), {apart[node]:.3g} away"
+            f"near: expected a node of {what} within {reach:.3g} of the point (1 % of an element), got the "
+            f"nearest, node {nearest.node} at ({at}), {nearest.apart:.3g} away"
         )
-    return node
+    return nearest.node

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,15 @@ class Nodes:
         Ranks.
     place : (N,) array of int
         In PETSc's order: rank after rank, those of a rank by their numbers.
+    first : int
+        The place of the first that this rank owns.
     """
 
     ranks: Ranks
     numbers: Index
     owners: Index
     place: Index
+    first: int
 
     @cached_property
     def own(self) -> Index:
@@ -47,11 +51,6 @@ class Nodes:
         """(N - k,) which of the nodes others own."""
         return np.flatnonzero(self.owners != self.ranks.rank)
 
-    @cached_property
-    def first(self) -> int:
-        """The place of the first that this rank owns."""
-        return self.ranks.first(len(self.own))
-
     def summed(self, values: Array) -> Array:
         """(k, c) at own nodes, from what each rank brings to all of its nodes (N, c). Collective."""
         total = values[self.own]
@@ -59,16 +58,15 @@ class Nodes:
         np.add.at(total, came - self.first, brought)
         return np.asarray(total)
 
-    def spread(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """(N, ...) at all nodes of this rank, from those of the own (k, ...). Collective."""
         every = np.empty((len(self.numbers), *values.shape[1:]), dtype=values.dtype)
         every[self.own] = values
-        first = self.first
         every[self.ghosts] = asked(
             self.ranks,
             self.owners[self.ghosts],
             self.place[self.ghosts],
-            lambda came, _: (values[came - first],),
+            lambda came, _: (values[came - self.first],),
         )[0]
         return every
 
@@ -85,4 +83,4 @@ def number_nodes(ranks: Ranks, meshes: Sequence[DealtMesh]) -> Nodes:
     place[ghosts] = asked(
         ranks, owners[ghosts], numbers[ghosts], lambda came, _: (first + np.searchsorted(mine, came),)
     )[0]
-    return Nodes(ranks, numbers, owners, place)
+    return Nodes(ranks, numbers, owners, place, first)

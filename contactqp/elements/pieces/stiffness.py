@@ -14,6 +14,7 @@ from contactqp.elements.assembly import pattern
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pieces.nodes import Nodes
 from contactqp.elements.solid import Body
+from contactqp.elements.structure import Part
 
 Index = NDArray[np.int64]
 
@@ -61,7 +62,8 @@ def _add(K: Any, body: Body, part: Block, place: NDArray[Any]) -> None:
 def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
     """How many nodes of this rank and of others each own node meets in elements of any rank."""
     ranks, first, count = nodes.ranks, nodes.first, len(nodes.own)
-    meeting = _meeting(bodies, len(nodes.numbers))
+    has = incidence(bodies)
+    meeting = sp.csr_matrix(has @ has.T)
     row = np.repeat(np.arange(len(nodes.numbers)), np.diff(meeting.indptr))
     place, other = nodes.place[row], nodes.place[meeting.indices]
     foreign = nodes.owners[row] != ranks.rank
@@ -80,8 +82,8 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
     return np.bincount(rows[here], minlength=count), np.bincount(rows[~here], minlength=count)
 
 
-def _meeting(bodies: Sequence[Body], nodes: int) -> Any:
-    """Which nodes of this rank meet in its elements, (nodes, nodes) CSR."""
+def incidence(bodies: Sequence[Part]) -> Any:
+    """Which nodes the elements of this rank have: (nodes, elements) CSR of ones."""
     element, node, first, elements = [], [], 0, 0
     for body in bodies:
         for block in body.mesh.blocks:
@@ -89,8 +91,6 @@ def _meeting(bodies: Sequence[Body], nodes: int) -> Any:
             node.append(first + block.nodes.ravel())
             elements += len(block)
         first += len(body.mesh.points)
-    if not elements:
-        return sp.csr_matrix((nodes, nodes))
-    rows, columns = np.concatenate(node), np.concatenate(element)
-    has = sp.csr_matrix((np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(nodes, elements))
-    return (has @ has.T).tocsr()
+    none = np.zeros(0, dtype=np.int64)
+    rows, columns = np.concatenate([none, *node]), np.concatenate([none, *element])
+    return sp.csr_matrix((np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(first, elements))

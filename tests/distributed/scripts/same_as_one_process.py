@@ -1,0 +1,75 @@
+"""The problem of a shipped case in pieces is that of one process: K, loads, contacts, names, on any number of ranks."""
+
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+import contactqp as cq
+from contactqp.distributed.ranks import Ranks
+from contactqp.scene.models import build
+from contactqp.scene.pieces import distributed_model
+from contactqp.violations import bodies
+
+ranks = Ranks()
+ROUNDING = 1e-12
+
+
+def close(a, b, what):
+    size = np.max(np.abs(b), initial=0.0)
+    assert a.shape == b.shape, f"{what}: {a.shape} and {b.shape}"
+    assert np.max(np.abs(a - b), initial=0.0) <= ROUNDING * size, f"{what}: off by {np.max(np.abs(a - b))} of {size}"
+
+
+def compare(path):
+    scene = cq.load_scene(path)
+    serial, model = build(scene), distributed_model(scene, ranks)
+    one, d = serial.problem, model.problem
+    n, m = one.dimension, one.contacts
+    assert d.dimension == n
+    assert int(ranks.sum(d.contacts)) == m
+    assert np.array_equal(d.held, d.dof_number < 0)
+
+    def whole(values):
+        return d.whole(values, d.dof_number)
+
+    assert np.array_equal(np.sort(whole(d.dof_number)), np.arange(n)), "every free unknown has one rank"
+    u = np.random.default_rng(1).standard_normal(n)
+    here = np.where(d.held, 0.0, u[d.dof_number])
+    close(whole(d.product(here)), one.stiffness @ u, "K u")
+    close(whole(d.diagonal), one.stiffness.diagonal(), "diagonal of K")
+    assert np.all(d.diagonal > 0)
+    held_only = np.where(d.held, 1.0, 0.0)
+    close(d.product(held_only), np.where(d.held, d.diagonal, 0.0), "rows of held unknowns")
+    close(whole(d.load), one.load, "load")
+    assert not d.load[d.held].any()
+    assert not d.near_null_space[d.held].any()
+    close(d.whole(d.normal.lengths(here), d.contact_number), one.normal @ u, "E_N u")
+    close(d.whole(d.gap, d.contact_number), one.gap, "gap")
+    force = np.random.default_rng(2).standard_normal(m)
+    close(whole(d.normal.forces(force[d.contact_number])), one.normal.T @ force, "E_N' l")
+    close(whole(d.near_null_space), one.near_null_space, "rigid motions")
+    assert np.array_equal(whole(d.body), bodies(one)), "bodies"
+    for i, number in enumerate(d.contact_number):
+        assert d.contact_name(i) == one.contact_name(int(number))
+    for i in np.flatnonzero(~d.held)[::7]:
+        assert d.dof_name(int(i)) == one.dof_name(int(d.dof_number[i]))
+    assert (d.tangent is None) == (one.tangent is None)
+    if d.tangent is not None:
+        per = one.slip_origin.shape[1]
+        slips = d.tangent.lengths(here).reshape(-1, per)
+        close(d.whole(slips, d.contact_number), (one.tangent @ u).reshape(-1, per), "E_T u")
+        close(d.whole(d.friction, d.contact_number), one.friction, "friction")
+        close(d.whole(d.slip_origin, d.contact_number), one.slip_origin, "slip origin")
+    for ours, theirs in zip(model.contacts, serial.contacts, strict=True):
+        close(ours.area, theirs.area, "areas")
+        assert np.array_equal(ours.pairing.nodes, theirs.pairing.nodes)
+    for time in (Fraction(1, 3), Fraction(1)):
+        close(whole(model.load_at(time)), serial.load_at(time), f"load at {time}")
+
+
+for path in sys.argv[1:]:
+    compare(Path(path))
+    if ranks.rank == 0:
+        print(f"{Path(path).stem}: the same on {ranks.size}", flush=True)
