@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.free_contacts import FreeContacts, free_contacts
+from contactqp.elements.pairing import Pairing
 from contactqp.elements.pieces.dealing import deal
 from contactqp.elements.pieces.mesh_piece import MeshPiece
 from contactqp.elements.pieces.nodes import number_nodes
 from contactqp.elements.pieces.sources import FileSource, LatticeSource, Source
 from contactqp.elements.pieces.system import PieceSystem, prescribed_of
 from contactqp.elements.pieces.touching import Touching, touching
-from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import Part, Structure
 from contactqp.elements.structure import Support as Held
 from contactqp.errors import Unsupported

@@ -12,6 +12,7 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.elements.boundary import facet_keys, groups
 from contactqp.elements.pieces.asking import asked
 from contactqp.elements.pieces.sources import OUTSIDE, Share
+from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
 
 Index = NDArray[np.int64]
@@ -65,8 +66,6 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> Neighbours:
 
 
 def _corners(share: Share) -> int:
-    from contactqp.elements.reference import REFERENCES
-
     return REFERENCES[share.kind.facet].corners
 
 

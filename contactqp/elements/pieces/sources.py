@@ -43,7 +43,7 @@ class Share:
     @property
     def facets(self) -> Index:
         """The nodes of all facets, element by element: (E facets, k)."""
-        return self.nodes[:, list(self.kind.facets)].reshape(self.marks.size, -1)
+        return self.nodes[:, list(self.kind.facets)].reshape(self.marks.size, len(self.kind.facets[0]))
 
 
 class Source(Protocol):
