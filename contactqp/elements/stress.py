@@ -6,6 +6,7 @@ radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,15 +59,23 @@ def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
     InvalidProblem
         The displacement is not (N d,).
     """
+    total, count = stress_sums(body, displacement, body.mesh.blocks)
+    return total / count
+
+
+def stress_sums(
+    body: Body, displacement: ArrayLike, blocks: Sequence[Block]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is in."""
     u = _displacement(body, displacement)
     N = len(body.mesh.points)
     total, count = np.zeros((N, 6)), np.zeros((N, 1))
-    for block in body.mesh.blocks:
+    for block in blocks:
         geometry = Geometry(block.kind, body.mesh.points[block.nodes], _SAMPLES[block.kind.name].points)
         continued = np.matmul(_continuation(block.kind), _stress(body, block, geometry, u))
         total += sum_at_nodes(block, continued, N)
         count += sum_at_nodes(block, np.ones((*block.nodes.shape, 1)), N)
-    return total / count
+    return total, count
 
 
 def von_mises(stress: ArrayLike) -> NDArray[np.float64]:

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.stress import stress_at_nodes, von_mises
+from contactqp.elements.stress import von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.bodies import BodyModel
 from contactqp.scene.claims import Claim
 from contactqp.scene.contact_entries import PairedContact
 from contactqp.scene.instant import Instant
-from contactqp.scene.meshing import nearest_node
 from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import vector
@@ -48,7 +47,7 @@ class BodyAnswer:
 
     def _node_at(self, claim: Claim, body: str) -> int:
         try:
-            return nearest_node(self.model.structure.body(body), self.near(claim), f"the body {body!r}")
+            return self.model.node_at(body, self.near(claim))
         except InvalidProblem as error:
             raise SceneError(f"{claim}: {error}") from None
 
@@ -63,15 +62,14 @@ class BodyAnswer:
 
 
 def _node_displacement(claim: Claim, answer: BodyAnswer) -> float:
-    u = answer.model.structure.displacements(str(claim.at), answer.model.displacement(answer.solution))
-    axes = answer.model.structure.body(str(claim.at)).axes
-    return float(u[answer.node(claim), axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
+    body = str(claim.at)
+    u = answer.model.displacement_at(body, answer.node(claim), answer.solution)
+    axes = answer.model.structure.body(body).axes
+    return float(u[axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
 
 
 def _stress(claim: Claim, answer: BodyAnswer) -> float:
-    body = answer.model.structure.solid(str(claim.at))
-    u = answer.model.structure.displacements(body.name, answer.model.displacement(answer.solution))
-    stress = stress_at_nodes(body, u.ravel())[answer.node(claim)]
+    stress = answer.model.stress_at(str(claim.at), answer.node(claim), answer.solution)
     if claim.component == "von-mises":
         return float(von_mises(stress))
     return float(stress[COMPONENTS.index(str(claim.component))])
@@ -79,11 +77,9 @@ def _stress(claim: Claim, answer: BodyAnswer) -> float:
 
 def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
     """The sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
-    model, contact = answer.model, answer.contact(claim)
-    forces = -(contact.pairing.normal.T @ model.normal_forces(contact.name, answer.solution))
-    on_body = model.structure.displacements(contact.body, forces)
-    axes = model.structure.body(contact.body).axes
-    return float(on_body[:, axes.index(str(claim.along))].sum()) if str(claim.along) in axes else 0.0
+    forces = answer.model.resultant(str(claim.at), answer.solution)
+    axes = answer.model.structure.body(answer.contact(claim).body).axes
+    return float(forces[axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
 
 
 def _half_width(claim: Claim, answer: BodyAnswer, nodes: NDArray[np.bool_]) -> float:
@@ -103,15 +99,13 @@ def _friction_traction(claim: Claim, answer: BodyAnswer) -> float:
 
 
 def _energy(_: Claim, answer: BodyAnswer) -> float:
-    u, load = answer.model.displacement(answer.solution), answer.model.load_on_all(answer.instant.time)
-    return float(u @ (answer.model.structure.stiffness @ u) / 2 - load @ u)
+    return answer.model.energy(answer.solution, answer.instant.time)
 
 
 def _support_force(claim: Claim, answer: BodyAnswer) -> float:
     """Summed over the nodes of the support; a node that two supports hold along one axis counts in both."""
     i = [support.name for support in answer.scene.supports].index(str(claim.at))
-    forces = answer.model.support_forces(answer.solution, answer.instant.time)
-    return float(forces[answer.model.held_by(i)].sum())
+    return answer.model.support_force(i, answer.solution, answer.instant.time)
 
 
 def _pressures(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
@@ -125,7 +119,7 @@ def _node_velocity(claim: Claim, answer: BodyAnswer) -> float:
 
 
 def _event_time(claim: Claim, answer: BodyAnswer) -> float:
-    numbers = answer.model.of_entry(str(claim.at), np.arange(answer.model.problem.contacts), -1.0)
+    numbers = answer.model.of_entry(str(claim.at), np.arange(len(answer.model.kept)), -1.0)
     return float(answer.instant.event(claim, [int(i) for i in numbers if i >= 0]).time)
 
 

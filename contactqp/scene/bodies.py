@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements import loads, solid
 from contactqp.elements.facet import diameters
@@ -20,6 +20,7 @@ from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.pairing import Pairing, pair
 from contactqp.elements.scalar_pairing import pair_scalar
+from contactqp.elements.stress import stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
@@ -28,7 +29,7 @@ from contactqp.problem import ContactProblem, Units
 from contactqp.scene.body_loads import at_key, loads_of, supports_of
 from contactqp.scene.contact_entries import ContactEntries, PairedContact
 from contactqp.scene.corners import Factors, end_time, factors_at, has_corners
-from contactqp.scene.meshing import body_mesh
+from contactqp.scene.meshing import body_mesh, nearest_node
 from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number
 from contactqp.solution import Solution
@@ -91,6 +92,39 @@ class BodyModel(ContactEntries):
         """u of all unknowns, prescribed ones included."""
         return self.system.expand(solution.displacement)
 
+    def node_at(self, body: str, point: ArrayLike) -> int:
+        """The node of a body at a point."""
+        return nearest_node(self.structure.body(body), point, f"the body {body!r}")
+
+    def displacement_at(self, body: str, node: int, solution: Solution) -> Vector:
+        """(d,) of a node of a body."""
+        return np.asarray(self.structure.displacements(body, self.displacement(solution))[node])
+
+    def stress_at(self, body: str, node: int, solution: Solution) -> Vector:
+        """(6,) at a node of a body, the mean over its elements."""
+        u = self.structure.displacements(body, self.displacement(solution))
+        return np.asarray(stress_at_nodes(self.structure.solid(body), u.ravel())[node])
+
+    def resultant(self, name: str, solution: Solution) -> Vector:
+        """(d,) the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave."""
+        contact = self.contacts[self.place(name)]
+        forces = -(contact.pairing.normal.T @ self.normal_forces(name, solution))
+        return np.asarray(self.structure.displacements(contact.body, forces).sum(axis=0))
+
+    def ranges(self, body: str, field: Vector) -> Vector:
+        """(d, 2) the lowest and the highest value of a field on all unknowns, at the nodes of a body."""
+        values = self.structure.displacements(body, field)
+        return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
+
+    def energy(self, solution: Solution, time: Fraction) -> float:
+        """1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
+        u = self.displacement(solution)
+        return float(u @ (self.structure.stiffness @ u) / 2 - self.load_on_all(time) @ u)
+
+    def support_force(self, support: int, solution: Solution, time: Fraction) -> float:
+        """What an entry of the scene's supports does to its body, along its axis."""
+        return float(self.support_forces(solution, time)[self.held_by(support)].sum())
+
     def velocity(self, free: Vector) -> Vector:
         """v of all unknowns from that of the free ones; supports stand still."""
         every = np.zeros(self.structure.size)
@@ -103,7 +137,7 @@ class BodyModel(ContactEntries):
         for contact in self.contacts:
             pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
             if solution.friction_force is not None:
-                along = self._tangential(contact.name, solution.friction_force)
+                along = self.tangential(contact.name, solution.friction_force)
                 pressed = pressed + contact.pairing.tangent.T @ along.ravel()
         return self.system.support_forces(self.displacement(solution), pressed)
 

@@ -91,7 +91,7 @@ class ContactEntries:
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
         """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
         pairing = self.contacts[self.place(name)].pairing
-        frames, along = tangent_frames(pairing.direction), self._tangential(name, solution.friction_force)
+        frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
         return np.asarray(np.einsum("pk,pkd->pd", along, frames))
 
     def closed(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
@@ -109,7 +109,7 @@ class ContactEntries:
         """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
         return self.of_entry(name, solution.gap, np.nan)
 
-    def _tangential(self, name: str, values: Any) -> Vector:
+    def tangential(self, name: str, values: Any) -> Vector:
         """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:

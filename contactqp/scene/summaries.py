@@ -32,9 +32,9 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
         header += [f"lowest velocity [{length}/s]", f"highest [{length}/s]"]
     rows: list[list[str | float]] = []
     for body in model.structure.bodies:
-        ranges = [model.structure.displacements(body.name, field) for field in fields]
+        ranges = [model.ranges(body.name, field) for field in fields]
         for i, axis in enumerate(body.axes):
-            rows.append([body.name, axis, *(float(x) for r in ranges for x in (r[:, i].min(), r[:, i].max()))])
+            rows.append([body.name, axis, *(float(x) for r in ranges for x in r[i])])
     yield header, rows
     header = ["contact", "nodes", "pressing", f"normal force [{force}]", f"peak pressure [{pressure}]"]
     header.append(f"smallest gap [{length}]")

@@ -81,6 +81,30 @@ class PieceSystem:
                 total[first : first + body.size] += acting.forces(body)
         return self.nodes.summed(total.reshape(-1, self.dimension)).ravel()
 
+    def at_held(self, displacement: Vector) -> Vector:
+        """K u at held unknowns, 0 at free ones: (k d,), from the u of all own unknowns. Collective."""
+        rows = self.parts.of_held
+        at, into = rows.createVecs()
+        at.array[:] = displacement
+        rows.mult(at, into)
+        found = np.zeros(len(self.held))
+        found[self.held] = into.array
+        return found
+
+    def own_nodes(self, body: str, number: int | None = None) -> Index:
+        """The places among own nodes of those of a body, or of the one with a number in it."""
+        mesh = self.structure.body(body).mesh
+        if number is not None:
+            return self.own_places(body, mesh.places(body, np.array([number])))
+        first = self.structure.first(body) // self.dimension
+        mine = self.nodes.own[(self.nodes.own >= first) & (self.nodes.own < first + len(mesh.points))]
+        return np.asarray(self.nodes.place[mine] - self.nodes.first)
+
+    def own_places(self, body: str, nodes: Index) -> Index:
+        """The places among own nodes of those that the piece of a body has at `nodes`, all own."""
+        first = self.structure.first(body) // self.dimension
+        return np.asarray(self.nodes.place[first + nodes] - self.nodes.first)
+
     def right_side(self, load: Vector) -> Vector:
         """f - K u_prescribed at free unknowns, 0 at held ones: (k d,) [force]."""
         return np.where(self.held, 0.0, load - self.parts.of_given)

@@ -69,6 +69,13 @@ class Touching:
         """The number of a body's first node in the whole structure."""
         return int(self.firsts[[part.name for part in self.structure.bodies].index(body)])
 
+    def of_body(self, body: str) -> NDArray[np.bool_]:
+        """Which nodes a body has, (t,)."""
+        first = self.first(body)
+        total = self.structure.body(body).mesh.total
+        mask: NDArray[np.bool_] = (self.numbers >= first) & (self.numbers < first + total)
+        return mask
+
     def named(self, body: str, pairing: Pairing) -> Pairing:
         """The pairing with its nodes as the body numbers them."""
         return replace(pairing, nodes=self.in_body(body, pairing.nodes), unpaired=self.in_body(body, pairing.unpaired))
