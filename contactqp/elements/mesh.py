@@ -101,6 +101,10 @@ class Mesh:
         """How many nodes there are."""
         return len(self.points)
 
+    def number(self, node: int) -> int:
+        """What messages call a node."""
+        return int(node)
+
     def side(self, name: str) -> tuple[Block, ...]:
         """The facets of a side, turned outward, one block for each kind of facet.
 

@@ -67,7 +67,8 @@ class Body:
             raise InvalidProblem(f"{self.name}: the model {self.model!r} has no thickness, got {self.thickness}")
         if self.model == "axisymmetric" and self.mesh.points[:, 0].min(initial=0.0) < 0:
             i = int(np.argmin(self.mesh.points[:, 0]))
-            raise InvalidProblem(f"{self.name}: expected radii x >= 0, got {self.mesh.points[i, 0]:.6g} at node {i}")
+            at = f"{self.mesh.points[i, 0]:.6g} at node {self.mesh.number(i)}"
+            raise InvalidProblem(f"{self.name}: expected radii x >= 0, got {at}")
 
     @property
     def dimension(self) -> int:

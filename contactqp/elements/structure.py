@@ -176,9 +176,10 @@ class Structure:
             other = np.flatnonzero(abs(before - values) > ROUNDING * size)
             if other.size:
                 i = other[0]
+                node, axis = body.mesh.number(nodes[i]), body.axes[support.axis]
                 raise InvalidProblem(
-                    f"support of {body.name!r}: node {nodes[i]} along {body.axes[support.axis]} is to move by "
-                    f"{values[i]:.12g} and, by another support, by {before[i]:.12g}"
+                    f"support of {body.name!r}: node {node} along {axis} is to move by {values[i]:.12g} and, by "
+                    f"another support, by {before[i]:.12g}"
                 )
             prescribed[places] = values
         return prescribed

@@ -131,7 +131,9 @@ class DistributedBodyModel(ContactEntries):
         total, count = np.zeros(6), 0.0
         for place in np.flatnonzero(node_numbers_of(part) == node):
             around = [Block(b.kind, b.nodes[(b.nodes == place).any(axis=1)]) for b in part.mesh.blocks]
-            sums, counts = stress_sums(part, self.structure.displacements(body, every).ravel(), around)
+            sums, counts = stress_sums(
+                part, self.structure.displacements(body, every).ravel(), [b for b in around if len(b)]
+            )
             total, count = sums[place], float(counts[place, 0])
         return np.asarray(self.ranks.sum(total) / self.ranks.sum(count))
 

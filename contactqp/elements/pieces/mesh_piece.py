@@ -60,6 +60,10 @@ class MeshPiece(Mesh):
         """How many nodes the whole mesh has."""
         return self.whole
 
+    def number(self, node: int) -> int:
+        """Its number in the whole mesh."""
+        return int(self.numbers[node])
+
     def places(self, what: str, numbers: Index) -> Index:
         """The nodes of these numbers that this rank owns."""
         wanted = super().places(what, numbers)
