@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from contactqp.distributed.solution import DistributedSolution
     from contactqp.local_solution import LocalSolution
     from contactqp.solution import Candidate, Solution
 
-    AnySolution = Solution | LocalSolution | DistributedSolution
+    AnySolution: TypeAlias = Solution | LocalSolution | DistributedSolution
 
 
 class ContactQPError(Exception):

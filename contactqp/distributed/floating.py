@@ -17,17 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import UNRESISTED
+from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium
 from contactqp.polishing import shift_within_gaps
 
 Array = NDArray[np.float64]
-# A motion that costs this part of what its unknowns, each alone, would cost is rigid (`contactqp.iteration`).
-FLOATING = 1e-12
-# Motions that differ by this part of their size are one.
-SAME_MOTION = 1e-10
 # A load that does this part of its work on a motion does none: it is rounding.
 BALANCED = 1e-10
 # What is left of a motion by rows that hold it, squared.
@@ -44,14 +42,14 @@ class Floating:
     Attributes
     ----------
     motions : (n_here, r) array
-        Z, orthonormal in the metric of D = diag K; no columns where all bodies are held.
+        Z, orthonormal in the metric of D; no columns where all bodies are held.
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
         self._ranks, self._rows = problem.ranks, rows
         self._contacts = problem.contacts
-        self._diagonal = problem.diagonal
-        self.motions = rigid_motions(problem)
+        self._diagonal = problem.metric
+        self.motions = _motions(problem)
         self._stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
 
     @property
@@ -141,42 +139,17 @@ class Floating:
         return np.asarray(weight * (self.moved @ (np.linalg.pinv(gram, rcond=HELD, hermitian=True) @ work)))
 
 
-def rigid_motions(problem: DistributedProblem) -> Array:
-    """(n_here, r): combinations of the near-null-space that cost a body nothing, D-orthonormal, body by body.
-
-    A motion b is rigid where b'Kb <= FLOATING b'Db.
-    """
-    ranks, D, B = problem.ranks, problem.diagonal, problem.near_null_space
-    forces = np.column_stack([problem.product(b) for b in B.T] or [np.zeros((len(D), 0))])
-    count = int(ranks.max(int(problem.body.max(initial=-1)))) + 1
-    q = B.shape[1]
-    energy, size = (ranks.sum(_by_body(problem.body, count, B, part)) for part in (forces, D[:, None] * B))
-    motions = []
-    for body in range(count):
-        combination = _rigid(energy[body], size[body]) if q else np.zeros((0, 0))
-        motions += [np.where(problem.body == body, B @ a, 0.0) for a in combination.T]
-    return np.column_stack(motions) if motions else np.zeros((len(D), 0))
-
-
-def _by_body(body: NDArray[np.int64], count: int, B: Array, C: Array) -> Array:
-    """(bodies, q, q) B'C of each body."""
-    q = B.shape[1]
-    out = np.empty((count, q, q))
-    for i in range(q):
-        for j in range(q):
-            out[:, i, j] = np.bincount(body, B[:, i] * C[:, j], count)
-    return out
-
-
-def _rigid(energy: Array, size: Array) -> Array:
-    """The combinations a with a'(B'KB)a <= FLOATING a'(B'DB)a, orthonormal in B'DB."""
-    scale = np.sqrt(np.maximum(np.diag(size), 0.0))
-    scale = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    values, vectors = np.linalg.eigh(scale[:, None] * size * scale)
-    kept = values > SAME_MOTION * values[-1]
-    basis = scale[:, None] * (vectors[:, kept] / np.sqrt(values[kept]))
-    costs, turned = np.linalg.eigh(basis.T @ ((energy + energy.T) / 2) @ basis)
-    return np.asarray(basis @ turned[:, costs <= FLOATING])
+def _motions(problem: DistributedProblem) -> Array:
+    """(n_here, r): those of all bodies, D-orthonormal, body by body. Collective."""
+    ranks, bodies = problem.ranks, Bodies(problem.ranks, problem.body)
+    found = floating_bodies(problem, bodies)
+    columns = [
+        np.where(problem.body == body, motion, 0.0)
+        for body in np.unique(ranks.gathered(bodies.number[found.floats]))
+        for motion in found.motions.T
+    ]
+    acting = [z for z in columns if ranks.any(z != 0)]
+    return np.column_stack(acting) if acting else np.zeros((len(problem.load), 0))
 
 
 def _rest(work: Vector, moved: Array, limit: Vector, contact: NDArray[np.bool_]) -> tuple[Vector | str, Vector]:

@@ -18,6 +18,7 @@ from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
+from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.violations import ratio
 
 
@@ -38,7 +39,7 @@ class DistributedIteration(ContactIteration):
         self._ranks, self._problem = problem.ranks, problem
         self.rows = stacked([problem.normal, problem.tie], problem.stiffness)
         self._row_sizes = abs(self.rows.entries)
-        self._compliance = self.rows.near(1 / problem.diagonal)
+        self._compliance = self.rows.near(1 / problem.metric)
         often = self.rows.spread(np.bincount(self.rows.entries.indices, minlength=len(self.rows.touched)).astype(float))
         self.floating = Floating(problem, self.rows, self.own_compliance)
         self._precondition = Preconditioner(problem, self.floating.motions, solver)
@@ -65,7 +66,7 @@ class DistributedIteration(ContactIteration):
     @property
     def diagonal(self) -> Vector:
         """D = diag K (n_here,) [force / length]."""
-        return self._problem.diagonal
+        return self._problem.metric
 
     @cached_property
     def own_compliance(self) -> Vector:
@@ -78,7 +79,7 @@ class DistributedIteration(ContactIteration):
 
     def product_sizes(self, x: Vector) -> Vector:
         """|K||x|."""
-        return self._problem.product_sizes(x)
+        return stiffness_sizes(self._problem, abs(x))
 
     def lengths(self, x: Vector) -> Vector:
         """E x."""

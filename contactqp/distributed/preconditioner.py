@@ -48,7 +48,7 @@ class Preconditioner:
     problem : DistributedProblem
         Its K and near-null-space.
     motions : (n_here, r) array
-        Rigid motions of bodies that float: on these M is that of K + LIFT diag K.
+        Rigid motions of bodies that float: on these M is that of K + LIFT D.
     solver : str
         ``"gamg"`` (smoothed aggregation), ``"hypre"`` (BoomerAMG) or ``"mumps"``, which factorises.
 
@@ -92,7 +92,7 @@ class Preconditioner:
         diagonal = problem.stiffness.getDiagonal()
         afloat = np.isin(problem.body, problem.ranks.gathered(np.unique(problem.body[np.any(motions != 0, axis=1)])))
         lifted = diagonal.copy()
-        lifted.array[:] *= np.where(afloat, 1 + LIFT, 1.0)
+        lifted.array[:] += np.where(afloat, LIFT * problem.metric, 0.0)
         problem.stiffness.setDiagonal(lifted)
         self._pc.setUp()
         problem.stiffness.setDiagonal(diagonal)

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.ranks import Ranks, Vector
@@ -16,8 +15,6 @@ from contactqp.distributed.rows import Rows
 from contactqp.problem import Units
 
 Numbers = NDArray[np.int64]
-# Rows of |K| that are formed at a time.
-CHUNK = 50_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,37 +107,18 @@ class DistributedProblem:
         """K_jj (n_here,)."""
         return np.array(self.stiffness.getDiagonal().array)
 
+    @cached_property
+    def metric(self) -> Vector:
+        """D (n_here,): K_jj, and the largest of them where an unknown has no stiffness. First asked collectively."""
+        largest = self.ranks.max(float(np.max(self.diagonal, initial=0.0))) or 1.0
+        return np.where(self.diagonal > 0, self.diagonal, largest)
+
     def product(self, x: Vector) -> Vector:
         """K x. Collective."""
         at, into = self._vectors
         at.array[:] = x
         self.stiffness.mult(at, into)
         return np.array(into.array)
-
-    def product_sizes(self, x: Vector) -> Vector:
-        """|K||x|; the rows of this rank are copied while it is formed. Collective."""
-        ghosts, outside = self._ghosts
-        every = np.concatenate([abs(x), abs(ghosts.near(x))])
-        begin, end = self.stiffness.getOwnershipRange()
-        indptr, indices, values = self.stiffness.getValuesCSR()
-        sizes = np.empty(len(x))
-        for first in range(0, len(x), CHUNK):
-            rows = slice(indptr[first], indptr[min(first + CHUNK, len(x))])
-            column = indices[rows]
-            here = (column >= begin) & (column < end)
-            place = np.where(here, column - begin, len(x) + np.searchsorted(outside, column))
-            ends = indptr[first : first + CHUNK + 1] - indptr[first]
-            part = sp.csr_matrix((abs(values[rows]), place, ends), shape=(len(ends) - 1, len(every)))
-            sizes[first : first + CHUNK] = part @ every
-        return sizes
-
-    @cached_property
-    def _ghosts(self) -> tuple[Rows, Numbers]:
-        """The unknowns of other ranks that K couples to those of this one."""
-        begin, end = self.stiffness.getOwnershipRange()
-        indices = self.stiffness.getValuesCSR()[1]
-        outside = np.unique(indices[(indices < begin) | (indices >= end)])
-        return Rows(sp.csr_matrix((0, len(outside))), outside, self.stiffness), outside
 
     @cached_property
     def _vectors(self) -> tuple[Any, Any]:

@@ -153,7 +153,7 @@ class PieceSystem:
             dof_number=self._free_numbers(),
             contact_number=mine.astype(np.int64),
             tie_number=np.zeros(0, dtype=np.int64),
-            units=None if units is None else Units(**units) if isinstance(units, dict) else units,
+            units=Units() if units is None else Units(**units) if isinstance(units, dict) else units,
             dof_name=self._name,
             contact_name=names.__getitem__,
             **tangential,
