@@ -31,7 +31,7 @@ FIRST = 0.3
 # A set is changed when the error on it is this part of what contradicts it; less where sets come back.
 TRUST, TIGHTER, LEAST_TRUST = 3.0, 0.1, 1e-6
 # Changes of the set, and steps on one of them, before the method gives up.
-SETS, STEPS = 200, 400
+SETS, STEPS = 200, 2000
 # Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13

@@ -31,7 +31,7 @@ def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:
     mine = np.flatnonzero(owner == ranks.rank)
     dofs = (size * mine[:, None] + np.arange(size)).ravel()
     new = (size * place[:, None] + np.arange(size)).ravel()  # the new number of each unknown
-    stiffness = _matrix(ranks, problem.stiffness_rows[dofs], new, size)
+    stiffness = _matrix(ranks, problem.stiffness_rows[dofs], dofs, new, size)
     dof_owner = np.repeat(owner, size)
 
     def part(rows: Any) -> NDArray[np.intp]:
@@ -99,10 +99,14 @@ def _owner_of_rows(rows: Any, owner: NDArray[np.intp]) -> NDArray[np.intp]:
     return found
 
 
-def _matrix(ranks: Ranks, rows: Any, new: NDArray[np.intp], size: int) -> Any:
+def _matrix(ranks: Ranks, rows: Any, dofs: NDArray[np.intp], new: NDArray[np.intp], size: int) -> Any:
+    """Rows of K in the new numbers: `rows` are those of the unknowns `dofs`."""
     PETSc = petsc()
-    csr = sp.csr_matrix((rows.data, new[rows.indices], rows.indptr), shape=rows.shape)
-    csr.sort_indices()
+    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    own = np.arange(rows.shape[0])
+    # PETSc wants a place for every diagonal entry, of an unknown without stiffness too.
+    entries = (np.append(rows.data, np.zeros(len(own))), (np.append(row, own), np.append(new[rows.indices], new[dofs])))
+    csr = sp.csr_matrix(sp.coo_matrix(entries, shape=rows.shape))
     K = PETSc.Mat().createAIJ(
         size=((rows.shape[0], len(new)), (rows.shape[0], len(new))),
         bsize=size,
