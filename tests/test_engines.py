@@ -77,3 +77,9 @@ def test_steps_are_kept_by_the_engine_of_several_ranks_alone(capsys, tmp_path):
         main(["run", str(BAR), "--checkpoint", str(tmp_path)])
     assert end.value.code == 2
     assert capsys.readouterr().err == "contactqp: --checkpoint: only --engine petsc keeps the steps of a load path\n"
+
+
+def test_readme_and_guide_have_the_recipe():
+    for page in ("README.md", "docs/guide/petsc.md"):
+        text = (FOLDER.parent / page).read_text(encoding="utf-8")
+        assert environment.RECIPE in " ".join(text.split())

@@ -55,10 +55,10 @@ def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, tmp_pa
 
 
 @pytest.fixture
-def kept(start_ranks, tmp_path):
+def kept(on_ranks, tmp_path):
     """A case and the folder of all its steps."""
     case, folder = path_case(tmp_path), tmp_path / "steps"
-    assert start_ranks(1, SCRIPTS / SCRIPT, case, folder).wait() == 0
+    on_ranks(SCRIPT, 1, case, folder)
     return case, folder
 
 
