@@ -10,6 +10,7 @@ import pytest
 from qpsolvers.solvers import solve_function
 
 from contactqp import methods
+from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
@@ -20,6 +21,7 @@ RUN_ELSEWHERE = {
     "docs/recipes.md": "tests/test_recipes.py",
     "docs/report.md": "tests/study/test_claims.py, on a report of a few cases",
 }
+GOES_ON = "mpiexec -n 4 python -m contactqp run case.toml --engine petsc --checkpoint steps"
 # A block by its page and first line, a command by its line: why it is not run here.
 NOT_RUN = {
     "docs/guide/testing.md: import pytest": "tests/oracle/test_pytest_plugin.py runs it, with a my_code",
@@ -31,6 +33,20 @@ NOT_RUN = {
     "contactqp check folder jobname.dat --pressure-areas areas.csv --tolerance 1e-6 --error-tolerance 1e-5": (
         "files of CalculiX; tests/benchmarks/test_crosscheck.py runs the same command where it is installed"
     ),
+    "docs/guide/petsc.md: mpiexec -n 4 python -m contactqp run case.toml --engine petsc": (
+        "tests/distributed runs it where there is a PETSc"
+    ),
+    f"docs/guide/petsc.md: {RECIPE}": "installs; .ci/run does the same",
+    'docs/guide/petsc.md: PETSC_OPTIONS="-log_view" mpiexec -n 4 python -m contactqp run case.toml --engine petsc': (
+        "tests/distributed has options from there"
+    ),
+    "docs/guide/petsc.md: contactqp: rank 1: block.toml: bodies[0] ('block'): mesh: there is no file 'block.msh'": (
+        "tests/distributed/test_failing_ranks.py has ranks that fail"
+    ),
+    "docs/guide/petsc.md: mpiexec noticed that process rank 1 with PID 0 on node vm exited on signal 9 (Killed).": (
+        "tests/distributed/test_failing_ranks.py compares it"
+    ),
+    f"docs/guide/petsc.md: {GOES_ON}   # is killed in step 37": "tests/distributed/test_checkpoint.py kills one",
 }
 DIRECTIVES = {"{toctree}", "{eval-rst}", "{math}"}
 
