@@ -29,6 +29,7 @@ from contactqp.solution import Solution
 if TYPE_CHECKING:
     from contactqp.scene.answers_of_bodies import BodyAnswer
     from contactqp.scene.bodies import BodyModel
+    from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,9 @@ class Answer:
         return np.array([self.displacement(name) for name in of_node(self.scene, node)])
 
 
-def answer_of(model: NodeModel | BodyModel, solution: Solution, instant: Instant | None = None) -> Answer | BodyAnswer:
+def answer_of(
+    model: NodeModel | BodyModel | DistributedBodyModel, solution: Any, instant: Instant | None = None
+) -> Answer | BodyAnswer:
     """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
     instant = instant or Instant(end_time(model.scene))
     if isinstance(model, NodeModel):

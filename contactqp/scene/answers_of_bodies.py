@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import vector
-from contactqp.solution import Solution
+
+if TYPE_CHECKING:
+    from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +29,8 @@ class BodyAnswer:
     """A solution of a scene of bodies at one instant, and its load path if it has one."""
 
     scene: Scene
-    model: BodyModel
-    solution: Solution
+    model: BodyModel | DistributedBodyModel
+    solution: Any  # a Solution, or a DistributedSolution: then every question is collective
     instant: Instant
 
     def value_of(self, claim: Claim) -> float | str:

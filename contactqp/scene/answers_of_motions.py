@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from contactqp.scene.claims import Claim
 
-if TYPE_CHECKING:
-    from contactqp.scene.answers import Answer
-    from contactqp.scene.answers_of_bodies import BodyAnswer
 
-
-def _momentum(claim: Claim, answer: Answer | BodyAnswer) -> float:
+def _momentum(claim: Claim, answer: Any) -> float:
     from contactqp.scene.moving import momentum
 
     instant = answer.instant

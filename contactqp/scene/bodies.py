@@ -116,6 +116,15 @@ class BodyModel(ContactEntries):
         values = self.structure.displacements(body, field)
         return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
 
+    def free_motions(self, solution: Solution) -> NDArray[np.float64]:
+        """(q, all unknowns) the directions of the solution's free motions; supports stand still."""
+        return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
+
+    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
+        """The column of some fields (q, all unknowns) where field i is largest, and its place."""
+        at = int(np.argmax(np.abs(rows[i])))
+        return rows[:, at].copy(), at
+
     def energy(self, solution: Solution, time: Fraction) -> float:
         """1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
         u = self.displacement(solution)

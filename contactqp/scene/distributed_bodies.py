@@ -23,6 +23,7 @@ from contactqp.elements.pieces.touching import Touching
 from contactqp.elements.stress import stress_sums
 from contactqp.elements.structure import Part, Structure
 from contactqp.elements.structure import Support as Held
+from contactqp.errors import Unsupported
 from contactqp.problem import Units
 from contactqp.scene.bodies import sum_of
 from contactqp.scene.contact_entries import ContactEntries
@@ -114,6 +115,10 @@ class DistributedBodyModel(ContactEntries):
         """(k d,) u of own unknowns, prescribed ones included."""
         return solution.answer.displacement + self.system.given
 
+    def velocity(self, _: Vector) -> Vector:
+        """Motions are followed by one process."""
+        raise Unsupported("motions: expected elastic bodies at rest on many ranks")
+
     def node_at(self, body: str, point: ArrayLike) -> int:
         """The number of the node of a body at a point. Collective."""
         return node_at(self.ranks, self.structure.body(body), point, f"the body {body!r}")
@@ -148,6 +153,20 @@ class DistributedBodyModel(ContactEntries):
         values = field.reshape(-1, self.system.dimension)[self.system.own_nodes(body)]
         low, high = (self.ranks.max(np.max(sign * values, axis=0, initial=-np.inf)) for sign in (-1, 1))
         return np.stack([-low, high], axis=1)
+
+    def free_motions(self, solution: DistributedSolution) -> NDArray[np.float64]:
+        """(q, k d) the directions of the solution's free motions on own unknowns; supports stand still."""
+        return solution.motions.T.copy()
+
+    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
+        """The column of some fields (q, k d) where field i is largest on any rank, and its place. Collective."""
+        found = (0.0, -1, np.zeros(len(rows)))
+        if rows.shape[1]:
+            size = np.abs(rows[i])
+            at = int(np.argmax(size))
+            found = (-float(size[at]), int(self.problem.dof_number[at]), rows[:, at].copy())
+        _, place, column = min(self.ranks.comm.allgather(found), key=lambda one: one[:2])
+        return column, place
 
     def energy(self, solution: DistributedSolution, time: Fraction) -> float:
         """1/2 u'Ku - f'u of all unknowns, prescribed ones included. Collective."""

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.kinds import is_moving
 from contactqp.scene.units import KINDS
-from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel
+    from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 # Directions of motions have 1 as their largest component and are known to rounding.
 SMALL = 1e-6
 Table = tuple[list[str], list[list[str | float]]]
 
 
-def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
+def summaries(model: BodyModel | DistributedBodyModel, solution: Any) -> Iterator[Table]:
     """For each body how far it moves and how fast, for each contact of the scene its force, peak pressure and gap."""
     system = model.scene.system
     length, force = system.length, system.force
@@ -43,52 +43,48 @@ def summaries(model: BodyModel, solution: Solution) -> Iterator[Table]:
     yield header, [list(row.values()) for row in _contacts(model, solution)]
 
 
-def motions_in_words(model: BodyModel, solution: Solution) -> list[str]:
+def motions_in_words(model: BodyModel | DistributedBodyModel, solution: Any) -> list[str]:
     """Each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
 
     The motions of a solution are any basis; here each is told with a body that the others leave where it is.
     """
     if not solution.free_motions:
         return []
-    basis = _reduced(np.array([motion.direction for motion in solution.free_motions]))
-    motions = np.zeros((len(basis), model.structure.size))
-    motions[:, model.system.free] = basis
-    return [_motion_in_words(model, motion) for motion in motions]
+    return [_motion_in_words(model, motion) for motion in _reduced(model, model.free_motions(solution))]
 
 
-def _reduced(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduced(model: BodyModel | DistributedBodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """The reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
     rows = rows.copy()
     places = []
     for i in range(len(rows)):
-        at = int(np.argmax(np.abs(rows[i])))
-        rows[i] /= rows[i, at]
+        column, at = model.largest(rows, i)
+        rows[i] /= column[i]
         others = np.arange(len(rows)) != i
-        rows[others] -= np.outer(rows[others, at], rows[i])
+        rows[others] -= np.outer(column[others], rows[i])
         places.append(at)
     reduced: NDArray[np.float64] = rows[np.argsort(places)]
     return reduced
 
 
-def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
+def _motion_in_words(model: BodyModel | DistributedBodyModel, motion: NDArray[np.float64]) -> str:
     said = []
     for body in model.structure.bodies:
-        moves = model.structure.displacements(body.name, motion)
-        largest = np.abs(moves).max(axis=0)
-        moving = [i for i in range(len(largest)) if largest[i] > SMALL]
-        if moving:
-            same = bool(np.all(np.ptp(moves[:, moving], axis=0) <= SMALL))
+        low, high = model.ranges(body.name, motion).T
+        moving = np.flatnonzero(np.maximum(-low, high) > SMALL)
+        if moving.size:
+            same = bool(np.all((high - low)[moving] <= SMALL))
             along = " and ".join(body.axes[i] for i in moving)
             said.append(f"{body.name} along {along}" if same else f"{body.name} turning")
     return ", ".join(said)
 
 
-def summary_data(model: BodyModel, solution: Solution) -> dict[str, Any]:
+def summary_data(model: BodyModel | DistributedBodyModel, solution: Any) -> dict[str, Any]:
     """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
     return {"contacts": _contacts(model, solution), "free_motions": motions_in_words(model, solution)}
 
 
-def _contacts(model: BodyModel, solution: Solution) -> list[dict[str, str | float]]:
+def _contacts(model: BodyModel | DistributedBodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)

@@ -110,7 +110,7 @@ class PieceSystem:
         return np.where(self.held, 0.0, load - self.parts.of_given)
 
     def problem(
-        self, load: Vector, touching: Touching, contacts: FreeContacts, slaves: Index, *, units: Any = None
+        self, load: Vector, touching: Touching, contacts: FreeContacts, slaves: Index, *, units: Units
     ) -> DistributedProblem:
         """The contact problem. Collective.
 
@@ -153,7 +153,7 @@ class PieceSystem:
             dof_number=self._free_numbers(),
             contact_number=mine.astype(np.int64),
             tie_number=np.zeros(0, dtype=np.int64),
-            units=Units() if units is None else Units(**units) if isinstance(units, dict) else units,
+            units=units,
             dof_name=self._name,
             contact_name=names.__getitem__,
             **tangential,

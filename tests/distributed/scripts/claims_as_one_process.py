@@ -15,6 +15,7 @@ from contactqp.scene.corners import end_time
 from contactqp.scene.instant import Instant
 from contactqp.scene.models import build
 from contactqp.scene.pieces import distributed_model
+from contactqp.scene.summaries import motions_in_words, summaries
 
 ranks = Ranks()
 OF_A_PATH = ("elastic energy", "work of the loads", "dissipated energy", "event time")
@@ -27,7 +28,12 @@ def dealt(model, solution):
     friction = None if solution.friction_force is None else solution.friction_force[d.contact_number]
     answer = DistributedAnswer(here, solution.normal_force[d.contact_number], friction, np.zeros(0))
     whole = {name: getattr(solution, name) for name in ("normal_force", "friction_force", "gap", "contact_status")}
-    return SimpleNamespace(answer=answer, free_motions=solution.free_motions, certificate=solution.certificate, **whole)
+    motions = np.zeros((len(here), len(solution.free_motions)))
+    for i, motion in enumerate(solution.free_motions):
+        motions[:, i] = np.where(d.held, 0.0, motion.direction[d.dof_number])
+    return SimpleNamespace(
+        answer=answer, motions=motions, free_motions=solution.free_motions, certificate=solution.certificate, **whole
+    )
 
 
 def compare(path):
@@ -40,6 +46,10 @@ def compare(path):
     for claim in scene.expect:
         if claim.quantity not in OF_A_PATH:
             same(claim, ours.value_of(claim), serial.value_of(claim))
+    assert motions_in_words(many, ours.solution) == motions_in_words(one, solution)
+    for (_, rows), (_, others) in zip(summaries(many, ours.solution), summaries(one, solution), strict=True):
+        for row, other in zip(rows, others, strict=True):
+            assert [x for x in row if isinstance(x, str)] == [x for x in other if isinstance(x, str)]
     for body in scene.bodies:
         theirs = one.ranges(body.name, one.displacement(solution))
         found = many.ranges(body.name, many.displacement(ours.solution))

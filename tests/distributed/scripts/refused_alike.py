@@ -1,5 +1,6 @@
 """What is wrong with a scene is refused on all ranks in the words of one process, whichever rank notices."""
 
+import re
 import tempfile
 from pathlib import Path
 
@@ -90,7 +91,8 @@ with tempfile.TemporaryDirectory() as made:
         many = refusal(lambda scene: distributed_model(scene, ranks).problem, changes, folder)
         assert (one is None) == (changes == {}), f"{changes}: {one}"
         assert set(ranks.comm.allgather(many)) == {many}, "the same on all ranks"
-        assert many == one, f"{changes}:\n{many}\n{one}"
+        # What not all ranks notice names the first that does.
+        assert many is None or re.sub(r"rank \d+: ", "", many) == one, f"{changes}:\n{many}\n{one}"
         assert many is None or "\n" not in many
         if ranks.rank == 0:
             print(many, flush=True)
