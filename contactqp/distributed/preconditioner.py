@@ -82,6 +82,7 @@ class Preconditioner:
             for key in ours:
                 options.delValue(key)
         self._into, self._from = stiffness.createVecs()
+        self._held = problem.held
 
     def _set_up(self, problem: DistributedProblem, motions: NDArray[np.float64]) -> None:
         """With the diagonal of bodies that float lifted for the while: a copy of K would take as much as K."""
@@ -102,7 +103,7 @@ class Preconditioner:
         """M r."""
         self._from.array[:] = r
         self._pc.apply(self._from, self._into)
-        return np.array(self._into.array)
+        return np.where(self._held, 0.0, self._into.array)
 
 
 def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
