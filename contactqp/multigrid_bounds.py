@@ -96,7 +96,7 @@ def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distanc
     change = forces - given
     return Distances(
         displacement=_energy_norm(way, moved) + radius,
-        force=(dual_norm(way, way.forces(change)) if way.any(change != 0) else 0.0) + radius,
+        force=(dual_norm(way, way.forces(change), learned=True) if way.any(change != 0) else 0.0) + radius,
         energy_scale=_energy_norm(way, answer.displacement),
         force_scale=force_norm(push, len(answer.normal_force), way),
         radius=radius,
