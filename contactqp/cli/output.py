@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -19,10 +20,12 @@ LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
 NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
 
-def console() -> Console:
-    """Where tables go."""
+def console(heard: bool = True) -> Console:
+    """Where tables go; those that are not heard are made and dropped."""
     from rich.console import Console
 
+    if not heard:
+        return Console(file=io.StringIO(), width=WIDE)
     if launched_rank() is not None:  # the launcher passes it on, whatever stands at its own end
         return Console(width=WIDE, highlight=False, force_terminal=False)
     # Into a pipe or a file there is no width to wrap at.

@@ -80,8 +80,7 @@ def run_command(
         found = judge_all(scene, methods, knobs, engine, checkpoint)
         speakers.meet(_failed(outcome.message for outcome in found if isinstance(outcome, Failure)))
         met = met and all(outcome.met for outcome in found)
-        if speakers.speaks:
-            data += _tell(found, files, as_json)
+        data += _tell(found, files, as_json)
     if foreign:
         from contactqp.study.friction_files import run_files
 
@@ -122,19 +121,23 @@ def _failed(messages: Iterable[str]) -> Ending:
 
 
 def _tell(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_json: bool) -> list[Any]:
-    """Print and draw the outcomes of one scene; with `as_json`, what is to be printed in the end."""
+    """Print and draw the outcomes of one scene; with `as_json`, what is to be printed in the end.
+
+    On several ranks all of them do so, who have pieces of the answer, and one is heard.
+    """
     from contactqp.scene.judging import Failure, Judgement
     from contactqp.scene.printing import judgement_data, print_judgements
     from contactqp.scene.printing_paths import print_failure
 
-    terminal = console()
+    terminal = console(heard=speakers.speaks)
     for failure in (outcome for outcome in found if isinstance(outcome, Failure)):
-        complain(failure.message)
+        if speakers.speaks:
+            complain(failure.message)
         if not as_json:
             print_failure(terminal, failure)
     if not as_json:
         print_judgements(terminal, [outcome for outcome in found if isinstance(outcome, Judgement)])
-    for file in files.write(found) if files is not None else ():
+    for file in files.write(found) if files is not None and speakers.speaks else ():
         click.echo(f"written: {file}", err=as_json)
     return [judgement_data(outcome) for outcome in found] if as_json else []
 

@@ -283,7 +283,12 @@ class _Answers:
                 f"{claim}: expected a step of the load path, nearest: {nearest}; with friction the answer depends on "
                 "the way, and no load off the path has one"
             )
+        trial, options = self._trial, self._trial.options(self._model.scene)
+        if trial.engine != SERIAL:
+            from contactqp.scene.running_on_ranks import answer_at
+
+            return answer_of(
+                self._model, answer_at(self._model, time, trial.method, **options), Instant(time, self._history)
+            )
         problem = self._model.problem.replace(load=self._model.load_at(time))
-        trial = self._trial
-        solution = solve(problem, trial.method, engine=trial.engine, **trial.options(self._model.scene))
-        return answer_of(self._model, solution, Instant(time, self._history))
+        return answer_of(self._model, solve(problem, trial.method, **options), Instant(time, self._history))

@@ -41,7 +41,8 @@ def run(
         A name of `contactqp.methods()`.
     engine : str
         "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same; `method` is
-        "active-set", and load paths are without friction and take steps.
+        "active-set", and load paths are without friction and take steps. Each rank makes its own piece of elastic
+        bodies; what is asked of their solutions is gathered, so that all ranks ask it together.
     checkpoint : str or Path, optional
         With "petsc", a folder where every step is kept. Steps that are there already are not solved again, whatever
         number of ranks has solved them.
@@ -59,15 +60,14 @@ def run(
     return run_model(built(scene, engine), method, engine, checkpoint, **options)
 
 
-def built(scene: Scene, engine: str = SERIAL) -> Model:
-    """The scene's model, for an engine; what one rank refuses, a file that is missing there, all ranks do."""
+def built(scene: Scene, engine: str = SERIAL) -> Any:
+    """The scene's model, for an engine."""
     refuse_unknown_engine(engine)
     if engine == SERIAL:
         return build(scene)
-    from contactqp.distributed.ranks import Ranks
+    from contactqp.scene.running_on_ranks import model_on_ranks
 
-    with Ranks().together():
-        return build(scene)
+    return model_on_ranks(scene)
 
 
 def run_model(

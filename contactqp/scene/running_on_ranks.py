@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,14 +15,21 @@ from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.path import follow_distributed, instants
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.whole import gathered, options_on_ranks, whole_in_errors
+from contactqp.distributed.solving import solve_distributed
+from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
 from contactqp.errors import Unsupported
 from contactqp.problem import Vector
 from contactqp.scene.corners import end_time
+from contactqp.scene.distributed_bodies import DistributedBodyModel
+from contactqp.scene.models import build
+from contactqp.scene.pieces import distributed_model
 from contactqp.scene.schema import Scene
+from contactqp.scene.solutions_in_pieces import energies, in_pieces
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
+
+    ModelOnRanks = Model | DistributedBodyModel
 
 # What a scene says that changes no answer of it.
 _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")
@@ -29,21 +37,23 @@ _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study",
 _SIZE, _CHUNK = 12, 2**20
 
 
-def run_on_ranks(model: Model, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
-    """As `contactqp.run` with ``engine="petsc"``, of a model that every rank has. Collective.
+def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
+    """As `contactqp.run` with ``engine="petsc"``, of a model that is built already. Collective.
 
     Raises
     ------
     Unsupported, InvalidProblem
         As there.
     """
-    scene, chosen, ranks = model.scene, options_on_ranks(options), Ranks()
+    chosen, ranks = options_on_ranks(options), Ranks()
     _refuse(model)
     kept = None
     if checkpoint is not None:
         with ranks.together():
-            digest = digest_of(scene)
+            digest = digest_of(model.scene)
         kept = Checkpoint(checkpoint, digest, ranks)
+    if isinstance(model, DistributedBodyModel):
+        return _run_pieces(model, method, kept, chosen)
     part = distribute(model.problem, ranks)
     at = list(_instants(model))
     along = follow_distributed(part, (load[part.dof_number] for _, load in at), method, kept, **chosen)
@@ -53,6 +63,38 @@ def run_on_ranks(model: Model, method: str, checkpoint: str | Path | None = None
         ]
     times = [time for time, _ in at]
     return History(solutions, times, lambda: changes(solutions, times))
+
+
+def _run_pieces(model: DistributedBodyModel, method: str, kept: Checkpoint | None, options: dict[str, Any]) -> History:
+    """Nobody ever has the whole; what is asked of the solutions is asked by all ranks together."""
+    at = list(_instants(model))
+    found = list(follow_distributed(model.problem, (load for _, load in at), method, kept, **options))
+    solutions: Any = in_pieces(model, found)
+    times = [time for time, _ in at]
+    return History(solutions, times, lambda: changes(solutions, times), energies=lambda: energies(found))
+
+
+def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
+    """The solution under the load at a pseudo-time, of its own. Collective."""
+    if isinstance(model, DistributedBodyModel):
+        at = replace(model.problem, load=model.load_at(time))
+        return in_pieces(model, [solve_distributed(at, method, **options_on_ranks(options))])[0]
+    return solve_whole(model.problem.replace(load=model.load_at(time)), method, **options)
+
+
+def model_on_ranks(scene: Scene) -> ModelOnRanks:
+    """The scene's model: elastic bodies in pieces; all else is small, and every rank has it. Collective.
+
+    Raises
+    ------
+    SceneError, BackendMissing
+        As `contactqp.scene.models.build`; what one rank refuses, a file that it does not have, all do.
+    """
+    ranks = Ranks()
+    if scene.bodies and not (scene.membranes or scene.motion or scene.large):
+        return distributed_model(scene, ranks)
+    with ranks.together():
+        return build(scene)
 
 
 def digest_of(scene: Scene) -> str:
@@ -68,7 +110,7 @@ def digest_of(scene: Scene) -> str:
     return found.hexdigest()
 
 
-def _instants(model: Model) -> Iterator[tuple[float, Vector]]:
+def _instants(model: ModelOnRanks) -> Iterator[tuple[float, Vector]]:
     path = model.scene.path
     if path is None:
         return iter([(1.0, model.problem.load)])
@@ -76,7 +118,7 @@ def _instants(model: Model) -> Iterator[tuple[float, Vector]]:
     return instants(corners, path.steps or DEFAULT_STEPS)
 
 
-def _refuse(model: Model) -> None:
+def _refuse(model: ModelOnRanks) -> None:
     scene = model.scene
     path = scene.path
     reasons = {

@@ -1,0 +1,63 @@
+"""Solutions of bodies of which each rank has a piece, as tables and claims ask for them. All of it is collective."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import chain, pairwise
+from typing import Any
+
+import numpy as np
+
+from contactqp.analysis.history import Energies
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.solution import DistributedSolution
+from contactqp.scene.distributed_bodies import DistributedBodyModel
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemInPieces:
+    """What is said of the problem of a solution; names are those of one process, on every rank."""
+
+    part: DistributedProblem = field(repr=False)
+    contact_names: tuple[str, ...] = field(repr=False)
+    frictional: bool
+
+    def contact_name(self, i: int) -> str:
+        """Of a contact by its number in one process."""
+        return self.contact_names[i]
+
+    @cached_property
+    def dof_names(self) -> tuple[str, ...]:
+        """(n,) gathered on every rank: for those who ask for every number."""
+        here = np.array([self.part.dof_name(i) for i in range(len(self.part.dof_number))], dtype=np.str_)
+        return tuple(map(str, self.part.whole(here, self.part.dof_number)))
+
+
+@dataclass(frozen=True, eq=False)
+class SolutionInPieces:
+    """As `contactqp.Solution`; displacements are gathered when they are asked for, contacts are few."""
+
+    found: DistributedSolution
+    problem: ProblemInPieces
+
+    def __getattr__(self, name: str) -> Any:
+        """All else is the distributed solution's."""
+        return getattr(self.found, name)
+
+
+def in_pieces(model: DistributedBodyModel, solutions: Sequence[DistributedSolution]) -> list[SolutionInPieces]:
+    """The solutions with the names of the scene."""
+    names, frictional = np.array(model.row_names, dtype=np.str_)[model.kept], model.problem.frictional
+    told = tuple(map(str, names))
+    return [SolutionInPieces(one, ProblemInPieces(one.problem, told, frictional)) for one in solutions]
+
+
+def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
+    """Of a path without friction: what the loads have done and what is elastic, as `History.energies` has it."""
+    work = 0.0
+    for before, now in pairwise(chain(solutions[:1], solutions)):
+        u, dot = now.answer.displacement, now.problem.ranks.dot
+        work += dot(before.problem.load + now.problem.load, u - before.answer.displacement) / 2
+        yield Energies(dot(u, now.problem.product(u)) / 2, kinetic=0.0, work=work, dissipated=0.0)
