@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -137,9 +138,22 @@ def _tell(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_js
             print_failure(terminal, failure)
     if not as_json:
         print_judgements(terminal, [outcome for outcome in found if isinstance(outcome, Judgement)])
-    for file in files.write(found) if files is not None and speakers.speaks else ():
+    written = [] if files is None else _draw(found, files)
+    for file in written:
         click.echo(f"written: {file}", err=as_json)
     return [judgement_data(outcome) for outcome in found] if as_json else []
+
+
+def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path]:
+    """Write pictures and files, and return them; where each rank has a piece, the first one gets the whole for that."""
+    from contactqp.scene.judging import Judgement
+
+    for outcome in found:
+        if isinstance(outcome, Judgement) and outcome.trial.engine != SERIAL:
+            from contactqp.scene.solutions_in_pieces import gather
+
+            gather(outcome.history)
+    return files.write(found) if speakers.speaks else []
 
 
 def _tell_of_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:

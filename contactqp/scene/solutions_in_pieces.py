@@ -9,10 +9,12 @@ from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contactqp.analysis.history import Energies
+from contactqp.analysis.history import Energies, History
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
+from contactqp.problem import Units
 from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 
@@ -27,6 +29,16 @@ class ProblemInPieces:
     def contact_name(self, i: int) -> str:
         """Of a contact by its number in one process."""
         return self.contact_names[i]
+
+    @property
+    def units(self) -> Units:
+        """Of the scene."""
+        return self.part.units
+
+    @cached_property
+    def load(self) -> NDArray[np.float64]:
+        """(n,) gathered on every rank [force]."""
+        return self.part.whole(self.part.load, self.part.dof_number)
 
     @cached_property
     def dof_names(self) -> tuple[str, ...]:
@@ -61,3 +73,14 @@ def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
         u, dot = now.answer.displacement, now.problem.ranks.dot
         work += dot(before.problem.load + now.problem.load, u - before.answer.displacement) / 2
         yield Energies(dot(u, now.problem.product(u)) / 2, kinetic=0.0, work=work, dissipated=0.0)
+
+
+def gather(history: History) -> None:
+    """Have every rank hold what pictures and files take of a history, so that one of them can write them."""
+    for solution in history:
+        for name in ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status", "energy"):
+            getattr(solution, name)
+        for name in ("load", "dof_names"):
+            getattr(solution.problem, name)
+    for name in ("events", "energies"):
+        getattr(history, name)

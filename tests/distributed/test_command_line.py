@@ -56,6 +56,17 @@ def test_tables_and_files_are_written_once(python_on_ranks, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["p.history.png", "p.png", "path.toml"]
 
 
+def test_bodies_in_pieces_are_drawn_and_written(python_on_ranks, tmp_path):
+    """Their pictures ask for more than their tables: with a path, for its loads and energies too."""
+    text = (CASES / "hertz_line.toml").read_text().partition("[[expect]]")[0]
+    case = tmp_path / "hertz_path.toml"
+    case.write_text(text.replace("\naxes", "\npath = { steps = 2 }\naxes", 1))
+    assert "path" in case.read_text()
+    done = run(python_on_ranks, 2, case, "--plot", tmp_path / "p.png", "--vtu", tmp_path / "v.vtu")
+    assert done.code == 0, done.err
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["hertz_path.toml", "p.history.png", "p.png", "v.vtu"]
+
+
 def test_what_is_not_offered_there_is_refused_in_one_line(commands):
     asked = {
         ("bar_bounces.toml",): "engine 'petsc': a motion",
