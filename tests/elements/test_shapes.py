@@ -187,3 +187,26 @@ def test_spacing_is_geometric(towards, expected):
 def test_shapes_that_are_none_are_refused(make, message):
     with pytest.raises(InvalidProblem, match=message):
         make()
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7])
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        shapes.box.lattice((1.0, 2.0, 3.0), (3, 4, 2), "tet10", crown=20.0),
+        shapes.ball.lattice(1.0, (2, 3), "hex8", part="quarter"),
+        shapes.disc.lattice(1.0, (3, 2), "tri3"),
+        shapes.cylinder.lattice(1.0, 2.0, (2, 1, 3), "hex20", part="half"),
+    ],
+)
+def test_the_parts_of_a_lattice_are_its_elements(lattice, parts):
+    """Each element once, with nodes that are called the same in every part, in the order of the mesh's numbers."""
+    whole, mesh = lattice.elements(), lattice.mesh()
+    found = np.concatenate([lattice.elements(part, parts) for part in range(parts)])
+    assert np.array_equal(np.unique(found, axis=0), np.unique(whole, axis=0))
+    assert len(found) == len(whole) == mesh.elements
+    codes = np.unique(lattice.elements(0, parts))
+    numbers = np.searchsorted(np.unique(whole), codes)
+    assert np.array_equal(lattice.position(lattice.keys(codes)), mesh.points[numbers])
+    if parts > 1:
+        assert len(codes) < len(mesh.points), "a part is less than the whole"
