@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import UNRESISTED
+from contactqp.contact_iteration import HeldRows
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
@@ -28,8 +29,6 @@ from contactqp.polishing import shift_within_gaps
 Array = NDArray[np.float64]
 # A load that does this part of its work on a motion does none: it is rounding.
 BALANCED = 1e-10
-# What is left of a motion by rows that hold it, squared.
-HELD = 1e-16
 # A multiplier of the linear program below this part of the largest is none.
 IDLE = 1e-9
 # SciPy's words for the end of a linear program.
@@ -81,16 +80,29 @@ class Floating:
         return self.motions @ a, pressed
 
     def loose(self, closed: NDArray[np.bool_]) -> Array:
-        """(r, q): the motions, as combinations of Z, that no closed contact and no tie holds."""
+        """(r, q): the motions, as orthonormal combinations of Z, that no closed contact and no tie holds."""
         holding = np.append(closed, np.ones(self._rows.count - self._contacts, dtype=bool))
-        rows = self.moved[holding] * np.sqrt(self._stiffness[holding])[:, None]
-        gram = self._ranks.sum(rows.T @ rows)
-        values, vectors = np.linalg.eigh(gram)
-        return np.asarray(vectors[:, values <= HELD * max(values[-1], 0.0) if len(values) else slice(0)])
+        values, turned = self._singular(np.where(holding, self._stiffness, 0.0))
+        return turned[:, values <= UNRESISTED * np.max(values, initial=0.0)]
+
+    def _singular(self, weight: Vector) -> tuple[Vector, Array]:
+        """The singular values (r,) of sqrt(weight) E Z, and the motions that they belong to as columns."""
+        here = np.linalg.qr(np.sqrt(weight)[:, None] * self.moved, mode="r")
+        every = self._ranks.gathered(np.vstack([here, np.zeros((1, self.count))]))
+        _, values, turned = np.linalg.svd(every)
+        return np.append(values, np.zeros(self.count - len(values))), turned.T
 
     def holds(self, closed: NDArray[np.bool_], load: Vector) -> bool:
         """Whether closed contacts and ties hold every motion that the load drives."""
         return not np.any(abs(self.loose(closed).T @ self._work(load)) > 0)
+
+    def kept_from(self, held: HeldRows, closed: NDArray[np.bool_]) -> HeldRows:
+        """The projections of held rows that also leave the motions alone which no closed contact and no tie holds.
+
+        They would take an iterate anywhere, and other contacts with them.
+        """
+        loose = self.loose(closed) if self.count else np.zeros((0, 0))
+        return _Kept(self, held, self.motions @ loose) if loose.shape[1] else held
 
     def at_rest(self, problem: DistributedProblem, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
         """The displacement of least norm within the gaps, and the motions (n_here, q) that nothing resists.
@@ -121,22 +133,46 @@ class Floating:
 
     def admit(self, z: Vector) -> None:
         """Take the rigid motions out of a displacement, in the metric of D, in place."""
-        if self.count:
-            z -= self.motions @ self._ranks.sum(self.motions.T @ (self._diagonal * z))
+        self.take_out(self.motions, z)
 
     def balanced(self, r: Vector) -> Vector:
         """What a force does on deformations: Z'r taken off it."""
-        if not self.count:
+        return self.without_work(self.motions, r)
+
+    def take_out(self, motions: Array, z: Vector) -> None:
+        """Take some D-orthonormal motions out of a displacement, in place."""
+        if motions.shape[1]:
+            z -= motions @ self._ranks.sum(motions.T @ (self._diagonal * z))
+
+    def without_work(self, motions: Array, r: Vector) -> Vector:
+        """A force that does nothing on some D-orthonormal motions."""
+        if not motions.shape[1]:
             return r.copy()
-        return np.asarray(r - self._diagonal * (self.motions @ self._ranks.sum(self.motions.T @ r)))
+        return np.asarray(r - self._diagonal * (motions @ self._ranks.sum(motions.T @ r)))
 
     def balance(self, residual: Vector, weight: Vector) -> Vector:
         """(a,) the least forces l, in the metric of 1/weight, that take Z'r off a residual: Z'(r - E'l) = 0."""
         if not self.count:
             return np.zeros(self._rows.count)
-        work = self._ranks.sum(self.motions.T @ residual)
-        gram = self._ranks.sum(self.moved.T @ (weight[:, None] * self.moved))
-        return np.asarray(weight * (self.moved @ (np.linalg.pinv(gram, rcond=HELD, hermitian=True) @ work)))
+        values, turned = self._singular(weight)
+        kept = values > UNRESISTED * np.max(values)
+        work = turned[:, kept].T @ self._ranks.sum(self.motions.T @ residual)
+        return np.asarray(weight * (self.moved @ (turned[:, kept] @ (work / values[kept] ** 2))))
+
+
+class _Kept:
+    """Projections of held rows, and of D-orthonormal motions that the rows do not see."""
+
+    def __init__(self, floating: Floating, held: HeldRows, motions: Array) -> None:
+        self._floating, self._held, self._motions = floating, held, motions
+        self.close, self.forces = held.close, held.forces
+
+    def admit(self, z: Vector) -> None:
+        self._held.admit(z)
+        self._floating.take_out(self._motions, z)
+
+    def balanced(self, r: Vector) -> Vector:
+        return self._floating.without_work(self._motions, self._held.balanced(r))
 
 
 def _motions(problem: DistributedProblem) -> Array:

@@ -108,7 +108,7 @@ class DistributedIteration(ContactIteration):
         np.maximum.at(measure, row, ratio(sizes, F[self.rows.entries.indices]))
         return measure
 
-    def held(self, rows: NDArray[np.intp], limit: Vector) -> DistributedHeldRows:
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
         """The projections of some rows, held at limits."""
         gram: Gram
         entries = self.rows.entries[rows]
@@ -116,7 +116,9 @@ class DistributedIteration(ContactIteration):
             gram = SeparateGram(entries, self._compliance)
         else:
             gram = SharedGram(self._ranks, entries, self.rows.touched, self._compliance)
-        return DistributedHeldRows(self.rows, rows, limit, self._compliance, gram)
+        held = DistributedHeldRows(self.rows, rows, limit, self._compliance, gram)
+        closed = np.isin(np.arange(self._problem.contacts), rows)
+        return self.floating.kept_from(held, closed)
 
     def close(self, held: HeldRows, x: Vector, residual: Vector) -> None:
         """Move x onto the limits of held rows, and the residual with it, both in place."""
