@@ -9,6 +9,7 @@ from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, History
@@ -30,10 +31,33 @@ class ProblemInPieces:
         """Of a contact by its number in one process."""
         return self.contact_names[i]
 
+    def dof_name(self, j: int) -> str:
+        """Of an unknown by its number in one process."""
+        return self.dof_names[j]
+
     @property
     def units(self) -> Units:
         """Of the scene."""
         return self.part.units
+
+    @property
+    def contacts(self) -> int:
+        """m, on all ranks."""
+        return len(self.contact_names)
+
+    @property
+    def tangent(self) -> None:
+        """Pictures of paths ask for it, and these are without friction."""
+        return None
+
+    @cached_property
+    def normal(self) -> Any:
+        """E_N (m, n) in the numbers of one process, gathered on every rank."""
+        part, rows = self.part, self.part.normal.entries.tocoo()
+        column = part.normal.near(part.dof_number.astype(float)).astype(np.int64)[rows.col]
+        free, gathered = column >= 0, part.ranks.gathered
+        places = gathered(part.contact_number[rows.row][free]), gathered(column[free])
+        return sp.csr_matrix((gathered(rows.data[free]), places), shape=(self.contacts, part.dimension))
 
     @cached_property
     def load(self) -> NDArray[np.float64]:
@@ -80,7 +104,7 @@ def gather(history: History) -> None:
     for solution in history:
         for name in ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status", "energy"):
             getattr(solution, name)
-        for name in ("load", "dof_names"):
+        for name in ("load", "dof_names", "normal"):
             getattr(solution.problem, name)
     for name in ("events", "energies"):
         getattr(history, name)
