@@ -94,7 +94,8 @@ class Floating:
 
     def holds(self, closed: NDArray[np.bool_], load: Vector) -> bool:
         """Whether closed contacts and ties hold every motion that the load drives."""
-        return not np.any(abs(self.loose(closed).T @ self._work(load)) > 0)
+        loose, work = self.loose(closed), self._work(load)
+        return not np.any(abs(loose.T @ work) > BALANCED * (abs(loose).T @ abs(work)))
 
     def kept_from(self, held: HeldRows, closed: NDArray[np.bool_]) -> HeldRows:
         """The projections of held rows that also leave the motions alone which no closed contact and no tie holds.

@@ -21,6 +21,8 @@ SOLVERS: dict[str, dict[str, Any]] = {
 PREFIX = "contactqp_"
 # Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
 AUTO, FACTORISED = "auto", 100_000
+# A problem that GAMG would make no coarser level of.
+ONE_LEVEL = 50
 # What holds a body that floats, of its own diagonal: little beside what any deformation costs, much beside rounding.
 LIFT = 1e-5
 
@@ -33,8 +35,11 @@ def chosen_solver(solver: str, dimension: int) -> str:
     Unsupported
         There is none of that name.
     """
+    factorised = petsc().Sys.hasExternalPackage("mumps")
     if solver == AUTO:
-        return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
+        return "mumps" if dimension <= FACTORISED and factorised else "gamg"
+    if solver == "gamg" and dimension <= ONE_LEVEL and factorised:
+        return "mumps"
     if solver not in SOLVERS:
         raise Unsupported(f"solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
     return solver
@@ -82,7 +87,7 @@ class Preconditioner:
             for key in ours:
                 options.delValue(key)
         self._into, self._from = stiffness.createVecs()
-        self._held = problem.held
+        self._held, self._solver = problem.held, solver
 
     def _set_up(self, problem: DistributedProblem, motions: NDArray[np.float64]) -> None:
         """With the diagonal of bodies that float lifted for the while: a copy of K would take as much as K."""
@@ -102,7 +107,10 @@ class Preconditioner:
     def __call__(self, r: Vector) -> Vector:
         """M r."""
         self._from.array[:] = r
-        self._pc.apply(self._from, self._into)
+        try:
+            self._pc.apply(self._from, self._into)
+        except petsc().Error as error:
+            raise BackendFailed(f"PETSc's {self._solver} failed: {str(error).splitlines()[-1]}") from error
         return np.where(self._held, 0.0, self._into.array)
 
 
