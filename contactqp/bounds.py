@@ -104,7 +104,7 @@ def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Conden
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
     if isinstance(way, Iteration):
-        return estimated_bounds(problem, answer, way)
+        return iterated_bounds(problem, answer, way)
     return _condensed(problem, answer, left, way)
 
 
@@ -125,8 +125,8 @@ def no_bounds(reason: str) -> Bounds:
     return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
 
 
-def estimated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
-    """Those of an answer without friction where nothing is factorised (`contactqp.multigrid_bounds`)."""
+def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
+    """Those of an answer without friction, by products and responses (`contactqp.multigrid_bounds`)."""
     try:
         found = distances(problem, answer, way)
     except Unrepaired as reason:
@@ -137,8 +137,8 @@ def estimated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> 
         force_error=_relative(found.force, force_scale, found.radius, np.inf),
         energy_scale=found.energy_scale,
         force_scale=force_scale,
-        estimated=True,
-        reasons=("force_bound: contact by contact it takes responses to unit forces, and nothing was factorised",),
+        estimated=found.estimated,
+        reasons=("force_bound: contact by contact it takes a response to a unit force on each",),
     )
 
 

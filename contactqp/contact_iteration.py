@@ -54,6 +54,8 @@ class ContactIteration(ABC):
         The steps of the longest of them.
     """
 
+    factorised = False  # whether M is the inverse of K but for rounding
+
     def __init__(self) -> None:
         self.krylov_iterations = 0
         self.least_eigenvalue, self.longest_run = 1.0, 0

@@ -35,7 +35,7 @@ class DistributedIteration(ContactIteration):
 
     def __init__(self, problem: DistributedProblem, solver: str) -> None:
         super().__init__()
-        self.solver = solver
+        self.solver, self.factorised = solver, solver == "mumps"
         self._ranks, self._problem = problem.ranks, problem
         self.rows = stacked([problem.normal, problem.tie], problem.stiffness)
         self._row_sizes = abs(self.rows.entries)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.bounds import Bounds, estimated_bounds
+from contactqp.bounds import Bounds, iterated_bounds
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.iteration import DistributedIteration
@@ -120,7 +120,7 @@ def _judged(
     answered, before = time.perf_counter(), way.krylov_iterations
 
     def known() -> Bounds:
-        return estimated_bounds(problem, answer, way)
+        return iterated_bounds(problem, answer, way)
 
     certificate = certify_distributed(problem, answer, bounds=known)
     ended = time.perf_counter()

@@ -20,6 +20,8 @@ from contactqp.testing import problems
 
 CASES = Path(__file__).parents[3] / "cases"
 SAME = 1e-9
+# Of the answer of one process, which is rounded to doubles.
+ROUNDING = 1e-12
 ranks, solver = Ranks(), sys.argv[1]
 
 
@@ -37,11 +39,20 @@ def off(values: np.ndarray, truth: np.ndarray) -> float:
     return float(np.max(abs(values - truth), initial=0.0) / (size or 1.0))
 
 
+def energy_norm(problem: cq.ContactProblem, u: np.ndarray) -> float:
+    return float(np.sqrt(max(u @ (problem.stiffness @ u), 0.0)))
+
+
 for name, problem in asked():
     many = solve_distributed(distribute(problem, ranks), solver=solver)
     one = ranks.comm.bcast(cq.solve(problem) if ranks.rank == 0 else None)
     assert many.certificate.passed, name
+    # Only what is factorised has bounds that are no estimates.
+    assert many.certificate.proven == (solver == "mumps"), name
     u = off(many.displacement, one.displacement)
+    if size := energy_norm(problem, one.displacement):
+        true = energy_norm(problem, many.displacement - one.displacement) / size
+        assert many.certificate.energy_error >= true - ROUNDING, (name, true)
     # Contacts that depend on each other share their forces as they like: what they do to the bodies is the same.
     force = off(problem.normal.T @ many.normal_force, problem.normal.T @ one.normal_force)
     assert u <= SAME, (name, u)
