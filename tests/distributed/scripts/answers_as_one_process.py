@@ -48,7 +48,7 @@ for name, problem in asked():
     one = ranks.comm.bcast(cq.solve(problem) if ranks.rank == 0 else None)
     assert many.certificate.passed, name
     # Only what is factorised has bounds that are no estimates.
-    assert many.certificate.proven == (solver == "mumps"), name
+    assert many.certificate.proven == (many.work.solver == "mumps"), name
     u = off(many.displacement, one.displacement)
     if size := energy_norm(problem, one.displacement):
         true = energy_norm(problem, many.displacement - one.displacement) / size
