@@ -68,6 +68,7 @@ LAYERS = (
     "methods",
     "solving_arguments",
     "inexact_active_set",
+    "aitken",
     "distributed",
     "friction",
     "local_solving",

@@ -10,6 +10,7 @@ active contacts hold the bodies, and where it is unbounded the load drives a mot
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -45,10 +46,21 @@ class Floating:
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, compliance: Vector) -> None:
-        self._ranks, self._rows = problem.ranks, rows
+        self._ranks = problem.ranks
         self._contacts = problem.contacts
         self._diagonal = problem.metric
         self.motions = _motions(problem)
+        self._stand_on(rows, compliance)
+
+    def standing(self, rows: Rows, compliance: Vector) -> Floating:
+        """The same motions with other rows, the contacts first; not collective."""
+        other = copy(self)
+        other.__dict__.pop("moved", None)
+        other._stand_on(rows, compliance)
+        return other
+
+    def _stand_on(self, rows: Rows, compliance: Vector) -> None:
+        self._rows = rows
         self._stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
 
     @property

@@ -1,7 +1,8 @@
 """The projections of `contactqp.held_rows`, of rows that stand on many ranks.
 
-Rows that share no unknown with others, nodes on rigid obstacles, are solved for one by one where they are. The Gram
-matrix E D^-1 E' of others is factorised on every rank, which needs what all held rows touch, a surface, on each.
+Rows that share no unknown with others, nodes on rigid obstacles, are solved for one by one where they are. Where rows
+share unknowns on one rank alone, as the normal and the tangents of such a node may, their Gram matrix E D^-1 E' is
+factorised there. That of others is factorised on every rank, which needs what all held rows touch, a surface, on each.
 """
 
 from __future__ import annotations
@@ -56,24 +57,45 @@ class SharedGram:
         return self._gram.solve(self._ranks.gathered(lengths))[self._mine]
 
 
+def gram_of(ranks: Ranks, entries: sp.csr_matrix, touched: NDArray[np.intp], compliance: Vector, meeting: str) -> Gram:
+    """What solves for the forces on rows that meet as `meets` says. Collective."""
+    if meeting == SEPARATE:
+        return SeparateGram(entries, compliance)
+    if meeting == HERE:
+        return IndependentRows(entries, compliance)
+    return SharedGram(ranks, entries, touched, compliance)
+
+
+def meets(ranks: Ranks, rows: Rows) -> str:
+    """Whether rows share unknowns, and with whom. Collective."""
+    often = np.bincount(rows.entries.indices, minlength=len(rows.touched)).astype(float)
+    if not ranks.any(rows.spread(often) > 1):
+        return SEPARATE
+    return ACROSS if ranks.any(rows.spread((often > 0).astype(float)) > 1) else HERE
+
+
+# Rows share no unknown, or only with rows of their own rank, or with those of others too.
+SEPARATE, HERE, ACROSS = "separate", "here", "across"
+
+
 class DistributedHeldRows:
     """Rows held at limits; everything here is collective.
 
     Parameters
     ----------
     rows : Rows
-    active : (a,) array of int
-        Those of this rank that are held.
+    entries : (a, t) CSR matrix
+        Those of this rank that are held, over what `rows` touches.
     limit : (a,) array [length]
     compliance : (t,) array
         1/K_jj of what the rows touch.
     gram : Gram
-        Of the active rows.
+        Of the held rows.
     """
 
-    def __init__(self, rows: Rows, active: NDArray[np.intp], limit: Vector, compliance: Vector, gram: Gram) -> None:
+    def __init__(self, rows: Rows, entries: sp.csr_matrix, limit: Vector, compliance: Vector, gram: Gram) -> None:
         self._rows, self._limit, self._compliance, self._gram = rows, limit, compliance, gram
-        self._entries = rows.entries[active]
+        self._entries = entries
 
     def _moved(self, force: Vector) -> Vector:
         """D^-1 E'l."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from contactqp.conjugate_gradients import ConjugateGradients, Projections
 from contactqp.contact_iteration import ContactIteration, Flags, HeldRows, Limits
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.floating import Floating
-from contactqp.distributed.held_rows import DistributedHeldRows, Gram, SeparateGram, SharedGram
+from contactqp.distributed.held_rows import DistributedHeldRows, gram_of, meets
 from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
@@ -31,21 +31,38 @@ class DistributedIteration(ContactIteration):
         Any with this K, E_N and A.
     solver : str
         What `Preconditioner` takes.
+    tangents : bool
+        Whether the tangential rows stand after contacts and ties.
     """
 
-    def __init__(self, problem: DistributedProblem, solver: str) -> None:
+    def __init__(self, problem: DistributedProblem, solver: str, *, tangents: bool = False) -> None:
         super().__init__()
         self.solver, self.factorised = solver, solver == "mumps"
         self._ranks, self._problem = problem.ranks, problem
-        self.rows = stacked([problem.normal, problem.tie], problem.stiffness)
-        self._row_sizes = abs(self.rows.entries)
-        self._compliance = self.rows.near(1 / problem.metric)
-        often = self.rows.spread(np.bincount(self.rows.entries.indices, minlength=len(self.rows.touched)).astype(float))
-        self.floating = Floating(problem, self.rows, self.own_compliance)
-        self._precondition = Preconditioner(problem, self.floating.motions, solver)
-        self._separate = not self.any(often > 1)
-        self._touched = np.flatnonzero(often > 0)  # of this rank's unknowns, by rows of any
+        parts = [problem.normal, problem.tie]
+        if tangents and problem.tangent is not None:
+            parts.append(problem.tangent)
+        rows = stacked(parts, problem.stiffness)
+        self._compliance = rows.near(1 / problem.metric)
+        self._meeting = meets(problem.ranks, rows)
+        often = np.bincount(rows.entries.indices, minlength=len(rows.touched)).astype(float)
+        self._touched = np.flatnonzero(rows.spread(often) > 0)  # of this rank's unknowns, by rows of any
         self._near_sizes = _sizes_of(problem.stiffness, self._touched)
+        self._stand_on(rows)
+        self.floating = Floating(problem, rows, self.own_compliance)
+        self._precondition = Preconditioner(problem, self.floating.motions, solver)
+
+    def _stand_on(self, rows: Rows) -> None:
+        self.rows = rows
+        self._row_sizes = abs(rows.entries)
+        self._own_compliance = np.asarray(rows.entries.multiply(rows.entries) @ self._compliance)
+
+    def standing(self, entries: sp.csr_matrix) -> DistributedIteration:
+        """The same stiffness and preconditioner with some of the rows alone, all contacts first; not collective."""
+        other = copy(self)
+        other._stand_on(self.rows.standing(entries))
+        other.floating = self.floating.standing(other.rows, other.own_compliance)
+        return other
 
     def dot(self, a: Vector, b: Vector) -> float:
         """a'b."""
@@ -68,10 +85,10 @@ class DistributedIteration(ContactIteration):
         """D = diag K (n_here,) [force / length]."""
         return self._problem.metric
 
-    @cached_property
+    @property
     def own_compliance(self) -> Vector:
         """(m_here + k_here,) E_i D^-1 E_i' [length / force]."""
-        return np.asarray(self.rows.entries.multiply(self.rows.entries) @ self._compliance)
+        return self._own_compliance
 
     def product(self, x: Vector) -> Vector:
         """K x."""
@@ -110,15 +127,14 @@ class DistributedIteration(ContactIteration):
 
     def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
         """The projections of some rows, held at limits."""
-        gram: Gram
-        entries = self.rows.entries[rows]
-        if self._separate:
-            gram = SeparateGram(entries, self._compliance)
-        else:
-            gram = SharedGram(self._ranks, entries, self.rows.touched, self._compliance)
-        held = DistributedHeldRows(self.rows, rows, limit, self._compliance, gram)
+        held = self.holding(self.rows.entries[rows], limit)
         closed = np.isin(np.arange(self._problem.contacts), rows)
         return self.floating.kept_from(held, closed)
+
+    def holding(self, entries: sp.csr_matrix, limit: Vector) -> DistributedHeldRows:
+        """The projections of rows over what `rows` touches, sums of rows of one contact each, held at limits."""
+        gram = gram_of(self._ranks, entries, self.rows.touched, self._compliance, self._meeting)
+        return DistributedHeldRows(self.rows, entries, limit, self._compliance, gram)
 
     def close(self, held: HeldRows, x: Vector, residual: Vector) -> None:
         """Move x onto the limits of held rows, and the residual with it, both in place."""

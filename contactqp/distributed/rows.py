@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,12 @@ class Rows:
         self._here = PETSc.Vec().createSeq(len(self.touched), comm=PETSc.COMM_SELF)
         there = PETSc.IS().createGeneral(self.touched, comm=PETSc.COMM_SELF)
         self._scatter = PETSc.Scatter().create(self._everywhere, there, self._here, None)
+
+    def standing(self, entries: Any) -> Rows:
+        """Other rows over the same unknowns; not collective."""
+        other = copy(self)
+        other.entries = sp.csr_matrix(entries)
+        return other
 
     @property
     def count(self) -> int:

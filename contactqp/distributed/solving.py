@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from contactqp.bounds import Bounds, iterated_bounds
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
+from contactqp.distributed.friction import solve_friction
+from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import AUTO, chosen_solver
 from contactqp.distributed.problem import DistributedProblem
@@ -65,12 +68,11 @@ def solve_distributed(
     way = _iteration(problem, chosen_solver(solver, problem.dimension))
     before = way.krylov_iterations
     settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
+    if problem.frictional:
+        return _rubbing(problem, way, method, settings, warm_start, started)
     candidate = solve_by_iteration(problem, way, settings, ENERGY)
-    motions = np.zeros((len(problem.load), 0))
-    displacement = candidate.displacement
-    if way.floating.count:
-        displacement, motions = way.floating.at_rest(problem, displacement, candidate.normal_force)
-    answer = DistributedAnswer(displacement, candidate.normal_force, None, candidate.tie_force)
+    answer = DistributedAnswer(candidate.displacement, candidate.normal_force, None, candidate.tie_force)
+    answer, motions = _at_rest(problem, way, answer)
     solution = _judged(
         problem, answer, way, method, started, candidate.iterations, way.krylov_iterations - before, motions
     )
@@ -82,9 +84,7 @@ def judged(
 ) -> DistributedSolution:
     """An answer that is known already, with its certificate. Collective."""
     way = _iteration(problem, chosen_solver(solver, problem.dimension))
-    motions = np.zeros((len(problem.load), 0))
-    if way.floating.count:
-        _, motions = way.floating.at_rest(problem, answer.displacement, answer.normal_force)
+    _, motions = _at_rest(problem, way, answer)
     return _judged(problem, answer, way, method, time.perf_counter(), 0, 0, motions)
 
 
@@ -96,11 +96,44 @@ def refuse_method(method: str) -> None:
 
 def _iteration(problem: DistributedProblem, solver: str) -> DistributedIteration:
     """Made once for a stiffness and its rows; shared by all problems that have both."""
-    key = f"iteration by {solver}"
+    frictional = problem.frictional
+    key = f"iteration by {solver}, {'with' if frictional else 'without'} friction"
     if key not in problem.shared:
-        problem.shared[key] = DistributedIteration(problem, solver)
+        problem.shared[key] = DistributedIteration(problem, solver, tangents=frictional)
     way: DistributedIteration = problem.shared[key]
     return way
+
+
+def _rubbing(
+    problem: DistributedProblem,
+    way: DistributedIteration,
+    method: str,
+    settings: Settings,
+    start: DistributedAnswer | None,
+    started: float,
+) -> DistributedSolution:
+    """The answer with friction, certified."""
+    before = way.krylov_iterations
+    found = solve_friction(problem, way, settings, start, ENERGY)
+    steps = way.krylov_iterations - before
+    answer, motions = _at_rest(problem, way, found.answer)
+    name = f"tresca with {method}"
+    solution = _judged(problem, answer, way, name, started, found.steps, steps, motions)
+    return _accepted(solution, Candidate(answer.displacement, answer.normal_force, answer.tie_force))
+
+
+def _at_rest(
+    problem: DistributedProblem, way: DistributedIteration, answer: DistributedAnswer
+) -> tuple[DistributedAnswer, Any]:
+    """The displacement of least norm within the gaps, and the motions that nothing resists."""
+    if not way.floating.count:
+        return answer, np.zeros((len(problem.load), 0))
+    floating = way.floating
+    if answer.friction_force is not None and problem.friction is not None:
+        rubs = (problem.friction > 0) & (answer.normal_force > 0)
+        floating = FrictionRows(problem, way).sticking(rubs)[0].floating
+    displacement, motions = floating.at_rest(problem, answer.displacement, answer.normal_force)
+    return replace(answer, displacement=displacement), motions
 
 
 def _start(known: DistributedAnswer | None) -> Candidate | None:

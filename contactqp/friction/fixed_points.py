@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from contactqp.aitken import RELAXATION, aitken
 from contactqp.coulomb_cone import lengths, onto_discs
 from contactqp.factorization import Array
-from contactqp.friction.aitken import RELAXATION, aitken
 from contactqp.friction.convex_steps import ConvexSteps
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_form import LocalForm
@@ -35,7 +35,8 @@ def cone_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Ite
 def tresca_fixed_point(form: LocalForm, steps: ConvexSteps, start: Iterate) -> Iterator[Iterate]:
     """Iterates, one a convex problem, without end."""
     bound = form.mu * np.maximum(start.force[:, 0], 0.0)
-    relaxation, before, count = RELAXATION[1], np.zeros(0), 0
+    relaxation, count = RELAXATION[1], 0
+    before: Vector | None = None
     while True:
         r, joint = steps.over_discs(bound)
         count += 1

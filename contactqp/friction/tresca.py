@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from contactqp.aitken import RELAXATION, aitken
 from contactqp.condensation import Condensation, condense
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.existence import refuse_driven_motion
 from contactqp.factorization import Array, RigidMotions
-from contactqp.friction.aitken import RELAXATION, aitken
 from contactqp.friction.rows import FrictionalRows
 from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.methods import Method, Settings
@@ -77,7 +77,8 @@ def solve_tresca(
     run = _Run(problem, condensation, method, settings)
     bound = run.first_bound()
     changes: list[float] = []
-    relaxation, before = RELAXATION[1], np.zeros(0)
+    relaxation = RELAXATION[1]
+    before: Vector | None = None
     limit = MAX_STEPS if settings.max_iter is None else settings.max_iter
     for step in range(1, limit + 1):
         try:
