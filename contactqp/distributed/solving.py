@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from contactqp.bounds import Bounds, iterated_bounds
+from contactqp.distributed import bounded
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.friction import solve_friction
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.iteration import DistributedIteration
-from contactqp.distributed.preconditioner import AUTO, chosen_solver
+from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.errors import NotCertified, NotConverged, Unsupported
@@ -43,7 +44,9 @@ def solve_distributed(
     problem : DistributedProblem
     method : str
         ``"active-set"``: the primal-dual active set with truncated conjugate gradients
-        (`contactqp.inexact_active_set`).
+        (`contactqp.inexact_active_set`). For comparison PETSc's own, which take contacts and ties that are bounds on
+        unknowns of their own and bodies that are held (`contactqp.distributed.bounded`): ``"vinewtonrsls"``,
+        ``"vinewtonssls"`` (SNES) and ``"tao-bntr"``; their `solver` is ``"mumps"``, ``"hypre"`` or ``"asm"``.
     solver : str
         What preconditions them: ``"gamg"``, ``"hypre"``, ``"mumps"`` (a factorisation), or ``"auto"``: MUMPS up to
         100 000 unknowns and GAMG beyond. Options of PETSc's with the prefix ``contactqp_`` come after.
@@ -65,9 +68,11 @@ def solve_distributed(
     """
     started = time.perf_counter()
     refuse_method(method)
+    settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
+    if method in bounded.METHODS:
+        return _by_bounds(problem, method, solver, settings, started)
     way = _iteration(problem, chosen_solver(solver, problem.dimension))
     before = way.krylov_iterations
-    settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
     if problem.frictional:
         return _rubbing(problem, way, method, settings, warm_start, started)
     candidate = solve_by_iteration(problem, way, settings, ENERGY)
@@ -90,8 +95,22 @@ def judged(
 
 def refuse_method(method: str) -> None:
     """Raise Unsupported for what is not done over ranks."""
-    if find(method).kind != "active set":
-        raise Unsupported(f"{method}: engine 'petsc' has one method, active-set")
+    if method in bounded.METHODS or find(method).kind == "active set":
+        return
+    raise Unsupported(f"{method}: engine 'petsc' has active-set, and {', '.join(bounded.METHODS)} to compare it with")
+
+
+def _by_bounds(
+    problem: DistributedProblem, method: str, solver: str, settings: Settings, started: float
+) -> DistributedSolution:
+    """By PETSc's own solvers; what bounds their error is ours."""
+    way = _iteration(problem, chosen_solver(solver if solver in SOLVERS else AUTO, problem.dimension))
+    if way.floating.count:
+        raise Unsupported(f"{method}: a body that only contacts hold has no stiffness that PETSc could factorise")
+    candidate = bounded.solve_bounded(problem, method, solver, settings)
+    answer = DistributedAnswer(candidate.displacement, candidate.normal_force, None, candidate.tie_force)
+    none = np.zeros((len(problem.load), 0))
+    return _accepted(_judged(problem, answer, way, method, started, candidate.iterations, 0, none), candidate)
 
 
 def _iteration(problem: DistributedProblem, solver: str) -> DistributedIteration:
