@@ -22,6 +22,7 @@ from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.inexact_active_set import solve_by_iteration
 from contactqp.methods import Settings, find
 from contactqp.solution import Candidate, Work
+from contactqp.solving_arguments import refuse_arguments
 
 # Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9.
 ENERGY = 1e-10
@@ -63,11 +64,14 @@ def solve_distributed(
         As `contactqp.solve`; the solution they carry is a DistributedSolution.
     Unsupported
         Another method, a solver that this PETSc has not.
+    InvalidProblem
+        A tolerance or a limit that is none.
     BackendFailed
         PETSc gave up.
     """
     started = time.perf_counter()
     refuse_method(method)
+    refuse_arguments(tolerance, "auto", True, time_limit, max_iter)
     settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
     if method in bounded.METHODS:
         return _by_bounds(problem, method, solver, settings, started)

@@ -25,7 +25,11 @@ from contactqp.violations import Violations
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
 # What `solve` takes for a problem in one process and has no meaning on several, with what leaves it out.
-_OF_ONE_PROCESS = {"condense": "auto", "polish": True, "algorithm": None}
+_OF_ONE_PROCESS = {"condense": "auto", "polish": True}
+# What `solve_distributed` takes, but for what is dealt out.
+_OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
+# The one law of friction over ranks, whether stated or not.
+_ALGORITHMS = (None, "tresca")
 
 
 def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
@@ -54,7 +58,12 @@ def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
     stated = [name for name, usual in _OF_ONE_PROCESS.items() if name in options and options[name] != usual]
     if stated:
         raise Unsupported(f"engine 'petsc': {stated[0]} is an option of one process, leave it out")
-    return {name: value for name, value in options.items() if name not in _OF_ONE_PROCESS}
+    if options.get("algorithm") not in _ALGORITHMS:
+        raise Unsupported(f"engine 'petsc': friction is solved by 'tresca' alone, got {options['algorithm']!r}")
+    left = {name: value for name, value in options.items() if name not in (*_OF_ONE_PROCESS, "algorithm")}
+    if unknown := [name for name in left if name not in _OPTIONS]:
+        raise Unsupported(f"engine 'petsc': there is no option {unknown[0]!r}, expected one of {', '.join(_OPTIONS)}")
+    return left
 
 
 def dealt(part: DistributedProblem, solution: Solution) -> DistributedAnswer:

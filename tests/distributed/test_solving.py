@@ -27,3 +27,8 @@ def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], coun
 @pytest.mark.parametrize("count", [1, 3])
 def test_what_is_no_answer_is_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_answers.py", count)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_arguments_that_are_no_good_are_refused_in_one_line(on_ranks: Callable[..., str], count: int) -> None:
+    assert "refused" in on_ranks("refused_arguments.py", count)
