@@ -5,10 +5,11 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.contact_iteration import ContactIteration
 from contactqp.elimination import CHOICE
-from contactqp.iteration import iteration
+from contactqp.iteration import Iteration, iteration
 from contactqp.multigrid import available
-from contactqp.multigrid_bounds import dual_norm
+from contactqp.multigrid_bounds import dual_norm, refined_norm
 from contactqp.violations import FIGURES
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
@@ -160,3 +161,31 @@ def test_friction_has_figures_and_no_bounds(monkeypatch):
     assert certificate.slip_direction > 1e-3
     assert not certificate.proven
     assert "Coulomb" in certificate.reasons[0]
+
+
+class _Dense(Iteration):
+    """Products with K and M of a dense matrix, M given; nothing else is asked of it."""
+
+    def __init__(self, K: np.ndarray, M: np.ndarray) -> None:
+        ContactIteration.__init__(self)
+        self._K, self._M = K, M
+
+    def product(self, x: np.ndarray) -> np.ndarray:
+        return self._K @ x
+
+    def smooth(self, force: np.ndarray) -> np.ndarray:
+        return self._M @ force
+
+
+def test_refinement_bounds_the_norm_where_m_is_nearly_the_inverse_and_says_nothing_where_it_is_not() -> None:
+    random = np.random.default_rng(3)
+    root = random.standard_normal((12, 12))
+    K, r = root @ root.T + 0.1 * np.eye(12), random.standard_normal(12)
+    true = float(np.sqrt(r @ np.linalg.solve(K, r)))
+    for off in (0.0, 1e-8, 0.2, -0.2):
+        bound = refined_norm(_Dense(K, (1 + off) * np.linalg.inv(K)), r)
+        assert bound is not None
+        assert true * (1 - 1e-12) <= bound <= true * (1 + 1e-3)
+    assert refined_norm(_Dense(K, 0.4 * np.linalg.inv(K)), r) is None
+    assert refined_norm(_Dense(K, np.diag(1 / np.diag(K))), r) is None
+    assert refined_norm(_Dense(K, np.linalg.inv(K)), np.zeros(12)) == 0

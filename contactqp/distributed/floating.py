@@ -84,7 +84,7 @@ class Floating:
         work = self._work(load)
         every = self._ranks.gathered(self.moved), self._ranks.gathered(limit)
         contact = self._ranks.gathered(np.arange(len(limit)) < self._contacts)
-        a, force = self._ranks.comm.bcast(_rest(work, *every, contact) if self._ranks.rank == 0 else None)
+        a, force = self._ranks.comm.bcast(resting_place(work, *every, contact) if self._ranks.rank == 0 else None)
         if isinstance(a, str):
             raise NoEquilibrium(a)
         first = self._ranks.first(len(limit))
@@ -201,7 +201,7 @@ def _motions(problem: DistributedProblem) -> Array:
     return np.column_stack(acting) if acting else np.zeros((len(problem.load), 0))
 
 
-def _rest(work: Vector, moved: Array, limit: Vector, contact: NDArray[np.bool_]) -> tuple[Vector | str, Vector]:
+def resting_place(work: Vector, moved: Array, limit: Vector, contact: NDArray[np.bool_]) -> tuple[Vector | str, Vector]:
     """The linear program, solved: coefficients (r,) and multipliers, or why there is none.
 
     Where bodies overlap so that no rigid motion parts them, what overlaps counts as touching.
@@ -236,5 +236,5 @@ def _program(work: Vector, rows: Array, limit: Vector, contact: NDArray[np.bool_
         method="highs",
     )
     if found.x is not None:
-        found.x = length * found.x
+        found.x, found.ineqlin.marginals = length * found.x, push * found.ineqlin.marginals
     return found
