@@ -21,9 +21,10 @@ TIME_LIMIT = 120
 
 @cache
 def available(code: str) -> bool:
-    """Whether that Python has a peer."""
+    """Whether that Python has a peer, and SciPy, which none of them brings but Siconos."""
+    command = [PYTHON, "-c", f"import scipy.sparse, {MODULES[code]}"]
     try:
-        asked = subprocess.run([PYTHON, "-c", f"import {MODULES[code]}"], capture_output=True, env=environment())
+        asked = subprocess.run(command, capture_output=True, env=environment())
     except OSError:
         return False
     return asked.returncode == 0
