@@ -102,12 +102,14 @@ class _FixedPoint:
         here = self._first()
         bound = rows.mu * np.maximum(here.normal, 0.0)
         relaxation, before = RELAXATION[1], None
+        chosen: States | None = None
         for step in range(1, self._most + 1):
             found = self._newton.run(here)
             if found is not None:
                 return self._found(found, step)
             self._refuse_late()
-            here = self._step(states(rows.trial(here), bound, rows.stiffness), bound, step)
+            chosen = states(rows.trial(here), bound, rows.stiffness, chosen)
+            here = self._step(chosen, bound, step)
             missing = rows.mu * np.maximum(here.normal, 0.0) - bound
             self._changes.append(self._change(missing, bound))
             relaxation = aitken(relaxation, before, missing, self._way.dot)

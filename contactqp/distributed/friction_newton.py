@@ -43,9 +43,10 @@ class FrictionNewton:
     def run(self, start: Iterate) -> Iterate | None:
         """The answer from a start, or None where the combinations lead nowhere."""
         here, before = start, None
+        chosen: States | None = None
         seen: dict[object, int] = {}
         for _ in range(MOST):
-            chosen = self._rows.coulomb(here)
+            chosen = self._rows.coulomb(here, chosen)
             if not self._held(chosen):
                 return None
             mark = self._way.mark(chosen.flags)

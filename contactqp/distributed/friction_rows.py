@@ -56,10 +56,10 @@ class FrictionRows:
         slip = np.where(self._felt, over[self.plain :].reshape(self.m, self.width), 0.0)
         return iterate.normal + self._push * over[: self.m], iterate.rub + self.stiffness[:, None] * slip
 
-    def coulomb(self, iterate: Iterate) -> States:
+    def coulomb(self, iterate: Iterate, before: States | None) -> States:
         """The states that Newton's method on Coulomb's law goes on with. Collective."""
         trial = self.trial(iterate)
-        return states(trial, self.mu * np.maximum(trial[0], 0.0), self.stiffness)
+        return states(trial, self.mu * np.maximum(trial[0], 0.0), self.stiffness, before)
 
     def within(self, iterate: Iterate, chosen: States) -> Iterate:
         """Forces that Coulomb's law allows: no tension, friction of the bound's size where a contact slides."""

@@ -54,11 +54,17 @@ class States:
         return np.stack(parts)
 
 
-def states(trial: tuple[Vector, Array], bound: Vector, stiffness: Vector) -> States:
-    """From p (m,) and y (m, d-1), the bounds (m,) and rho_T (m,)."""
+def states(trial: tuple[Vector, Array], bound: Vector, stiffness: Vector, before: States | None = None) -> States:
+    """From p (m,) and y (m, d-1), the bounds (m,) and rho_T (m,).
+
+    A contact that slid `before` and turns against itself sticks at first: its slip was the wrong way, which says little
+    of how far it would go the other way.
+    """
     push, y = trial
     closed, size = push > 0, lengths(y)
     stick = closed & (size <= bound) & (bound > 0)
+    if before is not None:
+        stick |= closed & (bound > 0) & (np.sum(before.direction * y, axis=1) < 0)
     slides = closed & ~stick & (bound > 0)
     turning = np.zeros(len(push))
     if y.shape[1] > 1:
