@@ -26,6 +26,8 @@ from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.inexact_active_set import solve_by_iteration
 from contactqp.methods import Settings
 
+# Bounds that change by less than this part of the largest may have come to the answer.
+SETTLED = 5e-10
 # Enough for contractions up to 0.9, as in one process; what is slower is not getting there.
 MAX_STEPS = 100
 
@@ -112,6 +114,8 @@ class _FixedPoint:
             here = self._step(chosen, bound, step)
             missing = rows.mu * np.maximum(here.normal, 0.0) - bound
             self._changes.append(self._change(missing, bound))
+            if self._changes[-1] <= SETTLED and self._newton.holds(settled := rows.within(here, chosen)):
+                return self._found(settled, step)
             relaxation = aitken(relaxation, before, missing, self._way.dot)
             bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
         raise self._not_converged(f"the friction bounds have not settled in {self._most} steps")

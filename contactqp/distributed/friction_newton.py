@@ -61,7 +61,7 @@ class FrictionNewton:
             here, before = system.iterate(x), mark
             if again:
                 answer = self._rows.within(here, chosen)
-                if self._balances(system, answer, STUCK * error) and self._holds(answer):
+                if self._balances(system, answer, STUCK * error) and self.holds(answer):
                     return answer
         return None
 
@@ -96,7 +96,8 @@ class FrictionNewton:
         x = answer.displacement
         return self._enough(system, x, self._rows.outer(answer) - self._way.product(x), floor)
 
-    def _holds(self, answer: Iterate) -> bool:
+    def holds(self, answer: Iterate) -> bool:
+        """Whether every figure of the certificate but `balance`, which equilibrium implies, is small."""
         problem = self._problem
         given = DistributedAnswer(answer.displacement, answer.normal, answer.rub, answer.tie)
         found = violations(problem, given, Bodies(problem.ranks, problem.body), ROUNDING_OF_ANSWERS * self._tolerance)
