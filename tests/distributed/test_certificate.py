@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
+from tests.distributed.cases import RANKS
+
 # Supports, ties, bodies that float, friction in the plane and in space, contacts that graze.
 CASES = (
     "truss_floor",
@@ -22,7 +24,7 @@ CASES = (
 )
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("count", RANKS)
 def test_every_figure_and_word_is_that_of_one_process(on_ranks: Callable[..., str], count: int) -> None:
     said = on_ranks("certificates.py", count, *CASES)
     judged = [line.partition(": ")[0].partition(", ") for line in said.splitlines()]

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
+from tests.distributed.cases import RANKS
+
 CASES = (
     "truss_friction",
     "truss_rough",
@@ -20,7 +22,7 @@ PARTIAL = ("pushed in the plane/0.1", "pushed in the plane/0.3", "pushed in spac
 FLOATING = ("on an incline/0.3", "on an incline/1.0")
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("count", RANKS)
 def test_the_answer_is_that_of_one_process_on_any_number_of_ranks(on_ranks: Callable[..., str], count: int) -> None:
     said = on_ranks("rubbing.py", count, "mumps", *CASES, *PARTIAL, *FLOATING).splitlines()
     assert len(said) == len(CASES) + len(PARTIAL) + len(FLOATING)
@@ -29,7 +31,7 @@ def test_the_answer_is_that_of_one_process_on_any_number_of_ranks(on_ranks: Call
         assert " 0 slip" not in line
 
 
-@pytest.mark.parametrize(("count", "solver"), [(1, "gamg"), (2, "gamg"), (2, "hypre")])
+@pytest.mark.parametrize(("count", "solver"), [(2, "gamg"), pytest.param(2, "hypre", marks=pytest.mark.slow)])
 def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], count: int, solver: str) -> None:
     assert len(on_ranks("rubbing.py", count, solver, *PARTIAL, *FLOATING).splitlines()) == len(PARTIAL + FLOATING)
 

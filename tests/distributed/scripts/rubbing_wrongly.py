@@ -23,11 +23,10 @@ SPOILT = {
     "friction of 1.001 of it": lambda found: replace(found, rub=1.001 * found.rub),
     "a displacement of 1.000001 of it": lambda found: replace(found, displacement=1.000001 * found.displacement),
 }
-for kind, spoil in SPOILT.items():
+for spoil in SPOILT.values():
     FrictionNewton.run = lambda self, start, spoil=spoil: spoil(right(self, start))
     with pytest.raises(cq.NotCertified, match="refuses the answer"):
         solve_distributed(part)
-        print(f"{kind} passes")
 FrictionNewton.run = lambda *_: None
 with pytest.raises(cq.NotConverged, match="have not settled in 2 steps") as refused:
     solve_distributed(part, max_iter=2)
