@@ -91,7 +91,7 @@ class FrictionSteps(LazySolutions):
         """Every change of state, at the first step that shows it."""
         for (before, now), time in zip(pairwise(self._states), times[1:], strict=True):
             for i in range(self._problem.contacts):
-                for kind in _kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
+                for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
                     yield Event(kind, i, time, self._problem.contact_name(i))
 
 
@@ -122,7 +122,7 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
     return SolveStepper(problem, method, options)
 
 
-def _kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
+def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
     """What happened to a contact that (pushed, slid) before and does so now."""
     (pushed, slid), (pushes, slides) = before, now
     if pushed != pushes:

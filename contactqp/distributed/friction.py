@@ -152,7 +152,8 @@ class _FixedPoint:
         settings = replace(self._settings, time_limit=None if np.isinf(self._end) else self._left())
         candidate = solve_by_iteration(limits, way, settings, self._energy)
         self._way.krylov_iterations += way.krylov_iterations - before
-        if not candidate.claimed:
+        # What the first answers have not settled, later steps do.
+        if self._changes and not candidate.claimed:
             raise self._not_converged(candidate.status)
         whole = np.zeros(len(rows.limit))
         whole[rows.tangents(chosen.stick)] = candidate.tie_force[k:]

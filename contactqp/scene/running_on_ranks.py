@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactqp.analysis.history import History
+from contactqp.analysis.friction_on_ranks import changes_of_rubbing, energies_of_rubbing, follow_rubbing
+from contactqp.analysis.history import Event, History
 from contactqp.analysis.load_path import DEFAULT_STEPS, changes
 from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.path import follow_distributed, instants
+from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
 from contactqp.errors import Unsupported
-from contactqp.problem import Vector
+from contactqp.problem import ContactProblem, Vector
 from contactqp.scene.corners import end_time
 from contactqp.scene.distributed_bodies import DistributedBodyModel
 from contactqp.scene.models import build
@@ -56,22 +59,61 @@ def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None
         return _run_pieces(model, method, kept, chosen)
     part = distribute(model.problem, ranks)
     at = list(_instants(model))
-    along = follow_distributed(part, (load[part.dof_number] for _, load in at), method, kept, **chosen)
+    along = _followed(model, part, (load[part.dof_number] for _, load in at), method, kept, chosen)
     with whole_in_errors(model.problem):
-        solutions = [
-            gathered(model.problem.replace(load=load), solution) for (_, load), solution in zip(at, along, strict=True)
-        ]
+        found = list(along)
+    whole = [_whole_problem(model.problem, load, solution) for (_, load), solution in zip(at, found, strict=True)]
+    solutions = [gathered(problem, solution) for problem, solution in zip(whole, found, strict=True)]
     times = [time for time, _ in at]
-    return History(solutions, times, lambda: changes(solutions, times))
+    return History(solutions, times, _events(model, solutions, times, model.problem.contact_name))
 
 
 def _run_pieces(model: DistributedBodyModel, method: str, kept: Checkpoint | None, options: dict[str, Any]) -> History:
     """Nobody ever has the whole; what is asked of the solutions is asked by all ranks together."""
     at = list(_instants(model))
-    found = list(follow_distributed(model.problem, (load for _, load in at), method, kept, **options))
+    found = list(_followed(model, model.problem, (load for _, load in at), method, kept, options))
     solutions: Any = in_pieces(model, found)
     times = [time for time, _ in at]
-    return History(solutions, times, lambda: changes(solutions, times), energies=lambda: energies(found))
+    told = energies_of_rubbing if _rubs_along(model) else energies
+    events = _events(model, solutions, times, solutions[0].problem.contact_name)
+    return History(solutions, times, events, energies=lambda: told(found))
+
+
+def _rubs_along(model: ModelOnRanks) -> bool:
+    """Whether a path has friction."""
+    return model.scene.path is not None and model.problem.frictional
+
+
+def _followed(
+    model: ModelOnRanks,
+    part: DistributedProblem,
+    loads: Iterator[Vector],
+    method: str,
+    kept: Checkpoint | None,
+    options: dict[str, Any],
+) -> Iterator[DistributedSolution]:
+    if not _rubs_along(model):
+        return follow_distributed(part, loads, method, kept, **options)
+    if kept is not None:
+        raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
+    return follow_rubbing(part, loads, method, **options)
+
+
+def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedSolution) -> ContactProblem:
+    """Of one step: with its load and its slip origins."""
+    part = solution.problem
+    if part.slip_origin is None:
+        return problem.replace(load=load)
+    return problem.replace(load=load, slip_origin=part.whole(part.slip_origin, part.contact_number))
+
+
+def _events(
+    model: ModelOnRanks, solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str]
+) -> Callable[[], Iterable[Event]]:
+    if not _rubs_along(model):
+        return lambda: changes(solutions, times)
+    names = [name(i) for i in range(len(solutions[0].normal_force))]
+    return lambda: changes_of_rubbing(solutions, times, names)
 
 
 def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
@@ -125,7 +167,6 @@ def _refuse(model: ModelOnRanks) -> None:
         "a motion": scene.motion is not None,
         "large deformations": scene.large,
         "exact events of a load path; state its steps alone": path is not None and path.events is not None,
-        "a load path with friction": path is not None and model.problem.frictional,
     }
     if found := [what for what, there in reasons.items() if there]:
         raise Unsupported(f"engine 'petsc': {found[0]}")

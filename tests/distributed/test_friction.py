@@ -52,3 +52,11 @@ def test_the_fixed_point_alone_comes_to_the_same_answer(on_ranks: Callable[..., 
 @pytest.mark.parametrize("count", [1, 3])
 def test_wrong_answers_are_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("rubbing_wrongly.py", count)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_load_path_keeps_what_has_slipped_as_one_process_does(on_ranks: Callable[..., str], count: int) -> None:
+    """Contacts that close on the way count their slip from there; energies and events are the same too."""
+    said = on_ranks("rubbing_path.py", count, 4, "pad_on_incline", "klarbring_press_first", "order_press_first")
+    assert len(said.splitlines()) == 3
+    assert "slip" in said

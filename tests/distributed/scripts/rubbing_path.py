@@ -1,0 +1,47 @@
+"""Load paths with friction over the ranks are those of one process: rubbing_path.py STEPS NAME..."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import contactqp as cq
+from contactqp.distributed.ranks import Ranks
+
+CASES = Path(__file__).parents[3] / "cases"
+SAME = 1e-9
+
+
+def same(ours: np.ndarray, theirs: np.ndarray, what: str) -> None:
+    off, size = np.max(abs(ours - theirs)), np.max(abs(theirs))
+    assert off <= SAME * size, f"{what} is off by {off} of {size}"
+
+
+def energies(history: cq.History) -> np.ndarray:
+    return np.array([[one.elastic, one.work, one.dissipated] for one in history.energies])
+
+
+def events(history: cq.History) -> list[tuple[str, str, float]]:
+    return [(event.kind, event.name, event.time) for event in history.events]
+
+
+def compare(name: str, steps: int) -> None:
+    scene = cq.load_scene(CASES / f"{name}.toml")
+    scene = scene.model_copy(update={"path": scene.path.model_copy(update={"events": None, "steps": steps})})
+    one, many = cq.run(scene), cq.run(scene, engine="petsc")
+    for part in ("displacements", "normal_forces", "friction_forces"):
+        same(getattr(many, part), getattr(one, part), f"{name}: {part}")
+    same(energies(many), energies(one), f"{name}: energies")
+    assert events(many) == events(one), f"{name}: {events(many)}, not {events(one)}"
+    for ours, theirs in zip(many, one, strict=True):
+        assert ours.certificate.passed
+        assert list(ours.contact_status) == list(theirs.contact_status)
+    if Ranks().rank == 0:
+        print(f"{name}: {len(many)} answers, {', '.join(kind for kind, _, _ in events(many))}", flush=True)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[2:]:
+        compare(name, int(sys.argv[1]))
