@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.distributed import messages
 from contactqp.distributed.environment import petsc
 from contactqp.errors import ContactQPError
 
 Vector = NDArray[np.float64]
+T = TypeVar("T")
 
 
 class Ranks:
@@ -59,10 +61,37 @@ class Ranks:
     def exchanged(self, destination: NDArray[np.intp], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Row i of each array goes to rank destination[i]; returned is what came here, in the order of its ranks."""
         order = np.argsort(destination, kind="stable")
-        cuts = np.searchsorted(destination[order], np.arange(1, self.size))
-        parts = [np.split(np.asarray(array)[order], cuts) for array in arrays]
-        came = self.comm.alltoall([tuple(part[rank] for part in parts) for rank in range(self.size)])
-        return tuple(np.concatenate([part[i] for part in came]) for i in range(len(arrays)))
+        return self.sent(np.bincount(destination, minlength=self.size), *(np.asarray(array)[order] for array in arrays))
+
+    def sent(self, counts: NDArray[np.intp], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+        """The same of rows that stand in the order of their destinations: counts[r] of them go to rank r."""
+        return tuple(messages.sent(self.comm, counts, arrays))
+
+    def scattered(self, counts: NDArray[np.intp], values: NDArray[Any] | None) -> NDArray[Any]:
+        """This rank's rows of an array that the first rank alone has; counts[r] of them, in their order, are rank r's.
+
+        The other ranks give None.
+        """
+        return messages.scattered(self.comm, counts, values)
+
+    def by_first(self, action: Callable[[], T]) -> T | None:
+        """What an action returns that the first rank alone does; None on the others. What it refuses, all refuse."""
+        failure: ContactQPError | None = None
+        found: T | None = None
+        if self.rank == 0:
+            try:
+                found = action()
+            except ContactQPError as error:
+                failure = error
+        known = self.comm.bcast(failure)
+        if known is not None:
+            raise known from failure
+        return found
+
+    def told(self, value: T) -> T:
+        """What the first rank has of something small."""
+        known: T = self.comm.bcast(value)
+        return known
 
     @contextmanager
     def together(self) -> Iterator[None]:

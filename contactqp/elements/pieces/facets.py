@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.distributed.asking import asked
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.boundary import facet_keys, groups
-from contactqp.elements.pieces.asking import asked
 from contactqp.elements.pieces.sources import OUTSIDE, Share
 from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.distributed.asking import asked
 from contactqp.distributed.ranks import Ranks
-from contactqp.elements.pieces.asking import asked
 from contactqp.elements.pieces.dealing import DealtMesh
 
 Array = NDArray[np.float64]

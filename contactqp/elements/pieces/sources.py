@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.distributed.asking import asked
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.pieces.asking import asked
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import Unsupported
 

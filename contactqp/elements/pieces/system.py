@@ -11,13 +11,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.distributed.asking import asked
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.elements.free_contacts import FreeContacts
 from contactqp.elements.loads import Load
-from contactqp.elements.pieces.asking import asked
 from contactqp.elements.pieces.components import connected_parts
 from contactqp.elements.pieces.nodes import Nodes
 from contactqp.elements.pieces.stiffness import assemble_stiffness, incidence
