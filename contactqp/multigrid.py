@@ -130,13 +130,17 @@ def _positive(diagonal: Array) -> Array:
     return np.where(diagonal > 0, diagonal, 1.0)
 
 
-def in_blocks(stiffness: Any) -> Any:
-    """K in blocks of three or two unknowns where its entries come in such blocks, else by rows."""
+def in_blocks(stiffness: Any, total: Callable[[int], int] = int) -> Any:
+    """K in blocks of three or two unknowns where its entries come in such blocks, else by rows.
+
+    Where it is some rows of K, that cut no block, `total` is the sum over all who have some.
+    """
     rows = sp.csr_matrix(stiffness)
+    entries = total(rows.nnz)
     for size in (3, 2):
-        if rows.shape[0] % size == 0:
+        if rows.shape[1] % size == 0:
             blocks = rows.tobsr((size, size))
-            if blocks.data.size <= BLOCK_FILL * rows.nnz:
+            if total(blocks.data.size) <= BLOCK_FILL * entries:
                 return blocks
     return rows
 

@@ -1,4 +1,12 @@
-"""From a ContactProblem that every rank has to the part of each: rows go where the graph of K is cut least."""
+"""From a ContactProblem to the part of each rank: rows go where the graph of K is cut least.
+
+    share    an equal share of consecutive rows (`portion`)
+    owner    the rank of each node of the share: parts of equal size, few entries of K between them (`partition`)
+    part     what has come here of all shares, in new numbers: the nodes of rank 0 first, then those of rank 1, ...
+
+A problem may be given to all ranks alike, or to the first alone: the others then never have more of it than a share and
+a part, and no rank anything of the length of all unknowns.
+"""
 
 from __future__ import annotations
 
@@ -10,107 +18,109 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.partition import partition
-from contactqp.distributed.problem import DistributedProblem, Numbers
+from contactqp.distributed.numbering import Numbering
+from contactqp.distributed.portion import OfAll, OfFirst, Portion, share_of, whole_portion
+from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
-from contactqp.factorization import null_space
 from contactqp.multigrid import block_size, in_blocks
 from contactqp.problem import ContactProblem
-from contactqp.violations import bodies
 
 
 def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:
     """This rank's part of a problem that all ranks were given alike. Collective."""
-    K = in_blocks(problem.stiffness_rows)
+    return part_of(ranks, share_of(ranks, OfAll(ranks), whole_portion(problem)))
+
+
+def share_of_first(whole: Portion | None, ranks: Ranks) -> Portion:
+    """This rank's share of what the first rank alone has; the others give None. Collective."""
+    return share_of(ranks, OfFirst(ranks), whole)
+
+
+def part_of(ranks: Ranks, share: Portion) -> DistributedProblem:
+    """The part of a rank that has a share of a problem. Collective."""
+    K = in_blocks(share.stiffness, ranks.sum)
     size = block_size(K)
-    owner = _owners(ranks, K)
-    order = np.argsort(owner, kind="stable")  # new block i was block order[i]
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    mine = np.flatnonzero(owner == ranks.rank)
-    dofs = (size * mine[:, None] + np.arange(size)).ravel()
-    new = (size * place[:, None] + np.arange(size)).ravel()  # the new number of each unknown
-    stiffness = _matrix(ranks, problem.stiffness_rows[dofs], dofs, new, size)
-    dof_owner = np.repeat(owner, size)
-
-    def part(rows: Any) -> NDArray[np.intp]:
-        return np.flatnonzero(_owner_of_rows(rows, dof_owner) == ranks.rank)
-
-    contacts, ties = part(problem.normal), part(problem.tie)
-    B = problem.near_null_space
+    numbering = Numbering(ranks, K, size)
+    owner = np.repeat(numbering.owner, size)
+    load, body, motions, names, number = ranks.exchanged(
+        owner, share.load, share.body, share.motions, share.dof_names, _numbers(ranks, share.load)
+    )
+    stiffness = _matrix(ranks, K, numbering)
+    touching, contacts = _touching(share.normal, numbering)
+    gap, friction, origin, called, contact = ranks.exchanged(
+        contacts, share.gap, share.friction, share.slip_origin, share.contact_names, _numbers(ranks, share.gap)
+    )
+    tying, ties = _touching(share.tie, numbering)
+    tie_value, tie = ranks.exchanged(ties, share.tie_value, _numbers(ranks, share.tie_value))
     tangential: dict[str, Any] = {}
-    if problem.tangent is not None and problem.slip_origin is not None:
-        per = problem.slip_origin.shape[1]
-        along = (per * contacts[:, None] + np.arange(per)).ravel()
-        tangential = {
-            "tangent": _rows(problem.tangent[along], new, stiffness),
-            "friction": None if problem.friction is None else problem.friction[contacts],
-            "slip_origin": problem.slip_origin[contacts],
-        }
+    if width := origin.shape[1]:
+        along = np.repeat(contacts, width)
+        rows = _moved(ranks, share.tangent, numbering.new(share.tangent.indices), along)
+        tangential = {"tangent": _rows(rows, stiffness), "friction": friction, "slip_origin": origin}
     return DistributedProblem(
         ranks=ranks,
         stiffness=stiffness,
-        load=problem.load[dofs],
-        normal=_rows(problem.normal[contacts], new, stiffness),
-        gap=problem.gap[contacts],
-        tie=_rows(problem.tie[ties], new, stiffness),
-        tie_value=problem.tie_value[ties],
-        held=np.zeros(len(dofs), dtype=bool),
-        body=bodies(problem)[dofs].astype(np.int64),
-        near_null_space=_constants(len(dofs), size) if B is None else B[dofs],
-        rigid=_null_space(problem)[dofs] if B is None else None,
-        dof_number=dofs.astype(np.int64),
-        contact_number=contacts.astype(np.int64),
-        tie_number=ties.astype(np.int64),
-        units=problem.units,
-        dof_name=_named(problem.dof_name, dofs),
-        contact_name=_named(problem.contact_name, contacts),
-        tie_name=_named("tie {}".format, ties),
+        load=load,
+        normal=_rows(_moved(ranks, share.normal, touching, contacts), stiffness),
+        gap=gap,
+        tie=_rows(_moved(ranks, share.tie, tying, ties), stiffness),
+        tie_value=tie_value,
+        held=np.zeros(len(load), dtype=bool),
+        body=body,
+        near_null_space=motions if share.hinted else _constants(len(load), size),
+        rigid=None if share.hinted else motions,
+        dof_number=number,
+        contact_number=contact,
+        tie_number=tie,
+        units=share.units,
+        dof_name=_called("unknown {}", names, number),
+        contact_name=_called("contact {}", called, contact),
+        tie_name=_called("tie {}", names[:0], tie),
         **tangential,
     )
 
 
-def _null_space(problem: ContactProblem) -> NDArray[np.float64]:
-    """(n, r) the motions that nothing resists, each body's from the first column on."""
-    motions = null_space(problem.stiffness_rows).motions
-    of = bodies(problem)[np.argmax(abs(motions), axis=0)] if motions.size else np.zeros(0, dtype=np.intp)
-    column = [int(np.sum(of[:i] == body)) for i, body in enumerate(of)]
-    packed = np.zeros((len(motions), max(column, default=-1) + 1))
-    for i, place in enumerate(column):
-        packed[:, place] += motions[:, i]
-    return packed
+def _numbers(ranks: Ranks, values: NDArray[Any]) -> NDArray[np.int64]:
+    """Of the rows of a share, from the first on over all ranks."""
+    return ranks.first(len(values)) + np.arange(len(values), dtype=np.int64)
 
 
-def _owners(ranks: Ranks, K: Any) -> NDArray[np.intp]:
-    """The rank of each block of unknowns, on every rank: each states the graph of an equal share of them."""
-    count = len(K.indptr) - 1
-    begin, end = (count * (ranks.rank + i) // ranks.size for i in range(2))
-    indptr = K.indptr[begin : end + 1].astype(np.int64)
-    return ranks.gathered(partition(ranks, indptr - indptr[0], K.indices[indptr[0] : indptr[-1]].astype(np.int64)))
-
-
-def _owner_of_rows(rows: Any, owner: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The rank that has the first unknown of each row."""
-    rows = sp.csr_matrix(rows)
-    found = np.zeros(rows.shape[0], dtype=np.intp)  # a row of nothing may stand anywhere
+def _touching(rows: Any, numbering: Numbering) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """The unknowns of the entries, in new numbers; and of each row the rank that has the first of its unknowns."""
+    unknowns = numbering.new(rows.indices)
+    owner = np.zeros(rows.shape[0], dtype=np.intp)  # a row of nothing may stand anywhere
     some = np.diff(rows.indptr) > 0
-    found[some] = owner[rows.indices[rows.indptr[:-1][some]]]
-    return found
+    owner[some] = numbering.owner_of(unknowns[rows.indptr[:-1][some]])
+    return unknowns, owner
 
 
-def _matrix(ranks: Ranks, rows: Any, dofs: NDArray[np.intp], new: NDArray[np.intp], size: int) -> Any:
-    """Rows of K in the new numbers: `rows` are those of the unknowns `dofs`."""
+def _moved(ranks: Ranks, rows: Any, columns: NDArray[np.int64], owner: NDArray[np.intp]) -> Any:
+    """Rows (or rows of blocks) with new columns, sent to their owners; in CSR or BSR as they are."""
+    order = np.argsort(owner, kind="stable")
+    lengths = np.diff(rows.indptr)[order]
+    counts = np.bincount(owner, minlength=ranks.size)
+    ends = np.append(0, np.cumsum(lengths))
+    entries = np.repeat(rows.indptr[order] - ends[:-1], lengths) + np.arange(ends[-1])
+    stored = np.diff(ends[np.append(0, np.cumsum(counts))])
+    (came,) = ranks.sent(counts, lengths)
+    indices, data = ranks.sent(stored, columns[entries], rows.data[entries])
+    size = block_size(rows)
+    shape = (size * len(came), rows.shape[1])
+    kind = sp.csr_matrix if size == 1 else sp.bsr_matrix
+    return kind((data, indices, np.append(0, np.cumsum(came))), shape=shape)
+
+
+def _matrix(ranks: Ranks, K: Any, numbering: Numbering) -> Any:
+    """K in the new numbers, from the rows (of blocks) of each rank's share."""
     PETSc = petsc()
-    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
-    own = np.arange(rows.shape[0])
-    # PETSc wants a place for every diagonal entry, of an unknown without stiffness too.
-    entries = (np.append(rows.data, np.zeros(len(own))), (np.append(row, own), np.append(new[rows.indices], new[dofs])))
-    csr = sp.csr_matrix(sp.coo_matrix(entries, shape=rows.shape))
+    rows = sp.csr_matrix(_moved(ranks, K, numbering.new_blocks(K.indices), numbering.owner))
+    rows.eliminate_zeros()  # what blocks were filled with
+    rows = _with_diagonal(rows, ranks.first(rows.shape[0]))
     K = PETSc.Mat().createAIJ(
-        size=((rows.shape[0], len(new)), (rows.shape[0], len(new))),
-        bsize=size,
-        csr=(csr.indptr.astype(PETSc.IntType), csr.indices.astype(PETSc.IntType), csr.data),
+        size=((rows.shape[0], rows.shape[1]), (rows.shape[0], rows.shape[1])),
+        bsize=numbering.size,
+        csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
         comm=ranks.comm,
     )
     K.setOption(PETSc.Mat.Option.SPD, False)
@@ -118,16 +128,26 @@ def _matrix(ranks: Ranks, rows: Any, dofs: NDArray[np.intp], new: NDArray[np.int
     return K
 
 
-def _rows(rows: Any, new: NDArray[np.intp], like: Any) -> Rows:
-    """Rows of a sparse matrix over the unknowns in their old numbers."""
-    rows = sp.csr_matrix(rows)
-    columns = np.unique(rows.indices)
-    return Rows(rows[:, columns], new[columns], like)
+def _with_diagonal(rows: Any, first: int) -> Any:
+    """PETSc wants a place for every diagonal entry, of an unknown without stiffness too."""
+    rows.sort_indices()
+    bare = np.flatnonzero(rows.diagonal(first) == 0) if rows.shape[0] else np.zeros(0, dtype=np.intp)
+    if not bare.size:
+        return rows
+    row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+    places = (np.append(row, bare), np.append(rows.indices, first + bare))
+    return sp.csr_matrix(sp.coo_matrix((np.append(rows.data, np.zeros(len(bare))), places), shape=rows.shape))
+
+
+def _rows(rows: Any, like: Any) -> Rows:
+    """Rows over the unknowns in their new numbers."""
+    touched, places = np.unique(rows.indices, return_inverse=True)
+    return Rows(sp.csr_matrix((rows.data, places, rows.indptr), shape=(rows.shape[0], len(touched))), touched, like)
 
 
 def _constants(count: int, size: int) -> NDArray[np.float64]:
     return np.tile(np.eye(size), (count // size, 1))
 
 
-def _named(name: Callable[[int], str], numbers: NDArray[np.intp] | Numbers) -> Callable[[int], str]:
-    return lambda here: name(int(numbers[here]))
+def _called(kind: str, names: NDArray[np.str_], numbers: NDArray[np.int64]) -> Callable[[int], str]:
+    return (lambda here: str(names[here, 0])) if names.size else (lambda here: kind.format(numbers[here]))
