@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from contactqp.cli.output import complain, launched_rank
 from contactqp.engines import SERIAL
@@ -19,6 +20,7 @@ from contactqp.engines import SERIAL
 if TYPE_CHECKING:
     from contactqp.distributed.ranks import Ranks
 
+T = TypeVar("T")
 # Seconds that ranks which fail together may be apart; later ones wait longer, so that one of them speaks.
 GRACE, APART, MOST_APART = 2.0, 0.1, 10
 # Between two looks at whether all have come.
@@ -71,6 +73,10 @@ class Speakers:
     def together(self) -> AbstractContextManager[None]:
         """What one rank refuses meanwhile, all refuse."""
         return nullcontext() if self._ranks is None else self._ranks.together()
+
+    def by_first(self, action: Callable[[], T]) -> T:
+        """What an action finds, once and for all ranks; what it refuses, all refuse."""
+        return action() if self._ranks is None else cast(T, self._ranks.told(self._ranks.by_first(action)))
 
     def settle(self, ending: Ending) -> int:
         """Say what is to be said once, and return the exit code of all ranks; or end them, where they do not come."""

@@ -67,11 +67,12 @@ def run_command(
     from contactqp.scene.arguments import read_knobs
 
     speakers.start(engine)
+    named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
     with speakers.together():
         if checkpoint is not None and engine == SERIAL:
             raise Unsupported("--checkpoint: only --engine petsc keeps the steps of a load path")
         knobs = read_knobs(penalty, perturbation, options)
-        scenes, foreign, files = _read(cases, plot, vtu, every_method=bool(methods))
+        scenes, files = _read(named, plot, vtu, every_method=bool(methods))
         if checkpoint is not None and len(scenes) != 1:
             raise InvalidProblem(f"--checkpoint: expected one case, whose steps are kept there, got {len(scenes)}")
     data, met = list[Any](), True
@@ -96,24 +97,30 @@ def run_command(
     sys.exit(0 if met else NOT_MET)
 
 
+def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Case files (and folders of them), and problems in files of other codes."""
+    from contactqp.scene.arguments import are_case_files
+
+    if are_case_files(cases):
+        return list(cases), []
+    from contactqp.study.friction_files import split_files
+
+    return split_files(cases)
+
+
 def _read(
-    cases: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
-) -> tuple[list[Scene], list[str], AnswerFiles | None]:
-    """The scenes, the problems in files of other codes, and where answers are drawn to."""
-    from contactqp.scene.arguments import are_case_files, case_files
+    named: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
+) -> tuple[list[Scene], AnswerFiles | None]:
+    """The scenes, and where answers are drawn to."""
+    from contactqp.scene.arguments import case_files
     from contactqp.scene.loading import load_scene
 
-    named, foreign = list(cases), list[str]()
-    if not are_case_files(cases):
-        from contactqp.study.friction_files import split_files
-
-        named, foreign = split_files(cases)
     scenes = [load_scene(file) for file in case_files(named)]
     if plot is None and vtu is None:
-        return scenes, foreign, None
+        return scenes, None
     from contactqp.study.answer_files import answer_files
 
-    return scenes, foreign, answer_files(scenes, plot, vtu, every_method=every_method)
+    return scenes, answer_files(scenes, plot, vtu, every_method=every_method)
 
 
 def _failed(messages: Iterable[str]) -> Ending:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.certificate import Certificate
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.problem import DistributedProblem, Numbers
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
@@ -102,7 +103,7 @@ def gathered(problem: ContactProblem, solution: DistributedSolution) -> Solution
         tie_force=solution.tie_force,
         contact_status=solution.contact_status,
         free_motions=tuple(FreeMotion(motion, describe_motion(problem, motion)) for motion in solution.free_motions),
-        certificate=_certificate(solution),
+        certificate=certificate_of(solution, solution.problem.whole),
         method=solution.method,
         seconds=solution.seconds,
         certify_seconds=solution.certify_seconds,
@@ -110,19 +111,21 @@ def gathered(problem: ContactProblem, solution: DistributedSolution) -> Solution
     )
 
 
-def _certificate(solution: DistributedSolution) -> Certificate:
-    """With what it says contact by contact of all ranks."""
+def certificate_of(
+    solution: DistributedSolution, whole: Callable[[NDArray[Any], Numbers], NDArray[Any]]
+) -> Certificate:
+    """With what it says contact by contact of all ranks, where `whole` makes that of their parts. Collective."""
     part, certificate = solution.problem, solution.certificate
     bound, found = certificate.force_bound, certificate.violations
     numbers = dict.fromkeys(_OF_UNKNOWNS, part.dof_number) | {"tie": part.tie_number}
     return replace(
         certificate,
-        force_bound=None if bound is None else part.whole(bound, part.contact_number),
+        force_bound=None if bound is None else whole(bound, part.contact_number),
         violations=None
         if found is None
         else Violations(
             **{
-                each.name: part.whole(getattr(found, each.name), numbers.get(each.name, part.contact_number))
+                each.name: whole(getattr(found, each.name), numbers.get(each.name, part.contact_number))
                 for each in fields(found)
             }
         ),

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contactqp.certificate import Certificate
 from contactqp.engines import SERIAL
@@ -22,6 +22,9 @@ from contactqp.problem import ContactProblem
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
+if TYPE_CHECKING:
+    from contactqp.distributed.collecting import CollectedSolution
+
 SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 LOCAL_FIGURES = (*SHARED_FIGURES, "joints", "natural_map", "siconos_error")
 BODY_FIGURES = ("equilibrium", "balance", *SHARED_FIGURES, "tie")
@@ -29,13 +32,23 @@ ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 DEFAULT_METHOD = "active-set"
 
 
+@dataclass(frozen=True)
+class Outline:
+    """What is said of a problem beside its answer; on several ranks nobody keeps the problem itself."""
+
+    form: str  # as solved: "local" wherever there is one, else "bodies"
+    dimension: int  # 1 where nothing says it
+    contacts: int
+    asymmetry: float
+
+
 @dataclass(frozen=True, eq=False)
 class FileOutcome:
     """What one method made of one file."""
 
     file: str
-    problem: LocalProblem | ContactProblem  # as solved: in local form wherever there is one
-    solution: LocalSolution | Solution | None  # also one that the certificate refuses
+    problem: Outline
+    solution: LocalSolution | Solution | CollectedSolution | None  # also one that the certificate refuses
     failure: str | None  # why there is no answer
     seconds: float  # of solving
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -43,13 +56,6 @@ class FileOutcome:
     @property
     def passed(self) -> bool:
         return self.failure is None and self.solution is not None and self.solution.certificate.passed
-
-    @property
-    def dimension(self) -> int:
-        if isinstance(self.problem, LocalProblem):
-            return self.problem.dimension
-        origin = self.problem.slip_origin
-        return 1 + (origin.shape[1] if origin is not None else 0)
 
     @property
     def statuses(self) -> dict[str, int]:
@@ -81,6 +87,13 @@ def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
         if isinstance(problem, ContactProblem):
             return problem
         raise
+
+
+def outline_of(problem: LocalProblem | ContactProblem) -> Outline:
+    if isinstance(problem, LocalProblem):
+        return Outline("local", problem.dimension, problem.contacts, problem.asymmetry)
+    origin = problem.slip_origin
+    return Outline("bodies", 1 + (0 if origin is None else origin.shape[1]), problem.contacts, problem.asymmetry)
 
 
 def run_files(
@@ -117,24 +130,28 @@ def run_files(
 def run_file(
     file: str, method: str | None = None, options: Mapping[str, Any] | None = None, engine: str = SERIAL
 ) -> FileOutcome:
-    """Solve a file's problem.
+    """Solve a file's problem; with an engine of several ranks, where the answer is whole on the first, collectively.
 
     Raises
     ------
     InvalidProblem, Unsupported, BackendMissing
         The file, the method or its options are no good. That a method finds no answer is an outcome.
     """
+    if engine != SERIAL:
+        from contactqp.study.files_on_ranks import run_file_on_ranks
+
+        return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
     problem, chosen = solvable_form(file), dict(options or {})
     solution: Any
     began = time.perf_counter()
     try:
         with naming(file):
-            solution, failure = solve(problem, method or DEFAULT_METHOD, engine=engine, **chosen), None
+            solution, failure = solve(problem, method or DEFAULT_METHOD, **chosen), None
     except (NotConverged, NotCertified) as error:
         solution, failure = error.solution, f"{file}: {error}"
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         solution, failure = None, f"{file}: {error}"
-    return FileOutcome(file, problem, solution, failure, time.perf_counter() - began, chosen)
+    return FileOutcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
 
 
 def figures(certificate: LocalCertificate | Certificate) -> dict[str, float]:
@@ -148,8 +165,8 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
     solution, problem = outcome.solution, outcome.problem
     data: dict[str, Any] = {
         "file": outcome.file,
-        "form": "local" if isinstance(problem, LocalProblem) else "bodies",
-        "dimension": outcome.dimension,
+        "form": problem.form,
+        "dimension": problem.dimension,
         "contacts": problem.contacts,
         "asymmetry": problem.asymmetry,
         "met": outcome.passed,

@@ -41,7 +41,9 @@ def _row(outcome: FileOutcome) -> list[str | Text]:
     return [
         escape(Path(outcome.file).name),
         f"{outcome.problem.contacts}",
-        f"{outcome.dimension}D" if outcome.dimension > 1 else "",  # without tangential rows nothing says
+        f"{outcome.problem.dimension}D"
+        if outcome.problem.dimension > 1
+        else "",  # without tangential rows nothing says
         escape(solution.method) if solution is not None else "",
         states,
         *(_figure(known.get(name)) for name in (*SHARED_FIGURES, "natural_map", "siconos_error")),
