@@ -16,7 +16,8 @@ from contactqp.errors import BackendFailed, Unsupported
 SOLVERS: dict[str, dict[str, Any]] = {
     "gamg": {"pc_type": "gamg"},
     "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
-    "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
+    # Twice the memory that MUMPS expects to need: what it needs depends on the order in which messages come.
+    "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100},
 }
 PREFIX = "contactqp_"
 # Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
@@ -81,6 +82,7 @@ class Preconditioner:
         try:
             self._pc.setFromOptions()
             self._set_up(problem, motions)
+            _refuse_failed_factors(self._pc, solver)
         except PETSc.Error as error:
             raise BackendFailed(f"PETSc's {solver} failed: {str(error).splitlines()[-1]}") from error
         finally:
@@ -112,6 +114,12 @@ class Preconditioner:
         except petsc().Error as error:
             raise BackendFailed(f"PETSc's {self._solver} failed: {str(error).splitlines()[-1]}") from error
         return np.where(self._held, 0.0, self._into.array)
+
+
+def _refuse_failed_factors(pc: Any, solver: str) -> None:
+    """PETSc would go on with infinities."""
+    if solver == "mumps" and pc.getType() == "cholesky" and (said := pc.getFactorMatrix().getMumpsInfog(1)) < 0:
+        raise BackendFailed(f"PETSc's mumps failed: INFOG(1) = {said} (-9: memory, -10: a singular matrix)")
 
 
 def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
