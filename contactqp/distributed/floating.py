@@ -70,8 +70,14 @@ class Floating:
 
     @cached_property
     def moved(self) -> Array:
-        """E Z (a, r)."""
-        return np.column_stack([self._rows.lengths(z) for z in self.motions.T] or [np.zeros((self._rows.count, 0))])
+        """E Z (a, r), zero where it is rounding: what of a motion a row would feel by that alone does not resist it."""
+        own = np.sqrt(np.divide(1.0, self._stiffness, out=np.zeros_like(self._stiffness), where=self._stiffness > 0))
+        columns = [np.zeros((self._rows.count, 0))]
+        for z in self.motions.T:
+            size = self._ranks.max(float(np.max(np.sqrt(self._diagonal) * abs(z), initial=0.0)))
+            lengths = self._rows.lengths(z)
+            columns.append(np.where(abs(lengths) > UNRESISTED * own * size, lengths, 0.0)[:, None])
+        return np.hstack(columns)
 
     def resting(self, load: Vector, limit: Vector) -> tuple[Vector, NDArray[np.bool_]]:
         """A rigid displacement (n_here,) where the load presses the bodies, and the contacts that hold them there.

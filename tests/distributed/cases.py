@@ -38,3 +38,38 @@ def path_case(folder: Path, load: str = "2000 kN") -> Path:
     file = folder / "path.toml"
     file.write_text(PATH.replace("2000 kN", load))
     return file
+
+
+# The upper of two blocks is held along y alone, by what presses it: no support and no contact resists it along x.
+PARTLY_HELD = """
+title = "A block pressed onto another"
+units = { length = "m", force = "kN" }
+axes = ["x", "y"]
+contacts = [{ name = "joint", sides = ["upper.bottom", "lower.top"], pairing = "node-to-segment" }]
+supports = [
+    { name = "foot along x", on = "lower.bottom", axis = "x" },
+    { name = "foot along y", on = "lower.bottom", axis = "y" },
+    { name = "press", on = "upper.top", axis = "y", value = "-1 mm" },
+]
+[[bodies]]
+name = "lower"
+shape = { kind = "rectangle", element = "quad4", size = ["3 m", "1 m"], corner = ["-1.5 m", "0 m"], divisions = [7, 3] }
+model = "plane-strain"
+thickness = "1 m"
+modulus = "30 GPa"
+poisson = 0.2
+[[bodies]]
+name = "upper"
+shape = { kind = "rectangle", element = "tri3", size = ["1 m", "1 m"], corner = ["-0.5 m", "1 m"], divisions = [5, 4] }
+model = "plane-strain"
+thickness = "1 m"
+modulus = "10 GPa"
+poisson = 0.2
+"""
+
+
+def partly_held_case(folder: Path) -> Path:
+    """The case as a file."""
+    file = folder / "partly_held.toml"
+    file.write_text(PARTLY_HELD)
+    return file

@@ -40,3 +40,8 @@ def test_what_is_no_answer_is_refused(on_ranks: Callable[..., str], count: int) 
 @pytest.mark.parametrize("count", [1, 2])
 def test_arguments_that_are_no_good_are_refused_in_one_line(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_arguments.py", count)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_what_a_row_feels_by_rounding_alone_it_does_not_resist(on_ranks: Callable[..., str], count: int) -> None:
+    assert "held" in on_ranks("partly_held.py", count)
