@@ -43,6 +43,8 @@ CONTRACTION = 0.5
 SAFETY = 10.0
 # The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
 GENEROUS = 25.0
+# What is left to gain is rounding of what was gained: further steps would go along nothing, anywhere.
+EXHAUSTED = float(np.finfo(float).eps) ** 2
 # Steps of the longest run that Ritz values are believed of.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
 ROUNDING = 16 * np.finfo(float).eps
@@ -174,7 +176,8 @@ def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> fl
         way.learn(run)
         least, longest = (way.least_eigenvalue, way.longest_run) if learned else (run.least_eigenvalue(), run.steps)
         rest = SAFETY * square / least
-        known = longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square)
+        exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
+        known = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
         if known or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
         way.krylov_iterations += 1

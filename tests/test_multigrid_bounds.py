@@ -1,10 +1,13 @@
 """Certificates without a factorisation: bounds above the truth and near it, wrong answers refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.conjugate_gradients import ConjugateGradients
 from contactqp.contact_iteration import ContactIteration
 from contactqp.elimination import CHOICE
 from contactqp.iteration import Iteration, iteration
@@ -113,6 +116,27 @@ def test_the_dual_norm_is_above_the_truth(truth):
         for r in loads:
             exact = np.sqrt(r @ factor.solve(r))
             assert exact <= dual_norm(way, r) <= 5 * exact
+
+
+def test_a_run_ends_where_nothing_is_left_to_gain():
+    """A floating body of three unknowns: two steps are all that there are, and further ones are rounding."""
+    K = np.array([[1.0, -1.0, 0.0], [-1.0, 3.0, -2.0], [0.0, -2.0, 2.0]])
+    near = np.linalg.inv(K + 1e-5 * np.diag(np.diag(K)))
+    rigid = SimpleNamespace(admit=lambda z: z.__isub__(np.diag(K) @ z / np.trace(K)), balanced=np.copy)
+    way = SimpleNamespace(
+        any=np.any,
+        deflated=lambda force: force - force.mean(),
+        learn=lambda run: ContactIteration.learn(way, run),
+        run_without_rows=lambda r: ConjugateGradients(K.dot, near.dot, np.zeros(3), r, rigid),
+        least_eigenvalue=1.0,
+        longest_run=0,
+        krylov_iterations=0,
+    )
+    for seed in range(20):
+        r = way.deflated(np.random.default_rng(seed).standard_normal(3))
+        exact = np.sqrt(r @ np.linalg.pinv(K) @ r)
+        assert exact * (1 - 1e-12) <= dual_norm(way, r, learned=True) <= 5 * exact
+        assert way.least_eigenvalue > 0.99
 
 
 @pytest.mark.parametrize("truth", ["a row an unknown", "three unknowns a row", "mortar"], indirect=True)
