@@ -75,7 +75,7 @@ def solve_distributed(
     settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
     if method in bounded.METHODS:
         return _by_bounds(problem, method, solver, settings, started)
-    way = _iteration(problem, chosen_solver(solver, problem.dimension))
+    way = iteration_of(problem, chosen_solver(solver, problem.dimension))
     before = way.krylov_iterations
     if problem.frictional:
         return _rubbing(problem, way, method, settings, warm_start, started)
@@ -92,7 +92,7 @@ def judged(
     problem: DistributedProblem, answer: DistributedAnswer, method: str, solver: str = AUTO
 ) -> DistributedSolution:
     """An answer that is known already, with its certificate. Collective."""
-    way = _iteration(problem, chosen_solver(solver, problem.dimension))
+    way = iteration_of(problem, chosen_solver(solver, problem.dimension))
     _, motions = _at_rest(problem, way, answer)
     return _judged(problem, answer, way, method, time.perf_counter(), 0, 0, motions)
 
@@ -108,7 +108,7 @@ def _by_bounds(
     problem: DistributedProblem, method: str, solver: str, settings: Settings, started: float
 ) -> DistributedSolution:
     """By PETSc's own solvers; what bounds their error is ours."""
-    way = _iteration(problem, chosen_solver(solver if solver in SOLVERS else AUTO, problem.dimension))
+    way = iteration_of(problem, chosen_solver(solver if solver in SOLVERS else AUTO, problem.dimension))
     if way.floating.count:
         raise Unsupported(f"{method}: a body that only contacts hold has no stiffness that PETSc could factorise")
     candidate = bounded.solve_bounded(problem, method, solver, settings)
@@ -117,7 +117,7 @@ def _by_bounds(
     return _accepted(_judged(problem, answer, way, method, started, candidate.iterations, 0, none), candidate)
 
 
-def _iteration(problem: DistributedProblem, solver: str) -> DistributedIteration:
+def iteration_of(problem: DistributedProblem, solver: str) -> DistributedIteration:
     """Made once for a stiffness and its rows; shared by all problems that have both."""
     frictional = problem.frictional
     key = f"iteration by {solver}, {'with' if frictional else 'without'} friction"

@@ -1,0 +1,1 @@
+"""One contact problem on more and more ranks: seconds, memory, messages, and what they make of larger ones."""
