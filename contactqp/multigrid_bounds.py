@@ -175,7 +175,7 @@ def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> fl
         square = run.square()
         way.learn(run)
         least, longest = (way.least_eigenvalue, way.longest_run) if learned else (run.least_eigenvalue(), run.steps)
-        rest = SAFETY * square / least
+        rest = SAFETY * square / least if least > 0 else np.inf
         exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
         known = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
         if known or run.steps >= MOST_STEPS or not run.step():

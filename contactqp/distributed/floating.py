@@ -94,7 +94,8 @@ class Floating:
         if isinstance(a, str):
             raise NoEquilibrium(a)
         first = self._ranks.first(len(limit))
-        pressed = force[first : first + self._contacts] > IDLE * np.max(abs(force), initial=0.0)
+        push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
+        pressed = push[first : first + self._contacts] > IDLE * np.max(abs(push), initial=0.0)
         return self.motions @ a, pressed
 
     def loose(self, closed: NDArray[np.bool_]) -> Array:

@@ -24,7 +24,8 @@ from contactqp.methods import Settings, find
 from contactqp.solution import Candidate, Work
 from contactqp.solving_arguments import refuse_arguments
 
-# Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9.
+# Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9, in
+# energy; single unknowns that are much softer than others may be off by more of their own size.
 ENERGY = 1e-10
 
 
@@ -61,7 +62,7 @@ def solve_distributed(
     NoEquilibrium
         The load drives a rigid motion that nothing holds back.
     NotConverged, NotCertified
-        As `contactqp.solve`; the solution they carry is a DistributedSolution.
+        As `contactqp.solve`, and where constraints conflict; the solution they carry is a DistributedSolution.
     Unsupported
         Another method, a solver that this PETSc has not.
     InvalidProblem

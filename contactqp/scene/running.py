@@ -40,7 +40,8 @@ def run(
     method : str
         A name of `contactqp.methods()`.
     engine : str
-        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same; `method` is
+        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same; what a
+        solution of bodies is asked for is gathered then, so that all ranks have to ask or all of them wait; `method` is
         "active-set", and load paths are without friction and take steps. Each rank makes its own piece of elastic
         bodies; what is asked of their solutions is gathered, so that all ranks ask it together.
     checkpoint : str or Path, optional
