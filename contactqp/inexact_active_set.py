@@ -78,7 +78,7 @@ class _Search:
             self.x = known.displacement.copy()
             self.residual = self.problem.load - self.way.product(self.x)
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
-            self.closed = known.normal_force > 0
+            self.closed = self.way.supported(self.problem, known.normal_force > 0, self.x)
             return
         resting = self.way.rest(self.problem)
         if resting is not None:

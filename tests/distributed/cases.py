@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 # Numbers of ranks that whole lists of cases are run on; more of them take minutes on two cores.
-RANKS = (1, 3, *(pytest.param(count, marks=pytest.mark.slow) for count in (2, 4)))
+RANKS = (3, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 2, 4)))
 
 # Two bodies of bars meet each other and a wall while the load grows in six steps; 7 answers with the start.
 STEPS = 6

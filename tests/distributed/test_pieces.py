@@ -81,12 +81,12 @@ def test_a_wrong_problem_is_seen(on_ranks):
         on_ranks("same_as_one_process.py", 2, "--spoil", FOLDER / "hertz_line.toml")
 
 
-@pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.parametrize("ranks", [3])
 def test_claims_are_answered_as_by_one_process(on_ranks, ranks):
     on_ranks("claims_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in CASES[:5]))
 
 
-@pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.parametrize("ranks", [3])
 def test_what_is_wrong_is_refused_on_all_ranks_in_the_same_words(on_ranks, ranks):
     on_ranks("refused_alike.py", ranks)
 
