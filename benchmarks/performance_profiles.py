@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from contactqp.pictures.whole_file import check_installed, write_whole
+from contactqp.whole_file import check_installed, write_whole
 from contactqp.study.statistics.profiles import profile, ratios
 
 
