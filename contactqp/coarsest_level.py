@@ -19,6 +19,10 @@ from contactqp.errors import Unsupported
 Array = NDArray[np.float64]
 
 
+class SingularLevel(Unsupported):
+    """A level that Cholesky's method finds singular."""
+
+
 class CoarsestLevel:
     """Factors of K_oo.
 
@@ -45,12 +49,12 @@ class CoarsestLevel:
 
 
 class HeldCoarsestLevel:
-    """(K + E'CE)^-1 on the coarsest level; `rows` (a, t) are C^1/2 E over the touched unknowns."""
+    """(K + E'CE)^-1 on the coarsest level; `added` (t, t) is E'CE of the touched unknowns."""
 
-    def __init__(self, level: CoarsestLevel, rows: Any) -> None:
+    def __init__(self, level: CoarsestLevel, added: Array) -> None:
         self._level = level
-        scaled = rows.toarray() * level.scale[level.touched]
-        self._lower = cholesky(level.schur + scaled.T @ scaled)
+        scale = level.scale[level.touched]
+        self._lower = cholesky(level.schur + np.outer(scale, scale) * added)
 
     def solve(self, right: Array) -> Array:
         level, scaled = self._level, self._level.scale * right
@@ -68,8 +72,7 @@ def cholesky(matrix: Array) -> Array:
 
     Raises
     ------
-    Unsupported
-        It is singular.
+    SingularLevel
     """
     from scipy.linalg import cholesky as factor
 
@@ -78,7 +81,7 @@ def cholesky(matrix: Array) -> Array:
     try:
         return np.asarray(factor(matrix, lower=True, check_finite=False))
     except np.linalg.LinAlgError:
-        raise Unsupported(
+        raise SingularLevel(
             "pyamg: the stiffness is singular, or too near to it to be solved by iteration; factorise it instead: "
             "CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
         ) from None

@@ -16,7 +16,7 @@ from contactqp.errors import Unsupported
 from contactqp.held_rows import HeldRows
 from contactqp.multigrid import Hierarchy, available
 from contactqp.problem import ContactProblem, Vector
-from contactqp.v_cycle import HeldHierarchy, VCycle
+from contactqp.v_cycle import HeldHierarchy
 from contactqp.violations import force_measure, stiffness_sizes
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
@@ -99,7 +99,7 @@ class Iteration(ContactIteration):
         self._near = problem.stiffness_rows[self.touched]
         self._near_sizes = abs(self._near)
         self._no_rows = np.zeros(0, dtype=np.intp)
-        self._plain = VCycle(self._hierarchy, self._no_rows)
+        self._plain = self._hierarchy.cycle(self._no_rows)
 
     def dot(self, a: Vector, b: Vector) -> float:
         """a'b."""
@@ -175,7 +175,7 @@ class Iteration(ContactIteration):
         self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: contact_iteration.HeldRows
     ) -> ConjugateGradients:
         """Conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
-        return ConjugateGradients(self.product, VCycle(self._hierarchy, rows), x, residual, held)
+        return ConjugateGradients(self.product, self._hierarchy.cycle(rows), x, residual, held)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
         """Conjugate gradients on K e = r from e = 0; r is changed in place."""

@@ -8,7 +8,7 @@ from contactqp import multigrid
 from contactqp.conjugate_gradients import ConjugateGradients
 from contactqp.held_rows import HeldRows
 from contactqp.multigrid import Hierarchy, available, largest_eigenvalue
-from contactqp.v_cycle import HeldHierarchy, VCycle
+from contactqp.v_cycle import HeldHierarchy
 from tests.blocks_in_space import on_paraboloid, on_sphere, stacked
 
 pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg: pip install 'contactqp[fast]'")
@@ -21,7 +21,7 @@ def several_levels(monkeypatch):
 
 def preconditioner(problem, held, hierarchy=None):
     hierarchy = hierarchy or Hierarchy(problem.stiffness_rows, problem.near_null_space)
-    return VCycle(HeldHierarchy(hierarchy, problem.normal), np.asarray(held, dtype=np.intp))
+    return HeldHierarchy(hierarchy, problem.normal).cycle(np.asarray(held, dtype=np.intp))
 
 
 def dense(operator, n):
@@ -88,7 +88,7 @@ def test_units_of_the_unknowns_change_nothing():
     assert [level.matrix.shape for level in twin.levels] == [level.matrix.shape for level in mine.levels]
     assert twin.held == pytest.approx(mine.held, rel=1e-8)
     r = np.random.default_rng(1).standard_normal(problem.dimension)
-    other = VCycle(HeldHierarchy(twin, problem.normal @ D), np.arange(5))(r * scale) * scale
+    other = HeldHierarchy(twin, problem.normal @ D).cycle(np.arange(5))(r * scale) * scale
     assert other == pytest.approx(preconditioner(problem, np.arange(5), mine)(r), rel=1e-8, abs=1e-10)
 
 
