@@ -50,7 +50,7 @@ class DistributedIteration(ContactIteration):
         self._near_sizes = _sizes_of(problem.stiffness, self._touched)
         self._stand_on(rows)
         self.floating = Floating(problem, rows, self.own_compliance)
-        self._precondition = Preconditioner(problem, self.floating.motions, solver)
+        self._precondition = Preconditioner(problem, rows, self.floating.motions, solver)
 
     def _stand_on(self, rows: Rows) -> None:
         self.rows = rows
@@ -165,12 +165,13 @@ class DistributedIteration(ContactIteration):
 
     def run(self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: Projections) -> ConjugateGradients:
         """Conjugate gradients on the displacements that keep some rows."""
-        del rows  # M is that of the bodies without rows
-        return ConjugateGradients(self.product, self._precondition, x, residual, held, self.dot)
+        precondition = self._precondition.holding(self.rows.entries[rows])
+        return ConjugateGradients(self.product, precondition, x, residual, held, self.dot)
 
     def run_without_rows(self, residual: Vector) -> ConjugateGradients:
         """Conjugate gradients on K e = r from e = 0; r is changed in place."""
-        return self.run(np.zeros_like(residual), residual, np.zeros(0, dtype=np.intp), self.floating)
+        x = np.zeros_like(residual)
+        return ConjugateGradients(self.product, self._precondition, x, residual, self.floating, self.dot)
 
     def smooth(self, force: Vector) -> Vector:
         """M r."""

@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.memory import give_back
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rows import Rows
+from contactqp.distributed.smoothed_aggregation import Tentative
+from contactqp.distributed.v_cycle import DistributedHierarchy
 from contactqp.errors import BackendFailed, Unsupported
 
 # Names of `solver`, and what PETSc calls them. Its own options come after: -contactqp_pc_type, -contactqp_pc_gamg_...
 SOLVERS: dict[str, dict[str, Any]] = {
-    "gamg": {"pc_type": "gamg"},
+    "gamg": {
+        "pc_type": "gamg",
+        "pc_gamg_agg_nsmooths": 0,
+        "mg_levels_ksp_type": "richardson",
+        "mg_coarse_pc_type": "none",
+    },
     "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
     # Twice the memory that MUMPS expects to need: what it needs depends on the order in which messages come.
     "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100},
 }
 PREFIX = "contactqp_"
+# Unknowns of the coarsest of our levels: a dense factor on every rank, part of it anew for every contact set.
+COARSEST = 600
 # Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
 AUTO, FACTORISED = "auto", 100_000
-# A problem that GAMG would make no coarser level of.
-ONE_LEVEL = 50
 # What holds a body that floats, of its own diagonal: little beside what any deformation costs, much beside rounding.
 LIFT = 1e-5
+# A motion of which the others leave no more than this is one of them.
+SAME_MOTION = 1e-10
 
 
 def chosen_solver(solver: str, dimension: int) -> str:
@@ -36,11 +49,8 @@ def chosen_solver(solver: str, dimension: int) -> str:
     Unsupported
         There is none of that name.
     """
-    factorised = petsc().Sys.hasExternalPackage("mumps")
     if solver == AUTO:
-        return "mumps" if dimension <= FACTORISED and factorised else "gamg"
-    if solver == "gamg" and dimension <= ONE_LEVEL and factorised:
-        return "mumps"
+        return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
     if solver not in SOLVERS:
         raise Unsupported(f"solver: expected {AUTO}, {', '.join(SOLVERS)}, got {solver!r}")
     return solver
@@ -53,6 +63,8 @@ class Preconditioner:
     ----------
     problem : DistributedProblem
         Its K and near-null-space.
+    rows : Rows
+        What may hold the bodies.
     motions : (n_here, r) array
         Rigid motions of bodies that float: on these M is that of K + LIFT D.
     solver : str
@@ -66,54 +78,83 @@ class Preconditioner:
         PETSc gave up: singular, or out of memory.
     """
 
-    def __init__(self, problem: DistributedProblem, motions: NDArray[np.float64], solver: str) -> None:
+    def __init__(self, problem: DistributedProblem, rows: Rows, motions: NDArray[np.float64], solver: str) -> None:
         PETSc, stiffness = petsc(), problem.stiffness
         if solver != "gamg" and not PETSc.Sys.hasExternalPackage(solver):
             raise Unsupported(f"solver: this PETSc was built without {solver}")
         if solver == "gamg":
             _set_near_null_space(stiffness, problem.near_null_space)
+        self._into, self._from = stiffness.createVecs()
+        self._held, self._solver = problem.held, solver
+        give_back()
         self._pc = PETSc.PC().create(stiffness.comm)
         self._pc.setOperators(stiffness)
+        self._hierarchy: DistributedHierarchy | None = None
         self._pc.setOptionsPrefix(PREFIX)
         options = PETSc.Options(PREFIX)
-        ours: dict[str, Any] = {key: value for key, value in SOLVERS[solver].items() if not options.hasName(key)}
+        ours = dict(SOLVERS[solver])
+        if solver == "gamg":
+            ours["pc_gamg_coarse_eq_limit"] = COARSEST
+        ours = {key: value for key, value in ours.items() if not options.hasName(key)}
         for key, value in ours.items():
             options[key] = value
         try:
             self._pc.setFromOptions()
-            self._set_up(problem, motions)
-            _refuse_failed_factors(self._pc, solver)
+            self._set_up(problem, rows, motions)
         except PETSc.Error as error:
             raise BackendFailed(f"PETSc's {solver} failed: {str(error).splitlines()[-1]}") from error
         finally:
             for key in ours:
                 options.delValue(key)
-        self._into, self._from = stiffness.createVecs()
-        self._held, self._solver = problem.held, solver
 
-    def _set_up(self, problem: DistributedProblem, motions: NDArray[np.float64]) -> None:
+    def _set_up(self, problem: DistributedProblem, rows: Rows, motions: NDArray[np.float64]) -> None:
         """With the diagonal of bodies that float lifted for the while: a copy of K would take as much as K."""
         floating = problem.ranks.any(motions != 0)
         if not floating:
-            self._pc.setUp()
+            self._make(problem, rows, problem.metric)
             return
         diagonal = problem.stiffness.getDiagonal()
         afloat = np.isin(problem.body, problem.ranks.gathered(np.unique(problem.body[np.any(motions != 0, axis=1)])))
         lifted = diagonal.copy()
         lifted.array[:] += np.where(afloat, LIFT * problem.metric, 0.0)
         problem.stiffness.setDiagonal(lifted)
-        self._pc.setUp()
+        self._make(problem, rows, np.array(lifted.array))
         problem.stiffness.setDiagonal(diagonal)
-        self._pc.setReusePreconditioner(True)  # K has changed, and M shall not
+
+    def _make(self, problem: DistributedProblem, rows: Rows, diagonal: Vector) -> None:
+        """PETSc's own, or levels on the aggregates of its GAMG, which are all that is kept of that."""
+        if self._pc.getType() != "gamg":
+            self._pc.setUp()
+            _refuse_failed_factors(self._pc, self._solver)
+            self._pc.setReusePreconditioner(True)  # even if the diagonal of K changes
+            return
+        tentative = []
+        if problem.stiffness.getSize()[0] > COARSEST:  # of fewer GAMG makes one level
+            self._pc.setUp()
+            finest = self._pc.getMGLevels() - 1
+            tentative = [Tentative.of(self._pc.getMGInterpolation(level)) for level in range(finest, 0, -1)]
+        self._pc.destroy()
+        give_back()
+        hierarchy = DistributedHierarchy(problem.ranks, problem.stiffness, tentative, diagonal, rows)
+        self._hierarchy, self._plain = hierarchy, hierarchy.cycle(rows.entries[:0])
 
     def __call__(self, r: Vector) -> Vector:
         """M r."""
+        if self._hierarchy is not None:
+            return np.where(self._held, 0.0, self._plain(r))
         self._from.array[:] = r
         try:
             self._pc.apply(self._from, self._into)
         except petsc().Error as error:
             raise BackendFailed(f"PETSc's {self._solver} failed: {str(error).splitlines()[-1]}") from error
         return np.where(self._held, 0.0, self._into.array)
+
+    def holding(self, entries: sp.csr_matrix) -> Callable[[Vector], Vector]:
+        """M where rows hold, their entries (a, t): on GAMG's levels that of K + E'CE."""
+        if self._hierarchy is None:
+            return self
+        cycle = self._hierarchy.cycle(entries)
+        return lambda r: np.where(self._held, 0.0, cycle(r))
 
 
 def _refuse_failed_factors(pc: Any, solver: str) -> None:
@@ -135,7 +176,3 @@ def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
             v.normalize()
             basis.append(v)
     stiffness.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=stiffness.comm))
-
-
-# A motion of which the others leave no more than this is one of them.
-SAME_MOTION = 1e-10

@@ -22,7 +22,17 @@ class FloatingBodies:
 
 
 def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    """Combinations of the soft motions whose energy is FLOATING of their diagonal's at most. Collective."""
+    """Combinations of the soft motions whose energy is FLOATING of their diagonal's at most. Collective.
+
+    They are found once for a stiffness.
+    """
+    if "floating bodies" not in problem.shared:
+        problem.shared["floating bodies"] = _found(problem, bodies)
+    found: FloatingBodies = problem.shared["floating bodies"]
+    return found
+
+
+def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
     B = _scaled(problem)
     width = B.shape[1]
     # What has no stiffness at all floats by itself, and any metric will do.

@@ -29,6 +29,7 @@ class Rows:
         PETSc = petsc()
         self.entries = sp.csr_matrix(entries)
         self.touched = np.asarray(touched, dtype=PETSc.IntType)
+        self.like = like
         self._everywhere = like.createVecRight()
         self._here = PETSc.Vec().createSeq(len(self.touched), comm=PETSc.COMM_SELF)
         there = PETSc.IS().createGeneral(self.touched, comm=PETSc.COMM_SELF)
