@@ -88,7 +88,7 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
     update, beta = _chosen(problem, settings)
     if update == "uzawa":
         return _uzawa_frictionless(problem, settings, beta)
-    return active_set_loop(NAME, problem, settings, partial(_enforce, problem, beta))
+    return active_set_loop(NAME, problem, settings, partial(_enforce, problem, beta), stiffness=beta)
 
 
 def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
@@ -222,7 +222,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
         beta = normal, default_penalty(problem, tangent, UZAWA_STIFFENING if update == "uzawa" else 1.0)
     if update == "uzawa":
         return _uzawa_frictional(problem, settings, beta)
-    return status_loop(NAME, problem, settings, partial(_enforce_friction, problem, beta))
+    return status_loop(NAME, problem, settings, partial(_enforce_friction, problem, beta), stiffness=beta)
 
 
 def _enforce_friction(

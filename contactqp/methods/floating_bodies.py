@@ -29,7 +29,7 @@ class FloatingBodies:
         """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
         if not condense(self.problem).rigid.count:
             return np.zeros((self.problem.dimension, 0))
-        return np.linalg.qr(null_space(self.problem.stiffness).motions / self._scale[:, None])[0]
+        return np.linalg.qr(null_space(self.problem.stiffness).motions / self.scale[:, None])[0]
 
     @cached_property
     def normal(self) -> NDArray[np.float64]:
@@ -42,12 +42,13 @@ class FloatingBodies:
         return self.unit(self.problem.tie)
 
     @cached_property
-    def _scale(self) -> Vector:
+    def scale(self) -> Vector:
+        """D (n,) of these unknowns x, u = D x."""
         return unknown_scale(self.problem)
 
     def unit(self, rows: Any) -> NDArray[np.float64]:
         """Rows of unit length in these unknowns; an empty row is left as it is."""
-        dense = np.asarray((rows @ sp.diags(self._scale)).toarray())
+        dense = np.asarray((rows @ sp.diags(self.scale)).toarray())
         length = np.linalg.norm(dense, axis=1, keepdims=True)
         return np.asarray(dense / np.where(length > 0, length, 1.0))
 
@@ -64,6 +65,6 @@ class FloatingBodies:
         if not self.rigid.shape[1]:
             return np.zeros(rows.shape[0])
         felt = abs(self.unit(rows) @ self.rigid) > NEGLIGIBLE
-        length = np.linalg.norm((rows @ sp.diags(self._scale)).toarray(), axis=1)
-        noise = 16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (self._scale * forces)))
+        length = np.linalg.norm((rows @ sp.diags(self.scale)).toarray(), axis=1)
+        noise = 16 * np.finfo(float).eps * (felt @ (abs(self.rigid).T @ (self.scale * forces)))
         return np.asarray(noise / np.where(length > 0, length, 1.0))

@@ -200,7 +200,12 @@ class _Loop:
             return status
         u, normal, tangential = step.displacement, step.normal_force, step.friction_force
         pushes = ((problem.normal, normal), (self._tangent, tangential), (problem.tie, step.tie_force))
-        noise = self._sizes.noise(u, self._sizes.forces(u, pushes))
+        holds = (
+            (problem.normal, problem.gap, status != OPEN),
+            (self._tangent, self._origin, status == STICK),
+            (problem.tie, problem.tie_value, np.ones(problem.ties, dtype=bool)),
+        )
+        noise = self._sizes.noise(u, self._sizes.forces(u, pushes), holds)
         length, shift = noise.of_lengths(problem.normal, problem.gap), noise.of_lengths(self._tangent, self._origin)
         push = noise.of_forces(problem.normal) + self._stiffness[0] * length
         drag = noise.of_forces(self._tangent) + self._stiffness[1] * shift

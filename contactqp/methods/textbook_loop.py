@@ -40,8 +40,8 @@ def active_set_loop(
     enforce : Enforcement
         Solves the equality problem of one set of closed contacts.
     stiffness : float or (m,) array
-        Force that one unit of gap makes in a closed contact [force / length]: beta where contacts are springs, 0 where
-        they are exact. Rounding in the gap is seen in the force by this factor.
+        Force that one unit of gap makes in a closed contact [force / length]: beta where contacts are springs or have
+        springs beside them, 0 where they are exact. Rounding in the gap is seen in the force by this factor.
 
     Returns
     -------
@@ -129,7 +129,8 @@ def _changes(sets: Sets, sizes: Sizes, step: Step, stiffness: float | Vector) ->
     if problem.contacts == 0:
         return closed, closed
     pushes = ((problem.normal, step.normal_force), (problem.tie, step.tie_force))
-    noise = sizes.noise(step.displacement, sizes.forces(step.displacement, pushes))
+    holds = ((problem.normal, problem.gap, closed), (problem.tie, problem.tie_value, np.ones(problem.ties, dtype=bool)))
+    noise = sizes.noise(step.displacement, sizes.forces(step.displacement, pushes), holds)
     length = noise.of_lengths(problem.normal, problem.gap)
     penetration = problem.normal @ step.displacement - problem.gap
     incoming = ~closed & (penetration > length)

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 
 from contactqp.methods.floating_bodies import FloatingBodies
-from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING
+from contactqp.methods.textbook_algebra import TEXTBOOK_ROUNDING, Mask
 from contactqp.problem import ContactProblem, Matrix, Vector
 from contactqp.row_sizes import row_sizes
+
+# Rows (r, n), their limits (r,), and a mask of those that are equations, E_i u = g_i.
+Hold = tuple[Any, Vector, Mask]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +41,32 @@ class Sizes:
             meeting = meeting + row_sizes(self.problem, rows).transposed @ np.abs(force)
         return np.asarray(meeting)
 
-    def noise(self, displacement: Vector, forces: Vector) -> Noise:
+    def noise(self, displacement: Vector, forces: Vector, holds: tuple[Hold, ...]) -> Noise:
         """What rounding makes of forces and lengths at this displacement (n,) where forces (n,) meet.
 
-        The rounding of F_k moves unknown k by 16 eps F_k / K_kk, and its neighbours j feel |K_jk| times that.
+        The rounding of F_k moves unknown k by 16 eps F_k / K_kk, and its neighbours j feel |K_jk| times that. Rows that
+        `holds` say are equations move their unknowns as well.
         """
         diagonal = self.stiffness.diagonal()
         softness = 1.0 / np.where(diagonal > 0, diagonal, np.inf)
         shaken = 16 * np.finfo(float).eps * (self.stiffness @ (softness * forces))
-        return Noise(np.abs(displacement), forces, shaken, softness * shaken, self.bodies)
+        moved = softness * shaken
+        for rows, limits, held in holds:
+            moved = moved + self._moved_by(rows, limits, held, displacement)
+        return Noise(np.abs(displacement), forces, shaken, moved, self.bodies)
+
+    def _moved_by(self, rows: Any, limits: Vector, held: Mask, displacement: Vector) -> Vector:
+        """(n,) what rounding of E_i u = g_i moves: 16 eps (|E_i||u| + |g_i|) D_j^2 |E_ij| / |E_i D|^2 at unknown j.
+
+        That is the least motion, in unknowns where the stiffness has a unit diagonal, which makes up for it. An unknown
+        that should be zero may have no other size than this, where neither force nor stiffness is.
+        """
+        size = row_sizes(self.problem, rows).size
+        softness = self.bodies.scale**2
+        compliance = size.power(2) @ softness
+        lengths = np.where(held, size @ np.abs(displacement) + np.abs(limits), 0.0)
+        pulled = size.T @ (lengths / np.where(compliance > 0, compliance, 1.0))
+        return np.asarray(16 * np.finfo(float).eps * softness * pulled)
 
 
 @dataclass(frozen=True, eq=False)
