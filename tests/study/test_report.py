@@ -6,6 +6,7 @@ import dataclasses
 import importlib.util
 import json
 import re
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -113,9 +114,28 @@ def test_the_page_says_what_was_found(written: tuple[Path, report.ReportResult])
         assert page.count('<img src="data:image/png;base64,') == 2  # the answers
 
 
-def test_without_its_libraries_no_page_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def replaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, report.ReportResult]:
+    """A report of one row, into a folder where an old one was and a file of somebody's own."""
+    folder = tmp_path_factory.mktemp("replaced")
+    (folder / "results.csv").write_text("old")
+    (folder / "mine.txt").write_text("keep")
+    return folder, _write(folder, ["active-set"], CASES[:1])
+
+
+def test_an_earlier_report_is_replaced_whole(replaced: tuple[Path, report.ReportResult]) -> None:
+    folder, _ = replaced
+    assert (folder / "results.csv").read_text().startswith("case,method,")
+    assert (folder / "mine.txt").read_text() == "keep"
+
+
+def test_without_its_libraries_no_page_is_left(
+    replaced: tuple[Path, report.ReportResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "report"
-    assert (folder / "index.html") in _write(folder, ["active-set"], CASES[:1]).files
+    assert (replaced[0] / "index.html") in replaced[1].files
+    shutil.copytree(replaced[0], folder)
+    assert (folder / "index.html").exists()
     monkeypatch.setattr("contactqp.study.page.render.NEEDED", ("jinja2", "plotly_is_not_here"))
     result = _write(folder, ["active-set"], CASES[:1])
     assert any("plotly_is_not_here is not installed: pip install" in note for note in result.notes)
@@ -153,26 +173,23 @@ def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path) -> None:
     assert result.rows[0].verdict == rows.WRONG  # against the case's own value
 
 
-@pytest.mark.parametrize("kind", [cq.SceneError, KeyboardInterrupt])
-def test_a_report_that_ends_early_leaves_what_it_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
-) -> None:
-    """No file of the report, nothing of it half-written, and the same call goes on."""
+def test_a_report_that_ends_early_leaves_what_it_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No file of the report, nothing of it half-written, and the same call goes on: after an error, an interruption."""
     folder, honest = tmp_path / "report", CaseStudy.answer
     answered: list[str] = []
-    stopped: list[bool] = []
+    ends: list[type[BaseException]] = [KeyboardInterrupt, cq.SceneError]
 
-    def fail_once(study: CaseStudy, rung: Rung, truth: Truth | None) -> Row:
-        if study.name == "bar_wall" and answered == ["two_bars"] and not stopped:
-            stopped.append(True)
-            raise kind("in the middle")
+    def fail_twice(study: CaseStudy, rung: Rung, truth: Truth | None) -> Row:
+        if study.name == "bar_wall" and answered == ["two_bars"] and ends:
+            raise ends.pop()("in the middle")
         answered.append(study.name)
         return honest(study, rung, truth)
 
-    monkeypatch.setattr(CaseStudy, "answer", fail_once)
-    with pytest.raises(kind, match="in the middle" if kind is cq.SceneError else "1 of 2 rows answered, 0 timed"):
-        _write(folder, ["active-set"])
-    assert [file.name for file in folder.iterdir()] == ["unfinished_report.jsonl"]
+    monkeypatch.setattr(CaseStudy, "answer", fail_twice)
+    for kind, said in ((cq.SceneError, "in the middle"), (KeyboardInterrupt, "1 of 2 rows answered, 0 timed")):
+        with pytest.raises(kind, match=said):
+            _write(folder, ["active-set"])
+        assert [file.name for file in folder.iterdir()] == ["unfinished_report.jsonl"]
     result = _write(folder, ["active-set"])
     assert answered == ["two_bars", "bar_wall"]  # the first one was kept
     assert [row.verdict for row in result.rows] == [rows.RIGHT] * 2
@@ -190,14 +207,6 @@ def test_a_bug_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert "RuntimeError: who would have thought" in result.rows[0].message
     assert [method.refused for method in result.summary.methods] == [1, 0]
     assert any("crashed: 1 of 2 rows" in note for note in result.notes)
-
-
-def test_an_earlier_report_is_replaced_whole(tmp_path: Path) -> None:
-    (tmp_path / "results.csv").write_text("old")
-    (tmp_path / "mine.txt").write_text("keep")
-    _write(tmp_path, ["active-set"], CASES[:1])
-    assert (tmp_path / "results.csv").read_text().startswith("case,method,")
-    assert (tmp_path / "mine.txt").read_text() == "keep"
 
 
 def test_a_bad_case_or_folder_is_refused_before_anything_is_solved(tmp_path: Path) -> None:

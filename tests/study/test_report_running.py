@@ -68,18 +68,21 @@ def test_the_table_is_the_same_however_many_processes(tmp_path: Path) -> None:
     assert _timeless(one.rows) == _timeless(two.rows)
 
 
-def test_a_journal_cut_at_every_line_gives_the_same_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("methods", [METHODS[:1], pytest.param(METHODS[:2], marks=pytest.mark.slow)], ids=len)
+def test_a_journal_cut_at_every_line_gives_the_same_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, methods: Sequence[str]
+) -> None:
     kept = tmp_path / "kept"
     with monkeypatch.context() as patched:
         patched.setattr(Journal, "remove", Journal.close)
-        whole = _write(kept, 0, CASES[:1], METHODS[:2])
+        whole = _write(kept, 0, CASES[:1], methods)
     lines = (kept / JOURNAL).read_bytes().splitlines(keepends=True)
     assert len(lines) == 1 + 4 + 2 * len(whole.rows)  # head; truth, record, linear solve, footprint; rows
     for count in range(len(lines)):
         folder = tmp_path / str(count)
         folder.mkdir()
         (folder / JOURNAL).write_bytes(b"".join(lines[:count]) + lines[count][: len(lines[count]) // 2])
-        again = _write(folder, 0, CASES[:1], METHODS[:2])
+        again = _write(folder, 0, CASES[:1], methods)
         assert _timeless(again.rows) == _timeless(whole.rows)
         assert again.summary.cells() == whole.summary.cells()
         times = max(count - 5 - len(whole.rows), 0)
