@@ -93,12 +93,13 @@ def test_the_natural_map_sees_wrong_answers_in_space(kind: str) -> None:
     assert not wrong.passed
 
 
+@pytest.mark.parametrize("count", [40, pytest.param(150, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_right_answers_pass_and_the_other_figures_imply_the_natural_map(dimension: int) -> None:
+def test_right_answers_pass_and_the_other_figures_imply_the_natural_map(dimension: int, count: int) -> None:
     """Contacts of all states, unknowns of scales apart by up to 1e10, then everything off by up to its size."""
     rng = np.random.default_rng(dimension)
     largest = 0.0
-    for _ in range(150):
+    for _ in range(count):
         known = known_answer(rng, dimension, stiff=float(rng.choice([0, 2, 5])))
         right = cq.certify(known.problem, **known.answer())
         assert right.passed, right
@@ -132,11 +133,12 @@ def _transformed(known: Known, length: float, force: float, d: np.ndarray, r: np
     return Known(problem, known.displacement * length / d, *forces)
 
 
+@pytest.mark.parametrize("count", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("what", ["units", "unknowns", "rows"])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_the_natural_map_is_invariant(what: str, dimension: int) -> None:
+def test_the_natural_map_is_invariant(what: str, dimension: int, count: int) -> None:
     rng = np.random.default_rng(5)
-    for _ in range(25):
+    for _ in range(count):
         known = known_answer(rng, dimension)
         if not known.problem.frictional:
             continue

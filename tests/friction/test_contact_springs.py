@@ -42,11 +42,12 @@ def test_truss_on_springs(friction: float, origin: float, beta: float, algorithm
         np.testing.assert_allclose(at[0, 0], origin, 1e-12, atol=1e-15)
 
 
-def test_random_problems_on_springs_of_two_stiffnesses() -> None:
+@pytest.mark.parametrize("count", [15, pytest.param(40, marks=pytest.mark.slow)])
+def test_random_problems_on_springs_of_two_stiffnesses(count: int) -> None:
     """The textbook's answers pass as exact answers of the bodies on springs, and are among those that are known."""
     rng = np.random.default_rng(2)
     counts = {"passed": 0, "known": 0, "none": 0}
-    for _ in range(40):
+    for _ in range(count):
         problem = random_problem(rng)
         beta, beta_T = 10.0 ** rng.uniform(0, 3, (2, problem.contacts))
         springs = with_contact_springs(problem, beta, beta_T)
@@ -68,7 +69,7 @@ def test_random_problems_on_springs_of_two_stiffnesses() -> None:
             rounding = problem.dimension * np.finfo(float).eps * _condition(problem, found, beta, beta_T)
             require_same(without_contact_springs(problem, near), found, max(1e-10, rounding))
             counts["known"] += 1
-    assert counts["passed"] >= 38, counts
+    assert counts["passed"] >= count - 2, counts
     assert counts["known"] == counts["passed"], counts
 
 

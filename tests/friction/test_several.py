@@ -155,11 +155,12 @@ def _breaks_coulomb(solution: cq.Solution) -> float:
     return max(float(np.max(abs(part), initial=0.0)) for part in (*parts, ties)) / size
 
 
-def test_random_problems_against_the_law_and_against_each_other() -> None:
+@pytest.mark.parametrize(("count", "without"), [(28, 1), pytest.param(60, 2, marks=pytest.mark.slow)])
+def test_random_problems_against_the_law_and_against_each_other(count: int, without: int) -> None:
     """What solve returns obeys the law and is in enumeration's list; where the list is empty it refuses."""
     rng = np.random.default_rng(4)
     counts = {"one": 0, "none": 0, "several": 0, "by the fixed point": 0}
-    for _ in range(60):
+    for _ in range(count):
         problem = random_problem(rng)
         known = cq.equilibria(problem)
         assert all(_breaks_coulomb(state) < 1e-11 for state in known)
@@ -174,8 +175,8 @@ def test_random_problems_against_the_law_and_against_each_other() -> None:
         assert _breaks_coulomb(solution) < 1e-11
         size = np.linalg.norm(solution.displacement)
         assert min(np.linalg.norm(solution.displacement - s.displacement) for s in known) < 1e-9 * size
-    assert counts["one"] > 40, counts
-    assert counts["none"] >= 2, counts
+    assert counts["one"] > 2 / 3 * count, counts
+    assert counts["none"] >= without, counts
     assert counts["several"] >= 1, counts
     assert counts["by the fixed point"] > 0.9 * (counts["one"] + counts["several"]), counts
 

@@ -143,11 +143,16 @@ def test_counted_as_enumeration_counts(name: str) -> None:
     assert several >= 1
 
 
-def test_more_contacts_are_judged_for_every_load() -> None:
-    """Six and seven contacts: never silent where there are several; silent where friction is small."""
+@pytest.mark.parametrize(
+    "sizes",
+    [((5, 1.0), (5, 0.02), (5, 0.01)), pytest.param(((6, 1.0), (6, 0.02), (7, 0.01)), marks=pytest.mark.slow)],
+    ids=["five", "six and seven"],
+)
+def test_more_contacts_are_judged_for_every_load(sizes: tuple[tuple[int, float], ...]) -> None:
+    """Five and more contacts: never silent where there are several; silent where friction is small."""
     rng = np.random.default_rng(3)
     silent = 0
-    for m, factor in ((6, 1.0), (6, 0.02), (7, 0.01)):
+    for m, factor in sizes:
         found = cq.equilibria(_coupled(rng, m, factor=factor))
         for state in found:
             said = set(state.certificate.uniqueness) - {FORCES}
