@@ -216,11 +216,14 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
 
 
-@pytest.mark.parametrize("steps", [1, 3, pytest.param(10, marks=pytest.mark.slow)])
-def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
+@pytest.mark.parametrize(
+    ("steps", "bodies", "seed"),
+    [(1, 4, 2), (3, 4, 2), *(pytest.param(steps, 12, 5, marks=pytest.mark.slow) for steps in (1, 3, 10))],
+)
+def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int, bodies: int, seed: int) -> None:
     """However coarse: what the loads do is at least what is stored and dissipated, and in a cycle not negative."""
-    random, cycles = np.random.default_rng(5), 0
-    for _ in range(12):
+    random, cycles = np.random.default_rng(seed), 0
+    for _ in range(bodies):
         problem = random_problem(random)
         corners = [random.normal(size=problem.dimension) * np.max(abs(problem.load)) for _ in range(3)]
         try:
@@ -234,4 +237,4 @@ def test_no_step_and_no_cycle_of_steps_creates_energy(steps: int) -> None:
         kept = np.diff([one.elastic + one.dissipated for one in energies])
         assert np.all(given >= kept - 1e-9 * size)
         assert energies[-1].work - energies[0].work >= energies[-1].elastic - energies[0].elastic - 1e-9 * size
-    assert cycles > 7
+    assert cycles >= 2 / 3 * bodies

@@ -27,7 +27,7 @@ def loaded(seed):
     return body, contact, load, cq.large_deformation(body, [load], contact, steps=5)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4, 7, 24])
+@pytest.mark.parametrize("seed", [0, 7, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 4, 24))])
 def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
     """7 starts with an overlap; 24 snaps, a long way."""
     body, contact, load, history = loaded(seed)
@@ -38,7 +38,7 @@ def test_lattices_come_to_rest_on_what_is_in_their_way(seed):
     assert conditions(body, contact, 1.01 * load, last) > 1e-3, "the answer to another load"
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     body, contact, load, history = loaded(seed)
     last = history[-1]
@@ -59,7 +59,7 @@ def test_scipys_slsqp_finds_no_lower_energy_nearby(seed):
     assert found.fun == pytest.approx(last.energy, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", [0, 4, 7])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 7))])
 def test_arc_length_meets_load_control_where_nothing_snaps(seed):
     body, contact, load, by_load = loaded(seed)
     assert not by_load.notes

@@ -21,7 +21,7 @@ SPRINGS: list[tuple[str, dict[str, Any]]] = [
 MODES: list[dict[str, Any]] = [{"steps": 1}, {"steps": 9}, {"events": "exact"}, {"events": "exact", "steps": 5}]
 
 
-@pytest.mark.parametrize("steps", [None, 1, 7, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [None, 1, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (7, 12))])
 @pytest.mark.parametrize(("method", "options"), SPRINGS)
 def test_two_masses_on_springs(method: str, options: dict[str, Any], steps: int | None) -> None:
     """Example 2.19: 2.6773125 N, 7.848 N and, let go, 6.645375 N of 12 N, whatever the number of steps."""
@@ -48,7 +48,7 @@ def test_two_masses_on_springs(method: str, options: dict[str, Any], steps: int 
     assert history[-1].contact_status.tolist() == ["stick", "slip"]
 
 
-@pytest.mark.parametrize("steps", [8, 25])
+@pytest.mark.parametrize("steps", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("method", "options"), SPRINGS)
 def test_two_masses_on_springs_in_steps(method: str, options: dict[str, Any], steps: int) -> None:
     history = cq.follow_path(two_masses(0.0), [WEIGHTS, pulled(12.0), WEIGHTS], steps, method=method, **options)
@@ -74,7 +74,7 @@ def test_a_truss_that_sticks_on_springs_hangs_where_it_touched(mode: dict[str, A
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("seed", [0, 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode: dict[str, Any]) -> None:
     problem, loads = random_body(seed)
     rng = np.random.default_rng(seed)
