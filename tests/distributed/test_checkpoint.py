@@ -29,24 +29,26 @@ def same(found: dict, case) -> bool:
     return bool(close) and found["events"] == events
 
 
-def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(on_ranks, python_on_ranks, tmp_path):
+@pytest.mark.parametrize(("other", "third"), [(1, 2), pytest.param(3, 1, marks=pytest.mark.slow)])
+def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(
+    on_ranks, python_on_ranks, tmp_path, other, third
+):
     case, folder = path_case(tmp_path), tmp_path / "steps"
     killed = python_on_ranks(2, SCRIPTS / SCRIPT, case, folder, 4)
     assert killed.code == 128 + signal.SIGKILL
     assert "rank 1" in killed.err
     assert killed.out == ""
     assert sorted(file.name for file in folder.glob("step-*.json")) == [f"step-{i:06d}.json" for i in range(4)]
-    found = json.loads(on_ranks(SCRIPT, 3, case, folder))
+    found = json.loads(on_ranks(SCRIPT, other, case, folder))
     assert found["solved"] == STEPS + 1 - 4
     assert same(found, case)
-    again = json.loads(on_ranks(SCRIPT, 1, case, folder))
+    again = json.loads(on_ranks(SCRIPT, third, case, folder))
     assert again["solved"] == 0
     assert same(again, case)
 
 
-def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, tmp_path):
-    case, folder = path_case(tmp_path), tmp_path / "steps"
-    on_ranks(SCRIPT, 1, case, folder)
+def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, kept):
+    case, folder = kept
     (folder / "step-000006.json").unlink()  # the run ended before this was written
     (folder / "step-000006" / "0-of-1.npz").write_bytes(b"half a fi")
     found = json.loads(on_ranks(SCRIPT, 1, case, folder))
@@ -54,12 +56,19 @@ def test_a_step_that_not_all_ranks_have_written_is_solved_again(on_ranks, tmp_pa
     assert same(found, case)
 
 
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory):
+    """Where the one run is that the tests below take copies of."""
+    return tmp_path_factory.mktemp("kept")
+
+
 @pytest.fixture
-def kept(on_ranks, tmp_path):
+def kept(on_ranks, shelf, tmp_path):
     """A case and the folder of all its steps."""
-    case, folder = path_case(tmp_path), tmp_path / "steps"
-    on_ranks(SCRIPT, 1, case, folder)
-    return case, folder
+    if not any(shelf.iterdir()):
+        on_ranks(SCRIPT, 1, path_case(shelf), shelf / "steps")
+    shutil.copytree(shelf, tmp_path, dirs_exist_ok=True)
+    return path_case(tmp_path), tmp_path / "steps"
 
 
 def run(case, folder) -> list[object]:

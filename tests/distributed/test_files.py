@@ -9,6 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.oracle.gallery.gallery import problems
+from tests.distributed.cases import RANKS
 
 # Ties, bodies that float, redundant contacts, friction in the plane and in space, more ranks than unknowns.
 NAMES = ("bar-and-wall", "merged-chain", "floating-2", "redundant-1", "tied-1", "frictional-1", "large-1")
@@ -27,7 +28,7 @@ def run(python_on_ranks, count, *arguments):
     return python_on_ranks(count, "-m", "contactqp", "run", *arguments, "--engine", "petsc")
 
 
-@pytest.mark.parametrize("ranks", [1, 2, 3, 4])
+@pytest.mark.parametrize("ranks", RANKS)
 def test_a_problem_of_the_first_rank_is_dealt_out(on_ranks, gallery, ranks):
     said = on_ranks("dealt.py", ranks, *(gallery / name for name in NAMES))
     assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in NAMES]
@@ -54,7 +55,7 @@ def test_the_command_prints_the_answer_once(python_on_ranks, gallery, tmp_path):
             assert np.abs(values - others).max() <= 1e-9 * np.abs(others).max()
 
 
-@pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.parametrize("ranks", [2, *(pytest.param(ranks, marks=pytest.mark.slow) for ranks in (1, 3))])
 def test_a_broken_file_is_refused_in_one_line(python_on_ranks, gallery, tmp_path, ranks):
     cq.write_problem(tmp_path / "broken", cq.read_problem(gallery / "tied-1"))
     file = tmp_path / "broken" / "stiffness.mtx"

@@ -16,6 +16,7 @@ CASES = (
     "stacked_blocks",  # three bodies of several kinds, gravity, nothing held sideways
     "cattaneo_mindlin_sphere",  # friction, node to segment, a path with corners
 )
+FEW = ("hertz_line", "block_on_paraboloid", "stacked_blocks")
 OF_A_FILE = """
 title = "A block from a file on a floor"
 source = "none"
@@ -62,18 +63,18 @@ def block_of_two_kinds():
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("ranks", RANKS)
-def test_the_problem_is_that_of_one_process(on_ranks, ranks):
-    said = on_ranks("same_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in CASES))
-    assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in CASES]
-
-
-@pytest.mark.parametrize("ranks", RANKS)
-def test_a_file_is_dealt_out(on_ranks, ranks, tmp_path):
+@pytest.fixture
+def of_a_file(tmp_path):
+    """A case whose mesh is read from a file."""
     (tmp_path / "block.inp").write_text(block_of_two_kinds())
-    (tmp_path / "case.toml").write_text(OF_A_FILE)
-    assert on_ranks("same_as_one_process.py", ranks, tmp_path / "case.toml") == f"case: the same on {ranks}\n"
-    assert on_ranks("claims_as_one_process.py", ranks, tmp_path / "case.toml") == f"case: the same on {ranks}\n"
+    (tmp_path / "of_a_file.toml").write_text(OF_A_FILE)
+    return tmp_path / "of_a_file.toml"
+
+
+@pytest.mark.parametrize("ranks", RANKS)
+def test_the_problem_is_that_of_one_process(on_ranks, ranks, of_a_file):
+    said = on_ranks("same_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in CASES), of_a_file)
+    assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in (*CASES, "of_a_file")]
 
 
 def test_a_wrong_problem_is_seen(on_ranks):
@@ -81,15 +82,23 @@ def test_a_wrong_problem_is_seen(on_ranks):
         on_ranks("same_as_one_process.py", 2, "--spoil", FOLDER / "hertz_line.toml")
 
 
-@pytest.mark.parametrize("ranks", [3])
-def test_claims_are_answered_as_by_one_process(on_ranks, ranks):
-    on_ranks("claims_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in CASES[:5]))
+@pytest.mark.parametrize(
+    ("ranks", "names"),
+    [(3, FEW), *(pytest.param(ranks, CASES[:5], marks=pytest.mark.slow) for ranks in (1, 2, 3, 4))],
+    ids=str,
+)
+def test_claims_are_answered_as_by_one_process(on_ranks, ranks, names, of_a_file):
+    said = on_ranks("claims_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in names), of_a_file)
+    assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in (*names, "of_a_file")]
 
 
-@pytest.mark.parametrize("ranks", [3])
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_what_is_wrong_is_refused_on_all_ranks_in_the_same_words(on_ranks, ranks):
     on_ranks("refused_alike.py", ranks)
 
 
-def test_more_ranks_than_layers_of_elements(on_ranks):
-    on_ranks("same_as_one_process.py", 7, FOLDER / "flat_punch.toml")
+@pytest.mark.parametrize(
+    ("ranks", "name"), [(4, "patch_two_blocks"), pytest.param(7, "flat_punch", marks=pytest.mark.slow)]
+)
+def test_more_ranks_than_layers_of_elements(on_ranks, ranks, name):
+    on_ranks("same_as_one_process.py", ranks, FOLDER / f"{name}.toml")

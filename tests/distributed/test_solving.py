@@ -6,21 +6,25 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.distributed.cases import RANKS
+from tests.distributed.cases import few_and_all
 
 # Nodes on obstacles, bodies that float and rest on their contacts, several of them, free motions, mortar rows, ties.
 BODIES = ("hertz_line", "floating_disc", "stacked_blocks", "membrane_ball", "patch_two_blocks")
 NODES = ("truss_floor", "tie_symmetry", "tie_column_solid", "tie_beam_section", "two_bars", "bars_colliding")
 KINDS = ("gallery:well-posed", "gallery:degenerate", "gallery:floating", "gallery:redundant", "gallery:tied")
+# One of every kind.
+FEW = ("stacked_blocks", "membrane_ball", "patch_two_blocks", "tie_beam_section", "bars_colliding", *KINDS[1:4])
 
 
-@pytest.mark.parametrize("count", RANKS)
-def test_the_answer_is_that_of_one_process_on_any_number_of_ranks(on_ranks: Callable[..., str], count: int) -> None:
-    said = on_ranks("answers_as_one_process.py", count, "mumps", *BODIES, *NODES, *KINDS).splitlines()
-    assert len(said) == len(BODIES) + len(NODES) + 3 * len(KINDS)
+@pytest.mark.parametrize(("count", "names"), few_and_all(FEW, BODIES + NODES + KINDS))
+def test_the_answer_is_that_of_one_process_on_any_number_of_ranks(
+    on_ranks: Callable[..., str], count: int, names: tuple[str, ...]
+) -> None:
+    said = on_ranks("answers_as_one_process.py", count, "mumps", *names).splitlines()
+    assert len(said) == len(names) + 2 * len(set(names) & set(KINDS))  # three of each kind of the gallery
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("count", [4, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 2, 3))])
 def test_small_ones_on_every_number_of_ranks(on_ranks: Callable[..., str], count: int) -> None:
     """Two bodies with one contact may leave a rank without any of it."""
     assert len(on_ranks("answers_as_one_process.py", count, "auto", "floating_disc", *NODES).splitlines()) == 7
@@ -32,7 +36,7 @@ def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], coun
     assert len(on_ranks("answers_as_one_process.py", count, solver, *cases).splitlines()) == len(cases)
 
 
-@pytest.mark.parametrize("count", [3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_what_is_no_answer_is_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_answers.py", count)
 

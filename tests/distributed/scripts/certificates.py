@@ -68,14 +68,16 @@ def same(one: cq.Certificate, many: cq.Certificate, what: str) -> None:
     assert of_figures == list(many.failures), (what, of_figures, many.failures)
 
 
+def of_one_process(problem: cq.ContactProblem, answer: Answer) -> cq.JudgedAnswer:
+    return cq.certify(problem, answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force)
+
+
 def judge(problem: cq.ContactProblem, ranks: Ranks, what: str) -> None:
     part = distribute(problem, ranks)
-    answer = right(problem)
+    answer = ranks.comm.bcast(right(problem) if ranks.rank == 0 else None)
     for kind, candidate in [("right", answer), *wrong(problem, answer)]:
         called = f"{what}, {kind}"
-        one = cq.certify(
-            problem, candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force
-        )
+        one = ranks.comm.bcast(of_one_process(problem, candidate) if ranks.rank == 0 else None)
         here = DistributedAnswer(
             candidate.displacement[part.dof_number],
             candidate.normal_force[part.contact_number],

@@ -30,7 +30,7 @@ def problem_of(name: str) -> cq.ContactProblem:
 
 def compare(name: str, solver: str, ranks: Ranks) -> None:
     problem = problem_of(name)
-    one = cq.solve(problem)
+    one = ranks.comm.bcast(cq.solve(problem) if ranks.rank == 0 else None)
     many = solve_distributed(distribute(problem, ranks), solver=solver)
     assert many.certificate.passed
     assert many.certificate.natural_map is not None

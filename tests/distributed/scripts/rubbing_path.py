@@ -30,7 +30,8 @@ def events(history: cq.History) -> list[tuple[str, str, float]]:
 def compare(name: str, steps: int) -> None:
     scene = cq.load_scene(CASES / f"{name}.toml")
     scene = scene.model_copy(update={"path": scene.path.model_copy(update={"events": None, "steps": steps})})
-    one, many = cq.run(scene), cq.run(scene, engine="petsc")
+    ranks = Ranks()
+    one, many = ranks.comm.bcast(cq.run(scene) if ranks.rank == 0 else None), cq.run(scene, engine="petsc")
     for part in ("displacements", "normal_forces", "friction_forces"):
         same(getattr(many, part), getattr(one, part), f"{name}: {part}")
     same(energies(many), energies(one), f"{name}: energies")
@@ -38,7 +39,7 @@ def compare(name: str, steps: int) -> None:
     for ours, theirs in zip(many, one, strict=True):
         assert ours.certificate.passed
         assert list(ours.contact_status) == list(theirs.contact_status)
-    if Ranks().rank == 0:
+    if ranks.rank == 0:
         print(f"{name}: {len(many)} answers, {', '.join(kind for kind, _, _ in events(many))}", flush=True)
 
 
