@@ -1,6 +1,7 @@
 """Newton's method with contact at large displacements, under load control."""
 
 import pickle
+from functools import cache
 
 import numpy as np
 import pytest
@@ -209,6 +210,7 @@ def test_a_pendulum_without_stiffness_falls_to_where_it_hangs():
     np.testing.assert_allclose(history[-1].displacement, [-1, -stretch], atol=1e-9)
 
 
+@cache
 def dragged(friction=0.5, steps=20, method="active-set"):
     """A soft bar from a foot on the floor to a hand that is led to the right and back over the foot.
 

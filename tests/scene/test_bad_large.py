@@ -182,12 +182,21 @@ def test_wrong_large_deformations_are_refused_in_one_line(name, tmp_path, capsys
     refuse(capsys, str(file), words)
 
 
-def test_the_good_arch_is_good(tmp_path, capsys):
+BY_ARC = 'path = { control = "arc-length", arc_length = "2 cm", steps = 5 }'
+
+
+@pytest.mark.parametrize(
+    ("command", "path"),
+    [
+        *(("run", path) for path in (PATH, BY_NODE, BY_ARC)),
+        ("explain", BY_NODE),
+        *(pytest.param("explain", path, marks=pytest.mark.slow) for path in (PATH, BY_ARC)),
+    ],
+)
+def test_the_good_arch_is_good(tmp_path, capsys, command, path):
     file = tmp_path / "arch.toml"
-    for path in (PATH, BY_NODE, 'path = { control = "arc-length", arc_length = "2 cm", steps = 5 }'):
-        file.write_text(ARCH.replace(PATH, path).split("[[expect]]")[0] + CLAIM_OF_NOTHING)
-        accept(capsys, str(file))
-        accept(capsys, str(file), "explain")
+    file.write_text(ARCH.replace(PATH, path).split("[[expect]]")[0] + CLAIM_OF_NOTHING)
+    accept(capsys, str(file), command)
 
 
 CLAIM_OF_NOTHING = (

@@ -292,15 +292,22 @@ def test_the_data_has_the_path():
     assert "snap-through" in snapped["notes"][0]
 
 
-def test_a_report_and_pictures_are_made_of_them(tmp_path, capsys):
-    for name in ("von_mises_snaps.toml", "truss_dragged.toml"):
-        with pytest.raises(SystemExit) as exit_:
-            main(["run", str(CASES / name), "--plot", str(tmp_path / f"{name}.png")])
-        assert exit_.value.code == 0, capsys.readouterr().err
-        assert (tmp_path / f"{name}.png").exists()
-        assert (tmp_path / f"{name}.history.png").exists()
+SNAPS = pytest.param("von_mises_snaps.toml", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", ["truss_dragged.toml", SNAPS])
+def test_pictures_are_made_of_them(tmp_path, capsys, name):
     with pytest.raises(SystemExit) as exit_:
-        main(["report", str(CASES / "von_mises_snaps.toml"), "-o", str(tmp_path / "report")])
+        main(["run", str(CASES / name), "--plot", str(tmp_path / f"{name}.png")])
+    assert exit_.value.code == 0, capsys.readouterr().err
+    assert (tmp_path / f"{name}.png").exists()
+    assert (tmp_path / f"{name}.history.png").exists()
+
+
+@pytest.mark.parametrize("name", ["von_mises_truss.toml", SNAPS])
+def test_a_report_is_made_of_them(tmp_path, capsys, name):
+    with pytest.raises(SystemExit) as exit_:
+        main(["report", str(CASES / name), "-o", str(tmp_path / "report"), "--jobs", "1"])
     assert exit_.value.code == 0, capsys.readouterr()
     table = (tmp_path / "report" / "results.csv").read_text().splitlines()
     assert len(table) == 2
