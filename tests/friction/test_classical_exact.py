@@ -260,11 +260,12 @@ def test_a_warm_start_saves_the_free_solution() -> None:
     np.testing.assert_array_equal(warm.displacement, cold.displacement)
 
 
-def test_sparse_stiffness_and_other_units() -> None:
+@pytest.mark.parametrize("count", [2, pytest.param(6, marks=pytest.mark.slow)])
+def test_sparse_stiffness_and_other_units(count: int) -> None:
     import scipy.sparse as sp
 
     rng = np.random.default_rng(5)
-    for _ in range(6):
+    for _ in range(count):
         problem = random_problem(rng)
         length, force = 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 9)
         other = cq.ContactProblem(
