@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(__file__).parent / "scripts"
 # The Python with petsc4py, where the one that runs the tests has none.
 PYTHON = "CONTACTQP_PETSC_PYTHON"
-# Open MPI where other tests run beside it: ranks that wait for a message leave the core to others, and are held to none.
+# Open MPI where other tests run beside it: ranks that wait leave their core to others, and are held to none.
 SHARED = ("--oversubscribe", "--bind-to", "none", "--mca", "mpi_yield_when_idle", "1")
 # Seconds until a run of some seconds is taken for one that hangs.
 LIMIT = 120.0
