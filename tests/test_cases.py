@@ -192,7 +192,7 @@ def test_the_truss_slips_to_the_same_place_in_any_number_of_steps(steps):
 
 
 @pytest.mark.parametrize("name", ["two_masses.toml", "two_masses_penalty.toml"])
-@pytest.mark.parametrize("steps", [1, 7, 99])
+@pytest.mark.parametrize("steps", [1, 7, pytest.param(99, marks=pytest.mark.slow)])
 def test_the_events_of_two_masses_do_not_depend_on_the_steps(name, steps):
     """2.4525 N and 7.3575 N, by penalty springs 2.6773125 N and 7.848 N; 99 steps are those of the chapter."""
     path = LoadPath(steps=steps, events="exact", corners=SCENES[name].path.corners)

@@ -48,7 +48,7 @@ def recursion(ends: np.ndarray, steps: int) -> np.ndarray:
 SQUARE = np.array([[4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
 
 
-@pytest.mark.parametrize("steps", [1, 5, 16])
+@pytest.mark.parametrize("steps", [1, 5, pytest.param(16, marks=pytest.mark.slow)])
 def test_round_a_square_every_step_is_the_law_of_that_step(steps: int) -> None:
     history = led(SQUARE, steps)
     places = history.displacements[1 + steps :]

@@ -24,14 +24,14 @@ def test_the_corpus_is_large_and_mixed() -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> None:
-    """All are refused; the causes of two are looked for, those of all in the slow test beneath."""
+    """All are refused; the cause of one is looked for, those of all in the slow test beneath."""
     judged = [(base, cq.certify(base.problem, **given)) for base, given in corpus(KINDS[name])]
     assert len(judged) == PROBLEMS
     for base, one in judged:
         assert not one.passed, base.name
         assert one.failures, base.name
-    for base, one in judged[:: PROBLEMS // 2]:
-        _is_named(KINDS[name], base, one)
+    base, one = judged[0]
+    _is_named(KINDS[name], base, one)
 
 
 @pytest.mark.slow

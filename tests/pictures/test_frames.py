@@ -28,6 +28,14 @@ def lines(figure, gid):
     ]
 
 
+# Seconds to solve; there are others of their kinds.
+LONG = ("cattaneo_mindlin_sphere", "cable_on_floor", "truss_dragged", "von_mises_snaps")
+
+
+def _slow_if_long(name):
+    return pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+
+
 def test_the_fields_of_the_truss_on_the_floor():
     found = fields("truss_floor")
     assert found.axes == ("x", "z")
@@ -84,7 +92,7 @@ def test_a_beam_is_drawn_as_its_cubic():
     assert np.abs(wrong[:, 0] - bar.displacement[:, 0]).max() > 0.1 * tip
 
 
-@pytest.mark.parametrize("case", [name for name, scene in SCENES.items() if scene.bodies])
+@pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if scene.bodies])
 def test_every_case_of_bodies_has_fields_to_draw(case):
     scene = SCENES[case]
     if scene.path is not None:  # what there is to draw of its first corner there is of the others
@@ -103,7 +111,7 @@ def test_a_membrane_is_refused_by_name():
         fields_of(scene, cq.run(scene)[-1])
 
 
-@pytest.mark.parametrize("case", [name for name, scene in SCENES.items() if not scene.meshed])
+@pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if not scene.meshed])
 def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
