@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 
 from contactqp.methods import Method
 
@@ -27,10 +28,16 @@ def machine() -> dict[str, str]:
 
 def versions(methods: Sequence[Method]) -> dict[str, str]:
     """Version of every distribution that was or could have been used; "not installed" where it is not."""
-    homes = importlib.metadata.packages_distributions()
+    homes = _homes()
     packages = dict.fromkeys(package for method in methods for package in method.packages)
     names = dict.fromkeys([*BASE, *(homes.get(package, [package])[0] for package in packages)])
     return {name: _version(name) for name in names}
+
+
+@cache
+def _homes() -> Mapping[str, list[str]]:
+    """The distributions of each package: to read the files of all that are installed takes seconds."""
+    return importlib.metadata.packages_distributions()
 
 
 def _version(name: str) -> str:
