@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.scaling.model import Measured, forecasts, measured, processor_ratio, run_ratio
+from benchmarks.scaling.model import Measured, forecasts, measured, processor_ratio, run_ratio, same_multigrid_ratio
 
 GIB = 2**30
 
@@ -38,7 +38,8 @@ def _median(values: Iterable[float]) -> float:
 def _runs(runs: Sequence[Any]) -> Iterator[str]:
     head = (
         "ranks", "unknowns", "contacts (closed)", "build", "set-up", "active set", "certificate", "sets", "steps",
-        "linear: set-up", "solve", "steps", "contact / linear", "of processor time", "load",
+        "linear: set-up", "solve", "steps", "contact / linear", "with build", "of processor time", "same multigrid",
+        "with build", "load",
     )  # fmt: skip
     rows = []
     for run in runs:
@@ -59,7 +60,10 @@ def _runs(runs: Sequence[Any]) -> Iterator[str]:
                 *(f"{value:.1f} s" for value in of_linear.values()),
                 str(linear["steps"]),
                 f"{run_ratio(run):.2f}",
+                f"{run_ratio(run, run['build']):.2f}",
                 f"{processor_ratio(run):.2f}" if "processor" in contact else "",
+                f"{same_multigrid_ratio(run):.2f}",
+                f"{same_multigrid_ratio(run, run['build']):.2f}",
                 f"{run['load_before']:.0f}",
             )
         )

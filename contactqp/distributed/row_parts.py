@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks, Vector
 
-# Rows that are copied at a time. With the eighty entries a row of bodies in space the copies take 0.15 GB,
+# Rows that are copied at a time. With the eighty entries a row of bodies in space the copies take some 0.07 GB,
 # whatever the size of K; with fewer rows PETSc's way through all columns, each time, takes longer than they.
-AT_A_TIME = 2**13
+AT_A_TIME = 2**14
 
 
 class RowPart(NamedTuple):
