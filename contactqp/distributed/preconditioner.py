@@ -118,8 +118,10 @@ class Preconditioner:
         lifted = diagonal.copy()
         lifted.array[:] += np.where(afloat, LIFT * problem.metric, 0.0)
         problem.stiffness.setDiagonal(lifted)
-        self._make(problem, rows, np.array(lifted.array))
-        problem.stiffness.setDiagonal(diagonal)
+        try:
+            self._make(problem, rows, np.array(lifted.array))
+        finally:  # what fails here may be tried with another solver
+            problem.stiffness.setDiagonal(diagonal)
 
     def _make(self, problem: DistributedProblem, rows: Rows, diagonal: Vector) -> None:
         """PETSc's own, or levels on the aggregates of its GAMG, which are all that is kept of that."""

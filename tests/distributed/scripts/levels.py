@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.sparse as sp
 
-from contactqp.distributed import preconditioner
+from contactqp.distributed import preconditioner, v_cycle
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.smoothed_aggregation import Tentative, smoothed_levels
 from contactqp.distributed.solving import iteration_of
+from contactqp.errors import Unsupported
 from contactqp.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
 
@@ -78,6 +80,16 @@ def dense(many, operator) -> np.ndarray:
     return np.column_stack([many.whole(operator(unit), many.dof_number) for unit in units])
 
 
+def a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was() -> None:
+    """Another solver would be given another problem, and its answer certified."""
+    many = distribute(on_paraboloid((3, 3, 2), sides=False), ranks)
+    before = np.array(many.stiffness.getDiagonal().array)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Unsupported, match="use hypre or mumps"):
+        patch.setattr(v_cycle, "LARGEST_DENSE", 1)
+        iteration_of(many, "gamg")
+    assert np.array_equal(many.stiffness.getDiagonal().array, before)
+
+
 products_are_those_of_whole_matrices(layered(0.1, (4, 4, 6)), 1)
 products_are_those_of_whole_matrices(on_sphere((4, 5, 3)), 3)
 for problem, part in (
@@ -86,5 +98,6 @@ for problem, part in (
     (stacked((3, 3, 2), (2, 2, 2)), 1.0),
 ):
     the_cycle_is_symmetric_and_its_spectrum_ends_at_one(problem, part)
+a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was()
 if ranks.rank == 0:
     print("equal")
