@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 from functools import cache
 from typing import Any
 
@@ -21,5 +20,4 @@ def give_back() -> None:
 
 @cache
 def _malloc_trim() -> Any:
-    library = ctypes.util.find_library("c")
-    return getattr(ctypes.CDLL(library), "malloc_trim", None) if library else None
+    return getattr(ctypes.CDLL(None), "malloc_trim", None)  # of what this process has loaded: nothing is searched for

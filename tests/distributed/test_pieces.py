@@ -94,11 +94,13 @@ def test_claims_are_answered_as_by_one_process(on_ranks, ranks, names, of_a_file
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_what_is_wrong_is_refused_on_all_ranks_in_the_same_words(on_ranks, ranks):
-    on_ranks("refused_alike.py", ranks)
+    said = on_ranks("refused_alike.py", ranks).splitlines()
+    assert said
+    assert said.count("None") < len(said), "some are refused"
 
 
 @pytest.mark.parametrize(
     ("ranks", "name"), [(4, "patch_two_blocks"), pytest.param(7, "flat_punch", marks=pytest.mark.slow)]
 )
 def test_more_ranks_than_layers_of_elements(on_ranks, ranks, name):
-    on_ranks("same_as_one_process.py", ranks, FOLDER / f"{name}.toml")
+    assert on_ranks("same_as_one_process.py", ranks, FOLDER / f"{name}.toml") == f"{name}: the same on {ranks}\n"
