@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.scaling.case import block
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.iteration import DistributedIteration
-from contactqp.distributed.preconditioner import chosen_solver
+from contactqp.distributed.preconditioner import chosen_solver, with_near_null_space
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
@@ -81,18 +81,19 @@ def linear(problem: DistributedProblem, solver: str) -> dict[str, Any]:
     load: what the contact problem is solved to.
     """
     PETSc, ranks = petsc(), problem.ranks
-    ksp = PETSc.KSP().create(problem.stiffness.comm)
+    stiffness = with_near_null_space(problem)
+    ksp = PETSc.KSP().create(stiffness.comm)
     ksp.setOptionsPrefix("linear_")
     ksp.setType("cg")
     ksp.setNormType(PETSc.KSP.NormType.NATURAL)
     ksp.setTolerances(rtol=ENERGY, atol=0.0, max_it=2000)
-    ksp.setOperators(problem.stiffness)
+    ksp.setOperators(stiffness)
     ksp.getPC().setType(solver)
     options = PETSc.Options()
     if solver == "hypre":
         options["linear_pc_hypre_boomeramg_strong_threshold"] = 0.5
     ksp.setFromOptions()
-    into, load = problem.stiffness.createVecs()
+    into, load = stiffness.createVecs()
     load.array[:] = problem.load
     started = time.process_time()
     set_up, _ = timed(ranks, ksp.setUp)
@@ -110,6 +111,7 @@ def linear(problem: DistributedProblem, solver: str) -> dict[str, Any]:
     }
     found["levels"] = _levels(ksp.getPC(), solver)
     ksp.destroy()
+    stiffness.destroy()
     return found
 
 

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.iteration import stacked
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
@@ -121,8 +122,8 @@ class BoundUnknowns:
 
     def stiffness(self) -> Any:
         """T'KT, a PETSc.Mat of its own."""
-        K = self.problem.stiffness
-        return K.duplicate(copy=True) if self.change is None else K.PtAP(self.change)
+        K = held_in_rows(self.problem.stiffness)
+        return K if self.change is None else K.PtAP(self.change)
 
     def force(self, force: Vector) -> Vector:
         """T'f."""

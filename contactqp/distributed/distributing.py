@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import held_in_blocks
 from contactqp.distributed.numbering import Numbering
 from contactqp.distributed.portion import OfAll, OfFirst, Portion, share_of, whole_portion
 from contactqp.distributed.problem import DistributedProblem
@@ -57,14 +58,14 @@ def part_of(ranks: Ranks, share: Portion) -> DistributedProblem:
     if width := origin.shape[1]:
         along = np.repeat(contacts, width)
         rows = _moved(ranks, share.tangent, numbering.new(share.tangent.indices), along)
-        tangential = {"tangent": _rows(rows, stiffness), "friction": friction, "slip_origin": origin}
+        tangential = {"tangent": Rows.over_touched(rows, stiffness), "friction": friction, "slip_origin": origin}
     return DistributedProblem(
         ranks=ranks,
         stiffness=stiffness,
         load=load,
-        normal=_rows(_moved(ranks, share.normal, touching, contacts), stiffness),
+        normal=Rows.over_touched(_moved(ranks, share.normal, touching, contacts), stiffness),
         gap=gap,
-        tie=_rows(_moved(ranks, share.tie, tying, ties), stiffness),
+        tie=Rows.over_touched(_moved(ranks, share.tie, tying, ties), stiffness),
         tie_value=tie_value,
         held=np.zeros(len(load), dtype=bool),
         body=body,
@@ -117,13 +118,7 @@ def _matrix(ranks: Ranks, K: Any, numbering: Numbering) -> Any:
     rows = sp.csr_matrix(_moved(ranks, K, numbering.new_blocks(K.indices), numbering.owner))
     rows.eliminate_zeros()  # what blocks were filled with
     rows = _with_diagonal(rows, ranks.first(rows.shape[0]))
-    K = PETSc.Mat().createAIJ(
-        size=((rows.shape[0], rows.shape[1]), (rows.shape[0], rows.shape[1])),
-        bsize=numbering.size,
-        csr=(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data),
-        comm=ranks.comm,
-    )
-    K.setOption(PETSc.Mat.Option.SPD, False)
+    K = held_in_blocks(ranks.comm, rows.tobsr((numbering.size, numbering.size)))
     K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     return K
 
@@ -137,12 +132,6 @@ def _with_diagonal(rows: Any, first: int) -> Any:
     row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
     places = (np.append(row, bare), np.append(rows.indices, first + bare))
     return sp.csr_matrix(sp.coo_matrix((np.append(rows.data, np.zeros(len(bare))), places), shape=rows.shape))
-
-
-def _rows(rows: Any, like: Any) -> Rows:
-    """Rows over the unknowns in their new numbers."""
-    touched, places = np.unique(rows.indices, return_inverse=True)
-    return Rows(sp.csr_matrix((rows.data, places, rows.indptr), shape=(rows.shape[0], len(touched))), touched, like)
 
 
 def _constants(count: int, size: int) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from contactqp.conjugate_gradients import ConjugateGradients, Projections
 from contactqp.contact_iteration import ContactIteration, Flags, HeldRows, Limits
-from contactqp.distributed.environment import petsc
 from contactqp.distributed.floating import Floating
 from contactqp.distributed.held_rows import DistributedHeldRows, gram_of, meets
 from contactqp.distributed.preconditioner import Preconditioner
@@ -19,6 +18,7 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
+from contactqp.distributed.stored_rows import chosen_rows
 from contactqp.violations import ratio
 
 
@@ -47,7 +47,7 @@ class DistributedIteration(ContactIteration):
         self._meeting = meets(problem.ranks, rows)
         often = np.bincount(rows.entries.indices, minlength=len(rows.touched)).astype(float)
         self._touched = np.flatnonzero(rows.spread(often) > 0)  # of this rank's unknowns, by rows of any
-        self._near_sizes = _sizes_of(problem.stiffness, self._touched)
+        self._near_sizes = Rows.over_touched(abs(chosen_rows(problem.stiffness, self._touched)), problem.stiffness)
         self._stand_on(rows)
         self.floating = Floating(problem, rows, self.own_compliance)
         self._precondition = Preconditioner(problem, rows, self.floating.motions, solver)
@@ -187,16 +187,3 @@ def stacked(parts: list[Rows], like: Any) -> Rows:
         for rows, where in zip(parts, np.split(place.ravel(), cuts), strict=True)
     ]
     return Rows(sp.vstack(entries, format="csr"), touched, like)
-
-
-def _sizes_of(stiffness: Any, local: NDArray[np.intp]) -> Rows:
-    """|K| of some rows of this rank."""
-    PETSc = petsc()
-    begin, _ = stiffness.getOwnershipRange()
-    chosen = PETSc.IS().createGeneral((begin + local).astype(PETSc.IntType), comm=stiffness.comm)
-    part = stiffness.createSubMatrix(chosen)
-    indptr, indices, values = part.getValuesCSR()
-    columns, place = np.unique(indices, return_inverse=True)
-    entries = sp.csr_matrix((abs(values), place.ravel(), indptr), shape=(len(local), len(columns)))
-    part.destroy()
-    return Rows(entries, columns, stiffness)

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.memory import give_back
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
@@ -79,16 +80,13 @@ class Preconditioner:
     """
 
     def __init__(self, problem: DistributedProblem, rows: Rows, motions: NDArray[np.float64], solver: str) -> None:
-        PETSc, stiffness = petsc(), problem.stiffness
+        PETSc = petsc()
         if solver != "gamg" and not PETSc.Sys.hasExternalPackage(solver):
             raise Unsupported(f"solver: this PETSc was built without {solver}")
-        if solver == "gamg":
-            _set_near_null_space(stiffness, problem.near_null_space)
-        self._into, self._from = stiffness.createVecs()
+        self._into, self._from = problem.stiffness.createVecs()
         self._held, self._solver = problem.held, solver
         give_back()
-        self._pc = PETSc.PC().create(stiffness.comm)
-        self._pc.setOperators(stiffness)
+        self._pc = PETSc.PC().create(problem.stiffness.comm)
         self._hierarchy: DistributedHierarchy | None = None
         self._pc.setOptionsPrefix(PREFIX)
         options = PETSc.Options(PREFIX)
@@ -126,19 +124,25 @@ class Preconditioner:
     def _make(self, problem: DistributedProblem, rows: Rows, diagonal: Vector) -> None:
         """PETSc's own, or levels on the aggregates of its GAMG, which are all that is kept of that."""
         if self._pc.getType() != "gamg":
-            self._pc.setUp()
+            self._set_up_on(held_in_rows(problem.stiffness))
             _refuse_failed_factors(self._pc, self._solver)
             self._pc.setReusePreconditioner(True)  # even if the diagonal of K changes
+            self._pc.setOperators(problem.stiffness)
             return
         tentative = []
         if problem.stiffness.getSize()[0] > COARSEST:  # of fewer GAMG makes one level
-            self._pc.setUp()
+            self._set_up_on(with_near_null_space(problem))
             finest = self._pc.getMGLevels() - 1
             tentative = [Tentative.of(self._pc.getMGInterpolation(level)) for level in range(finest, 0, -1)]
         self._pc.destroy()
         give_back()
         hierarchy = DistributedHierarchy(problem.ranks, problem.stiffness, tentative, diagonal, rows)
         self._hierarchy, self._plain = hierarchy, hierarchy.cycle(rows.entries[:0])
+
+    def _set_up_on(self, rows: Any) -> None:
+        """Of K as AIJ, which is not kept."""
+        self._pc.setOperators(rows)
+        self._pc.setUp()
 
     def __call__(self, r: Vector) -> Vector:
         """M r."""
@@ -165,10 +169,11 @@ def _refuse_failed_factors(pc: Any, solver: str) -> None:
         raise BackendFailed(f"PETSc's mumps failed: INFOG(1) = {said} (-9: memory, -10: a singular matrix)")
 
 
-def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
-    PETSc = petsc()
+def with_near_null_space(problem: DistributedProblem) -> Any:
+    """K as PETSc's GAMG takes it: AIJ that knows the motions that cost little energy. Collective."""
+    PETSc, stiffness = petsc(), held_in_rows(problem.stiffness)
     basis: list[Any] = []
-    for motion in motions.T:
+    for motion in problem.near_null_space.T:
         v = stiffness.createVecRight()
         v.array[:] = motion
         size = v.norm()
@@ -178,3 +183,4 @@ def _set_near_null_space(stiffness: Any, motions: NDArray[np.float64]) -> None:
             v.normalize()
             basis.append(v)
     stiffness.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=stiffness.comm))
+    return stiffness

@@ -28,7 +28,7 @@ class DistributedProblem:
     ----------
     ranks : Ranks
     stiffness : PETSc.Mat
-        K (n, n), MPIAIJ with the blocks of its nodes, symmetric.
+        K (n, n), in the blocks of its nodes, symmetric: MPIBAIJ, or MPIAIJ where nodes have one unknown.
     load : (n_here,) array [force]
     normal, tie : Rows
         E_N (m_here, n) and A (k_here, n).

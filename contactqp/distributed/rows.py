@@ -35,6 +35,13 @@ class Rows:
         there = PETSc.IS().createGeneral(self.touched, comm=PETSc.COMM_SELF)
         self._scatter = PETSc.Scatter().create(self._everywhere, there, self._here, None)
 
+    @classmethod
+    def over_touched(cls, rows: Any, like: Any) -> Rows:
+        """Of CSR rows over the unknowns of all ranks. Collective."""
+        touched, place = np.unique(rows.indices, return_inverse=True)
+        shape = (len(rows.indptr) - 1, len(touched))
+        return cls(sp.csr_matrix((rows.data, place.ravel(), rows.indptr), shape=shape), touched, like)
+
     def standing(self, entries: Any) -> Rows:
         """Other rows over the same unknowns; not collective."""
         other = copy(self)

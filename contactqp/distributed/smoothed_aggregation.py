@@ -16,10 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import held_in_blocks
 from contactqp.distributed.ranks import Ranks, Vector
-from contactqp.distributed.row_parts import AT_A_TIME, row_parts
 from contactqp.distributed.rows import Rows
+from contactqp.distributed.rows_of_others import rows_of_others
+from contactqp.distributed.stored_rows import StoredRows, stored_rows
 from contactqp.multigrid import JACOBI, largest_eigenvalue
 
 
@@ -81,9 +82,10 @@ def smoothed_levels(
     for T in tentative:
         product = Product(matrix)
         largest = largest_eigenvalue(product, D, ranks.dot)
-        blocks = _Blocks(ranks, matrix, T.rows.blocksize[0])
-        prolong = blocks.smoothed(T.rows, JACOBI / largest / D)
-        coarse = blocks.galerkin(prolong, T.starts)
+        with stored_rows(matrix) as stored:
+            blocks = _Blocks(ranks, matrix, stored)
+            prolong = blocks.smoothed(T.rows, JACOBI / largest / D)
+            coarse = blocks.galerkin(prolong, T.starts)
         levels.append(DistributedLevel(ranks, product, D, largest, _rows_of(prolong, coarse)))
         matrix, D = coarse, positive_diagonal(coarse)
     return levels, matrix
@@ -96,82 +98,65 @@ def positive_diagonal(matrix: Any) -> Vector:
 
 
 class _Blocks:
-    """Products with a matrix that PETSc holds, of some of its rows at a time, in blocks of nodes.
+    """Products with a matrix of which this rank has some rows, of some of these at a time.
 
     Matrices over the coarse unknowns have the columns of all ranks here, of which few are filled.
-
-    Parameters
-    ----------
-    size : int
-        The unknowns of a block.
     """
 
-    def __init__(self, ranks: Ranks, matrix: Any, size: int) -> None:
-        self._ranks, self._matrix, self._size = ranks, matrix, size
-        self._starts = np.asarray(matrix.getOwnershipRanges()) // size
-        self._first, self._last = self._starts[ranks.rank], self._starts[ranks.rank + 1]
-        self._away = self._coupled()
-
-    def _coupled(self) -> NDArray[Any]:
-        """The blocks of other ranks that some rows here couple with."""
-        found = [np.zeros(0, dtype=self._starts.dtype)]
-        for part in row_parts(self._ranks, self._matrix):
-            block = part.indices // self._size
-            found.append(np.unique(block[(block < self._first) | (block >= self._last)]))
-        return np.unique(np.concatenate(found))
+    def __init__(self, ranks: Ranks, matrix: Any, stored: StoredRows) -> None:
+        self._ranks, self._comm, self._stored = ranks, matrix.comm, stored
+        self._starts = np.asarray(matrix.getOwnershipRanges()) // stored.size
 
     def smoothed(self, tentative: sp.bsr_matrix, damping: Vector) -> sp.bsr_matrix:
         """(I - damping K) T, the rows of this rank."""
-        scale, unit = damping.reshape(-1, self._size, 1), np.eye(self._size)
-        near = self._with_those_away(tentative)
+        size = self._stored.size
+        scale, unit, away = -damping.reshape(-1, size, 1), np.eye(size), self._of_others(tentative)
         parts = []
-        for begin, K in self._parts():
-            row = np.repeat(np.arange(len(K.indptr) - 1), np.diff(K.indptr)) + begin // self._size
-            K.data *= -scale[row]
-            K.data[K.indices == row] += unit
-            parts.append(sp.bsr_matrix(K @ near, blocksize=tentative.blocksize))
-        return _stacked(parts)
+        for begin, here, beside in self._parts():
+            row = _rows_of_entries(here)
+            here.data *= scale[begin + row]
+            here.data[here.indices == begin + row] += unit
+            beside.data *= scale[begin + _rows_of_entries(beside)]
+            parts.append(_product(here, tentative, beside, away))
+        return _stacked(parts, tentative)
 
     def galerkin(self, prolong: sp.bsr_matrix, starts: NDArray[Any]) -> Any:
         """P'K P as PETSc.Mat, its unknowns dealt to the ranks as told."""
         size = prolong.blocksize[1]
-        blocksize = (size, size)
-        near = self._with_those_away(prolong)
+        blocksize, away = (size, size), self._of_others(prolong)
         product = sp.bsr_matrix((prolong.shape[1], prolong.shape[1]), blocksize=blocksize)
-        for begin, K in self._parts():
-            moved = sp.bsr_matrix(K @ near, blocksize=prolong.blocksize)
-            product = product + sp.bsr_matrix(_cut(prolong, begin, K.shape[0]).T @ moved, blocksize=blocksize)
-        row = np.repeat(np.arange(len(product.indptr) - 1), np.diff(product.indptr))
-        owner = np.searchsorted(starts // size, row, side="right") - 1
+        for begin, here, beside in self._parts():
+            moved = _product(here, prolong, beside, away)
+            product = product + sp.bsr_matrix(_cut(prolong, begin, here.shape[0]).T @ moved, blocksize=blocksize)
+        owner = np.searchsorted(starts // size, (row := _rows_of_entries(product)), side="right") - 1
         row, column, values = self._ranks.exchanged(owner, row, product.indices, product.data)
         first, last = starts[self._ranks.rank], starts[self._ranks.rank + 1]
         shape = (int(last - first), product.shape[1])
-        return _petsc(self._matrix.comm, _bsr(row - first // size, column, values, shape))
+        return held_in_blocks(self._comm, _bsr(row - first // size, column, values, shape))
 
-    def _parts(self) -> Iterator[tuple[int, sp.bsr_matrix]]:
-        """Some rows of K from a place on, over the unknowns of this rank and then those away."""
-        here = self._last - self._first
-        for part in row_parts(self._ranks, self._matrix, AT_A_TIME // self._size * self._size):
-            columns = part.indices - self._first * self._size
-            elsewhere = np.flatnonzero((columns < 0) | (columns >= here * self._size))
-            block, inner = np.divmod(part.indices[elsewhere], self._size)
-            columns[elsewhere] = (here + np.searchsorted(self._away, block)) * self._size + inner
-            shape = (part.end - part.begin, int(here + len(self._away)) * self._size)
-            rows = sp.csr_matrix((part.values, columns, part.indptr), shape=shape)
-            yield part.begin, rows.tobsr((self._size, self._size))
+    def _parts(self) -> Iterator[tuple[int, sp.bsr_matrix, sp.bsr_matrix]]:
+        """Some rows of K from a row of blocks on, over the unknowns of this rank and over those of others."""
+        for begin, end in self._stored.parts():
+            yield begin, self._stored.here.rows(begin, end), self._stored.away.rows(begin, end)
 
-    def _with_those_away(self, rows: sp.bsr_matrix) -> sp.bsr_matrix:
-        """Rows of this rank, and below those of the blocks of others."""
-        owner = np.searchsorted(self._starts, self._away, side="right") - 1
-        asked, asker = self._ranks.exchanged(owner, self._away, np.full(len(self._away), self._ranks.rank))
-        place = asked - self._first
-        begin, count = rows.indptr[place], np.diff(rows.indptr)[place]
-        entry = np.repeat(begin - (np.cumsum(count) - count), count) + np.arange(count.sum())
-        block, column, values = self._ranks.exchanged(
-            np.repeat(asker, count), np.repeat(asked, count), rows.indices[entry], rows.data[entry]
-        )
-        shape = (len(self._away) * self._size, rows.shape[1])
-        return _stacked([rows, _bsr(np.searchsorted(self._away, block), column, values, shape)])
+    def _of_others(self, rows: sp.bsr_matrix) -> sp.bsr_matrix:
+        """The rows of the blocks of other ranks that some rows here couple with."""
+        others = self._stored.others
+        entries = rows_of_others(self._ranks, self._starts, others, rows)
+        return _bsr(*entries, (len(others) * self._stored.size, rows.shape[1]))
+
+
+def _product(here: sp.bsr_matrix, own: sp.bsr_matrix, beside: sp.bsr_matrix, away: sp.bsr_matrix) -> sp.bsr_matrix:
+    """Some rows of K by what this rank and the others have of a matrix."""
+    product = sp.bsr_matrix(here @ own, blocksize=own.blocksize)
+    if beside.nnz:
+        product = product + sp.bsr_matrix(beside @ away, blocksize=own.blocksize)
+    return product
+
+
+def _rows_of_entries(matrix: sp.bsr_matrix) -> NDArray[Any]:
+    """The row, of blocks, of each stored block."""
+    return np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
 
 
 def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], shape: tuple[int, int]) -> sp.bsr_matrix:
@@ -184,35 +169,20 @@ def _bsr(row: NDArray[Any], column: NDArray[Any], values: NDArray[np.float64], s
 
 
 def _cut(matrix: sp.bsr_matrix, begin: int, count: int) -> sp.bsr_matrix:
-    """Some of the rows, whole blocks."""
-    size = matrix.blocksize[0]
-    indptr = matrix.indptr[begin // size : (begin + count) // size + 1]
+    """So many rows from a row of blocks on."""
+    indptr = matrix.indptr[begin : begin + count // matrix.blocksize[0] + 1]
     entries = slice(indptr[0], indptr[-1])
     parts = matrix.data[entries], matrix.indices[entries], indptr - indptr[0]
     return sp.bsr_matrix(parts, shape=(count, matrix.shape[1]))
 
 
-def _stacked(parts: list[sp.bsr_matrix]) -> sp.bsr_matrix:
-    """One below the other."""
-    ends = np.cumsum([part.indptr[-1] for part in parts])
-    indptr = [parts[0].indptr] + [part.indptr[1:] + end for part, end in zip(parts[1:], ends, strict=False)]
-    indices, data = [part.indices for part in parts], [part.data for part in parts]
-    shape = (sum(part.shape[0] for part in parts), parts[0].shape[1])
-    return sp.bsr_matrix((np.concatenate(data), np.concatenate(indices), np.concatenate(indptr)), shape=shape)
-
-
-def _petsc(comm: Any, rows: sp.bsr_matrix) -> Any:
-    """Rows of this rank over the unknowns of all, as PETSc.Mat."""
-    PETSc = petsc()
-    block = rows.blocksize[0]
-    csr = rows.tocsr()
-    matrix = PETSc.Mat().create(comm)
-    matrix.setType("aij")
-    matrix.setSizes(((rows.shape[0], rows.shape[1]), (rows.shape[0], rows.shape[1])))
-    matrix.setBlockSize(block)
-    matrix.setPreallocationCSR((csr.indptr.astype(PETSc.IntType), csr.indices.astype(PETSc.IntType), csr.data))
-    matrix.assemble()
-    return matrix
+def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:
+    """One below the other, together of a shape that is told."""
+    ends = np.append(0, np.cumsum([part.indptr[-1] for part in parts]))
+    indptr = np.concatenate([[0], *(part.indptr[1:] + end for part, end in zip(parts, ends, strict=False))])
+    indices = np.concatenate([like.indices[:0], *(part.indices for part in parts)])
+    data = np.concatenate([like.data[:0], *(part.data for part in parts)])
+    return sp.bsr_matrix((data, indices, indptr), shape=like.shape)
 
 
 def _rows_of(prolong: sp.bsr_matrix, coarse: Any) -> Rows:

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from contactqp.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularLevel
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
+from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, Tentative, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.multigrid import largest_eigenvalue
@@ -44,7 +45,7 @@ class DistributedHierarchy:
             )
         self._touched = [Rows(sp.identity(len(rows.touched), format="csr"), rows.touched, stiffness)]
         for level in self._levels:
-            self._touched.append(_on_coarser(self._touched[-1], level.prolong))
+            self._touched.append(_on_coarser(ranks, self._touched[-1], level.prolong))
         last = self._touched[-1]
         self._columns, place = np.unique(ranks.gathered(last.touched), return_inverse=True)
         self._place = place.ravel()[(first := ranks.first(len(last.touched))) : first + len(last.touched)]
@@ -109,16 +110,12 @@ class _HeldLevel(HeldLevel):
         return self._level.prolong.lengths(z)
 
 
-def _on_coarser(touched: Rows, prolong: Rows) -> Rows:
+def _on_coarser(ranks: Ranks, touched: Rows, prolong: Rows) -> Rows:
     """What the values at touched unknowns are of the values on the next coarser level."""
-    asked = touched.spread(np.ones(len(touched.touched))) > 0
-    few = sp.csr_matrix(sp.diags(asked.astype(float)) @ prolong.entries)
-    few.eliminate_zeros()
-    product = touched.matrix().matMult(prolong.standing(few).matrix())
-    indptr, indices, values = product.getValuesCSR()
-    columns, place = np.unique(indices, return_inverse=True)
-    entries = sp.csr_matrix((values, place.ravel(), indptr), shape=(len(indptr) - 1, len(columns)))
-    return Rows(entries, columns, prolong.like)
+    starts = np.asarray(touched.like.getOwnershipRanges())
+    row, column, values = rows_of_others(ranks, starts, touched.touched, prolong.entries, prolong.touched)
+    few = sp.csr_matrix((values, (row, column)), shape=(len(touched.touched), prolong.like.getSize()[1]))
+    return Rows.over_touched(sp.csr_matrix(touched.entries @ few), prolong.like)
 
 
 def _whole(ranks: Ranks, matrix: Any) -> sp.csr_matrix:
@@ -126,4 +123,4 @@ def _whole(ranks: Ranks, matrix: Any) -> sp.csr_matrix:
     indptr, indices, values = matrix.getValuesCSR()
     count, columns = ranks.gathered(np.diff(indptr)), ranks.gathered(indices)
     whole = np.concatenate([[0], np.cumsum(count)])
-    return sp.csr_matrix((ranks.gathered(values), columns, whole), shape=(len(count), matrix.getSize()[1]))
+    return sp.csr_matrix((ranks.gathered(values), columns, whole), shape=matrix.getSize())

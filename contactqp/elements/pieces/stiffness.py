@@ -1,4 +1,4 @@
-"""K of all pieces as one MPIAIJ matrix: elements go in batch by batch, so that little is held beside K itself."""
+"""K of all pieces as one matrix over the ranks: elements go in batch by batch, so that little is held beside K."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import block_type
 from contactqp.elements.assembly import pattern
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pieces.nodes import Nodes
@@ -33,10 +34,10 @@ def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:
     size = (d * len(nodes.own), None)
     K = PETSc.Mat().create(comm=nodes.ranks.comm)
     K.setSizes((size, size), bsize=d)
-    K.setType(PETSc.Mat.Type.AIJ)
+    K.setType(block_type(d))
     here, elsewhere = _row_lengths(bodies, nodes)
-    rows = [np.repeat(d * count, d).astype(PETSc.IntType) for count in (here, elsewhere)]
-    K.setPreallocationNNZ((rows[0], rows[1]) if nodes.ranks.size > 1 else rows[0])
+    blocks = [count.astype(PETSc.IntType) for count in (here, elsewhere)]
+    K.setPreallocationNNZ((blocks[0], blocks[1]) if nodes.ranks.size > 1 else blocks[0])
     K.setUp()
     first = 0
     for body in bodies:

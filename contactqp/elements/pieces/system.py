@@ -16,6 +16,7 @@ from contactqp.distributed.environment import petsc
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
+from contactqp.distributed.stored_rows import chosen_rows
 from contactqp.elements.free_contacts import FreeContacts
 from contactqp.elements.loads import Load
 from contactqp.elements.pieces.components import connected_parts
@@ -83,12 +84,8 @@ class PieceSystem:
 
     def at_held(self, displacement: Vector) -> Vector:
         """K u at held unknowns, 0 at free ones: (k d,), from the u of all own unknowns. Collective."""
-        rows = self.parts.of_held
-        at, into = rows.createVecs()
-        at.array[:] = displacement
-        rows.mult(at, into)
         found = np.zeros(len(self.held))
-        found[self.held] = into.array
+        found[self.held] = self.parts.of_held.lengths(displacement)
         return found
 
     def own_nodes(self, body: str, number: int | None = None) -> Index:
@@ -216,13 +213,13 @@ class StiffnessParts:
     free : PETSc.Mat
     of_given : (k d,) array
         K u_prescribed on all own unknowns [force].
-    of_held : PETSc.Mat
-        The rows of this rank's held unknowns over all unknowns.
+    of_held : Rows
+        Those of this rank's held unknowns.
     """
 
     free: Any
     of_given: Vector
-    of_held: Any
+    of_held: Rows
 
 
 def prescribed_of(structure: Structure, nodes: Nodes, supports: Sequence[Support]) -> Vector:
@@ -248,13 +245,11 @@ def _in_parts(system: PieceSystem) -> StiffnessParts:
     into, at = K.createVecs()
     at.array[:] = system.given
     K.mult(at, into)
-    first = K.getOwnershipRange()[0]
-    rows = (first + np.flatnonzero(system.held)).astype(PETSc.IntType)
-    columns = PETSc.IS().createStride(len(system.held), first, 1, comm=system.ranks.comm)
-    of_held = K.createSubMatrix(PETSc.IS().createGeneral(rows, comm=system.ranks.comm), columns)
+    held = np.flatnonzero(system.held)
+    of_held = Rows.over_touched(chosen_rows(K, held), K)
     diagonal = K.getDiagonal()
     K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    K.zeroRowsColumns(rows, diag=1.0)
+    K.zeroRowsColumns((K.getOwnershipRange()[0] + held).astype(PETSc.IntType), diag=1.0)
     K.setDiagonal(diagonal)  # a support's own stiffness is of the size of its neighbours'
     K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     return StiffnessParts(K, np.array(into.array), of_held)
