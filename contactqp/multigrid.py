@@ -81,8 +81,8 @@ class Hierarchy:
         except ImportError as error:  # one that wants a newer SciPy, say
             raise BackendMissing(f"pyamg: {error}; pip install --upgrade 'contactqp[fast]'") from error
         matrix = in_blocks(stiffness)
-        B = _constants(matrix) if motions is None else _of_size_one(motions)
-        B = B if B.shape[1] else _constants(matrix)
+        B = np.zeros((len(matrix.diagonal()), 0)) if motions is None else of_size_one(motions)
+        B = B if B.shape[1] else constants(len(B), block_size(matrix))
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
         while True:
@@ -155,15 +155,18 @@ def _graph(matrix: Any) -> Any:
     return sp.csr_matrix((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(count, count))
 
 
-def _of_size_one(motions: Array) -> Array:
-    """The motions that move anything, each with its largest entry at one: their sizes mean nothing."""
-    largest = np.max(abs(motions), axis=0, initial=0.0)
+def of_size_one(motions: Array, most: Callable[[Array], Array] = np.asarray) -> Array:
+    """The motions that move anything, each with its largest entry at one: their sizes mean nothing.
+
+    `most` is the largest, entry by entry, of all who have a part of the motions.
+    """
+    largest = most(np.max(abs(motions), axis=0, initial=0.0))
     return np.asarray(motions[:, largest > 0] / largest[largest > 0])
 
 
-def _constants(matrix: Any) -> Array:
-    size = block_size(matrix)
-    return np.tile(np.eye(size), (matrix.shape[0] // size, 1))
+def constants(count: int, size: int) -> Array:
+    """(count, size) the motions of unknowns in blocks, one for each unknown of a block."""
+    return np.tile(np.eye(size), (count // size, 1))
 
 
 def _bodies(matrix: Any) -> NDArray[np.intp]:

@@ -17,8 +17,9 @@ import numpy as np
 
 from benchmarks.scaling.case import block
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.iteration import DistributedIteration
-from contactqp.distributed.preconditioner import chosen_solver, with_near_null_space
+from contactqp.distributed.preconditioner import chosen_solver
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
@@ -81,7 +82,8 @@ def linear(problem: DistributedProblem, solver: str) -> dict[str, Any]:
     load: what the contact problem is solved to.
     """
     PETSc, ranks = petsc(), problem.ranks
-    stiffness = with_near_null_space(problem)
+    stiffness = held_in_rows(problem.stiffness)
+    stiffness.setNearNullSpace(_near_null_space(problem, stiffness))
     ksp = PETSc.KSP().create(stiffness.comm)
     ksp.setOptionsPrefix("linear_")
     ksp.setType("cg")
@@ -113,6 +115,19 @@ def linear(problem: DistributedProblem, solver: str) -> dict[str, Any]:
     ksp.destroy()
     stiffness.destroy()
     return found
+
+
+def _near_null_space(problem: DistributedProblem, stiffness: Any) -> Any:
+    """The rigid motions, made orthonormal."""
+    basis: list[Any] = []
+    for motion in problem.near_null_space.T:
+        v = stiffness.createVecRight()
+        v.array[:] = motion
+        for known in basis:
+            v.axpy(-v.dot(known), known)
+        v.normalize()
+        basis.append(v)
+    return petsc().NullSpace().create(vectors=basis, comm=stiffness.comm)
 
 
 def _events() -> dict[str, dict[str, float]]:

@@ -12,14 +12,13 @@ incomplete factors of blocks ("asm") are made anew each time, and work with all 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from contactqp.distributed.bound_unknowns import BoundUnknowns, bound_unknowns
 from contactqp.distributed.environment import petsc
+from contactqp.distributed.options import given
 from contactqp.distributed.preconditioner import AUTO, FACTORISED
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
@@ -72,7 +71,7 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
     run = _newton if method in NEWTON else _trust_region
     options = _options(method, inner, settings)
     try:
-        with _given(options):
+        with given(PREFIX, options):
             y, steps, reason = run(scaled, method, settings)
     except petsc().Error as error:
         raise BackendFailed(f"PETSc's {method} failed: {str(error).splitlines()[-1]}") from error
@@ -194,17 +193,3 @@ def _options(method: str, solver: str, settings: Settings) -> dict[str, Any]:
         inner["ksp_type"] = "stcg"  # within a trust region
         return {f"tao_bnk_{name}": value for name, value in inner.items()}
     return {"snes_vi_zero_tolerance": 0.0, **inner}
-
-
-@contextmanager
-def _given(ours: dict[str, Any]) -> Iterator[None]:
-    """Options that the user has not set, for the while."""
-    options = petsc().Options(PREFIX)
-    added = {name: value for name, value in ours.items() if not options.hasName(name)}
-    for name, value in added.items():
-        options[name] = value
-    try:
-        yield
-    finally:
-        for name in added:
-            options.delValue(name)

@@ -24,7 +24,7 @@ from contactqp.distributed.portion import OfAll, OfFirst, Portion, share_of, who
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
-from contactqp.multigrid import block_size, in_blocks
+from contactqp.multigrid import block_size, constants, in_blocks
 from contactqp.problem import ContactProblem
 
 
@@ -69,7 +69,7 @@ def part_of(ranks: Ranks, share: Portion) -> DistributedProblem:
         tie_value=tie_value,
         held=np.zeros(len(load), dtype=bool),
         body=body,
-        near_null_space=motions if share.hinted else _constants(len(load), size),
+        near_null_space=motions if share.hinted else constants(len(load), size),
         rigid=None if share.hinted else motions,
         dof_number=number,
         contact_number=contact,
@@ -132,10 +132,6 @@ def _with_diagonal(rows: Any, first: int) -> Any:
     row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
     places = (np.append(row, bare), np.append(rows.indices, first + bare))
     return sp.csr_matrix(sp.coo_matrix((np.append(rows.data, np.zeros(len(bare))), places), shape=rows.shape))
-
-
-def _constants(count: int, size: int) -> NDArray[np.float64]:
-    return np.tile(np.eye(size), (count // size, 1))
 
 
 def _called(kind: str, names: NDArray[np.str_], numbers: NDArray[np.int64]) -> Callable[[int], str]:

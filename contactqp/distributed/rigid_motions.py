@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.iteration import FLOATING
-from contactqp.multigrid import energy_ratios
+from contactqp.multigrid import energy_ratios, of_size_one
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodi
 
 
 def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    B = _scaled(problem)
+    B = of_size_one(problem.soft_motions, problem.ranks.max)
     width = B.shape[1]
     # What has no stiffness at all floats by itself, and any metric will do.
     metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
@@ -51,10 +51,3 @@ def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
     combined = bodies.told(mixed)
     most = int(problem.ranks.max(int(np.sum(np.any(combined, axis=(0, 1))))))
     return FloatingBodies(bodies.combined(B, combined[:, :, :most]), np.any(combined, axis=(1, 2)))
-
-
-def _scaled(problem: DistributedProblem) -> NDArray[np.float64]:
-    """The soft motions, the largest entry of each motion one on some rank: their sizes mean nothing."""
-    B = problem.soft_motions
-    largest = problem.ranks.max(np.max(abs(B), axis=0, initial=0.0))
-    return np.asarray(B / np.where(largest > 0, largest, 1.0))

@@ -2,8 +2,8 @@
 
     P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,
 
-T from GAMG without smoothing. Both products are made of some rows of K at a time, in blocks of nodes: GAMG's own hold
-K P as a whole, which on several ranks takes more than K.
+T of the motions that cost little energy. Both products are made of some rows of K at a time, in blocks of nodes: GAMG's
+own hold K P as a whole, which on several ranks takes more than K.
 """
 
 from __future__ import annotations
@@ -16,12 +16,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.distributed.aggregates import Tentative, aggregates, tentative
 from contactqp.distributed.formats import held_in_blocks
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.stored_rows import StoredRows, stored_rows
-from contactqp.multigrid import JACOBI, largest_eigenvalue
+from contactqp.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
+
+# Unknowns of the coarsest level: a dense factor on every rank, part of it anew for every contact set.
+COARSEST = 600
 
 
 class Product:
@@ -38,21 +42,6 @@ class Product:
 
 
 @dataclass(frozen=True, eq=False)
-class Tentative:
-    """T of one level: its rows on this rank over all coarse unknowns, and where those of each rank begin."""
-
-    rows: sp.bsr_matrix
-    starts: NDArray[Any]  # (ranks + 1,)
-
-    @classmethod
-    def of(cls, matrix: Any) -> Tentative:
-        """Of a PETSc.Mat, which is not kept."""
-        indptr, indices, values = matrix.getValuesCSR()
-        rows = sp.csr_matrix((values, indices, indptr), shape=(len(indptr) - 1, matrix.getSize()[1]))
-        return cls(rows.tobsr(matrix.getBlockSizes()), np.array(matrix.getOwnershipRangesColumn()))
-
-
-@dataclass(frozen=True, eq=False)
 class DistributedLevel:
     """One level: its matrix as a product, D, the largest eigenvalue of D^-1 K, and P to the next coarser one."""
 
@@ -64,7 +53,7 @@ class DistributedLevel:
 
 
 def smoothed_levels(
-    ranks: Ranks, stiffness: Any, tentative: list[Tentative], diagonal: Vector
+    ranks: Ranks, stiffness: Any, diagonal: Vector, motions: NDArray[np.float64]
 ) -> tuple[list[DistributedLevel], Any]:
     """All levels but the coarsest, from the finest on, and the matrix of the coarsest. Collective.
 
@@ -72,23 +61,41 @@ def smoothed_levels(
     ----------
     stiffness : PETSc.Mat
         K of the finest level.
-    tentative : list of Tentative
-        T of each level.
     diagonal : (n_here,) array
         D of the finest level, positive.
+    motions : (n_here, q) array
+        What costs little energy.
+
+    Raises
+    ------
+    PETSc.Error
+        GAMG gave up.
     """
     levels: list[DistributedLevel] = []
-    matrix, D = stiffness, diagonal
-    for T in tentative:
-        product = Product(matrix)
-        largest = largest_eigenvalue(product, D, ranks.dot)
+    matrix, D, B = stiffness, diagonal, of_size_one(motions, ranks.max)
+    B = B if B.shape[1] else constants(len(B), stiffness.getBlockSize())
+    while matrix.getSize()[0] > COARSEST:
         with stored_rows(matrix) as stored:
-            blocks = _Blocks(ranks, matrix, stored)
-            prolong = blocks.smoothed(T.rows, JACOBI / largest / D)
-            coarse = blocks.galerkin(prolong, T.starts)
-        levels.append(DistributedLevel(ranks, product, D, largest, _rows_of(prolong, coarse)))
-        matrix, D = coarse, positive_diagonal(coarse)
+            found = aggregates(matrix.comm, stored, finest=not levels)
+            if found is None or found.starts[-1] * B.shape[1] >= matrix.getSize()[0]:
+                break
+            T, B = tentative(ranks, found, B, stored.size)
+            level, matrix = smoothed_level(ranks, matrix, stored, T, D)
+        levels.append(level)
+        D = positive_diagonal(matrix)
     return levels, matrix
+
+
+def smoothed_level(
+    ranks: Ranks, matrix: Any, stored: StoredRows, tentative: Tentative, diagonal: Vector
+) -> tuple[DistributedLevel, Any]:
+    """One level, and the matrix of the next. Collective."""
+    product = Product(matrix)
+    largest = largest_eigenvalue(product, diagonal, ranks.dot)
+    blocks = _Blocks(ranks, matrix, stored)
+    prolong = blocks.smoothed(tentative.rows, JACOBI / largest / diagonal)
+    coarse = blocks.galerkin(prolong, tentative.starts)
+    return DistributedLevel(ranks, product, diagonal, largest, _rows_of(prolong, coarse)), coarse
 
 
 def positive_diagonal(matrix: Any) -> Vector:

@@ -1,4 +1,4 @@
-"""The V-cycle of `contactqp.v_cycle` on the levels that PETSc's GAMG makes of a stiffness on all ranks."""
+"""The V-cycle of `contactqp.v_cycle` on levels of a stiffness on all ranks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from contactqp.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularL
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
-from contactqp.distributed.smoothed_aggregation import DistributedLevel, Tentative, smoothed_levels
+from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.multigrid import largest_eigenvalue
+from contactqp.multigrid import Array, largest_eigenvalue
 from contactqp.v_cycle import HeldLevel, VCycle, held_strength
 
 # Unknowns of a coarsest level: its factor is dense, and on every rank.
@@ -27,17 +27,17 @@ class DistributedHierarchy:
     ----------
     ranks : Ranks
     stiffness : PETSc.Mat
-    tentative : list of Tentative
-        T of each level, the finest first: GAMG's prolongations without smoothing.
     diagonal : (n_here,) array
         D of the finest level, positive.
+    motions : (n_here, q) array
+        What costs little energy.
     rows : Rows
         What they touch; their entries may change later.
     """
 
-    def __init__(self, ranks: Ranks, stiffness: Any, tentative: list[Tentative], diagonal: Vector, rows: Rows) -> None:
+    def __init__(self, ranks: Ranks, stiffness: Any, diagonal: Vector, motions: Array, rows: Rows) -> None:
         self._ranks, self._compliance = ranks, rows.near(1 / diagonal)
-        self._levels, coarsest = smoothed_levels(ranks, stiffness, tentative, diagonal)
+        self._levels, coarsest = smoothed_levels(ranks, stiffness, diagonal, motions)
         if (size := coarsest.getSize()[0]) > LARGEST_DENSE:
             raise Unsupported(
                 f"solver: the coarsest level that PETSc's gamg comes to has {size} unknowns, more than the "

@@ -5,18 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
-from contactqp.distributed import preconditioner, v_cycle
+from contactqp.distributed import aggregates as aggregates_module
+from contactqp.distributed import smoothed_aggregation, v_cycle
+from contactqp.distributed.aggregates import Aggregates
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.smoothed_aggregation import Tentative, smoothed_levels
+from contactqp.distributed.smoothed_aggregation import smoothed_level
 from contactqp.distributed.solving import iteration_of
+from contactqp.distributed.stored_rows import stored_rows
 from contactqp.errors import Unsupported
 from contactqp.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
 
-preconditioner.COARSEST = 40
+smoothed_aggregation.COARSEST = 40
 ranks = Ranks()
 
 
@@ -27,34 +30,59 @@ def whole(matrix) -> np.ndarray:
     return ranks.gathered(here)
 
 
-def tentative(K, coarse_size: int):
-    """A random T: the blocks of nodes of this rank in aggregates that other ranks have columns of."""
-    PETSc, size = petsc(), K.getBlockSize()
+def random_aggregates(K) -> Aggregates:
+    """The nodes of this rank in aggregates that other ranks have, and some in none."""
     random = np.random.default_rng(ranks.rank)
-    blocks, aggregates = K.getLocalSize()[0] // size, 3 * ranks.size
-    column = random.integers(aggregates, size=blocks)[:, None] * coarse_size + np.arange(coarse_size)
-    T = PETSc.Mat().createAIJ(((K.getLocalSize()[0], None), (3 * coarse_size, None)), nnz=coarse_size, comm=K.comm)
-    T.setBlockSizes(size, coarse_size)
-    first = K.getOwnershipRange()[0]
-    for i in range(size * blocks):
-        T.setValues([first + i], column[i // size].astype(PETSc.IntType), random.standard_normal(coarse_size))
-    T.assemble()
-    return T
+    of = random.integers(-1, 3 * ranks.size, size=K.getLocalSize()[0] // K.getBlockSize())
+    return Aggregates(of, 3 * np.arange(ranks.size + 1))
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.max(abs(a - b)) / np.max(abs(b)))
 
 
-def products_are_those_of_whole_matrices(whole_problem, size: int) -> None:
+def levels_are_those_of_whole_matrices(whole_problem, size: int) -> None:
+    """T'T = 1 and B = T B_coarse on every aggregate; P = (I - 4/(3 rho) D^-1 K) T; P'KP."""
     problem = distribute(whole_problem, ranks)
-    assert problem.stiffness.getBlockSize() == size
-    T = tentative(problem.stiffness, 6)
-    (level,), coarse = smoothed_levels(ranks, problem.stiffness, [Tentative.of(T)], problem.metric)
-    K, D = whole(problem.stiffness), ranks.gathered(problem.metric)
-    P = whole(T) - (JACOBI / level.largest / D)[:, None] * (K @ whole(T))
-    assert largest_difference(whole(level.prolong.matrix()), P) <= 1e-14
+    stiffness = problem.stiffness
+    assert stiffness.getBlockSize() == size
+    motions = np.random.default_rng(5 + ranks.rank).standard_normal((len(problem.load), 4))
+    motions[:, 3] = motions[:, 0] - 2 * motions[:, 1]  # no motion of its own
+    aggregates = random_aggregates(stiffness)
+    tentative, coarse_motions = aggregates_module.tentative(ranks, aggregates, motions, size)
+    T = ranks.gathered(tentative.rows.toarray())
+    number = ranks.gathered(np.repeat(aggregates.of, size))
+    B = np.where(number[:, None] >= 0, ranks.gathered(motions), 0.0)
+    assert largest_difference(T @ ranks.gathered(coarse_motions), B) <= 1e-13
+    several = [np.count_nonzero(number == i) >= 3 for i in range(3 * ranks.size)]
+    expected = np.diag(np.ravel([[1.0, 1.0, 1.0, 0.0] if many else 4 * [0.0] for many in several]))
+    kept = np.repeat(several, 4)
+    assert largest_difference((T.T @ T)[np.ix_(kept, kept)], expected[np.ix_(kept, kept)]) <= 1e-12
+    assert np.array_equal(T != 0, (T != 0) & (number[:, None] == np.repeat(np.arange(3 * ranks.size), 4)))
+    with stored_rows(stiffness) as stored:
+        level, coarse = smoothed_level(ranks, stiffness, stored, tentative, problem.metric)
+    K, D = whole(stiffness), ranks.gathered(problem.metric)
+    P = T - (JACOBI / level.largest / D)[:, None] * (K @ T)
+    assert largest_difference(whole(level.prolong.matrix()), P) <= 1e-13
     assert largest_difference(whole(coarse), P.T @ K @ P) <= 1e-13
+
+
+def aggregates_are_neighbours(whole_problem) -> None:
+    """Every node that K couples with another is in one, and each is connected."""
+    problem = distribute(whole_problem, ranks)
+    size = problem.stiffness.getBlockSize()
+    with stored_rows(problem.stiffness) as stored:
+        fine = aggregates_module.aggregates(problem.stiffness.comm, stored, finest=True)
+        small = aggregates_module.aggregates(problem.stiffness.comm, stored, finest=False)
+    K = whole(problem.stiffness)
+    near = np.add.reduceat(np.add.reduceat(abs(K), range(0, len(K), size), axis=0), range(0, len(K), size), axis=1) > 0
+    for found in (fine, small):
+        number = ranks.gathered(found.of)
+        assert np.array_equal(number >= 0, np.count_nonzero(near, axis=1) > 1)
+        assert set(number[number >= 0]) == set(range(found.starts[-1]))
+        for i in range(found.starts[-1]):
+            assert connected_components(near[np.ix_(number == i, number == i)])[0] == 1
+    assert 1 <= fine.starts[-1] < small.starts[-1] < len(near) / 2
 
 
 def the_cycle_is_symmetric_and_its_spectrum_ends_at_one(problem, part: float) -> None:
@@ -91,8 +119,9 @@ def a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was() -> None:
     assert np.array_equal(many.stiffness.getDiagonal().array, before)
 
 
-products_are_those_of_whole_matrices(layered(0.1, (4, 4, 6)), 1)
-products_are_those_of_whole_matrices(on_sphere((4, 5, 3)), 3)
+levels_are_those_of_whole_matrices(layered(0.1, (4, 4, 6)), 1)
+levels_are_those_of_whole_matrices(on_sphere((4, 5, 3)), 3)
+aggregates_are_neighbours(on_sphere((4, 5, 3)))
 for problem, part in (
     (on_paraboloid((3, 3, 3)), 0.0),
     (on_sphere((3, 3, 3)), 0.5),
