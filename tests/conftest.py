@@ -1,11 +1,15 @@
-"""pytester runs the scratch projects of the tests of our pytest plugin; BLAS has one thread.
+"""pytester runs the scratch projects of the tests of our pytest plugin; BLAS has one thread; Ctrl-C comes through.
 
 Several processes run tests at once, and threads of BLAS that wait for a core cost the others theirs. Said before NumPy
-is imported; whoever sets the variable is obeyed.
+is imported; whoever sets the variable is obeyed. A shell that starts tests in the background has them ignore Ctrl-C,
+which some of them press.
 """
 
 import os
+import signal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = ["pytester"]
