@@ -38,9 +38,10 @@ def distributed_model(scene: Scene, ranks: Ranks) -> DistributedBodyModel:
     SceneError
         What is no good, its key first; the same on all ranks.
     Unsupported
-        Membranes, motions, large deformations.
+        Membranes, motions, large deformations, a scene without bodies.
     """
-    for what, there in (("membranes", scene.membranes), ("motions", scene.motion), ("large motions", scene.large)):
+    others = ("membranes", scene.membranes), ("motions", scene.motion), ("large motions", scene.large)
+    for what, there in (*others, ("a scene without bodies", not scene.bodies)):
         if there:
             raise Unsupported(
                 f"{what}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"

@@ -4,9 +4,11 @@ import re
 import tempfile
 from pathlib import Path
 
+import pytest
+
 import contactqp as cq
 from contactqp.distributed.ranks import Ranks
-from contactqp.errors import ContactQPError
+from contactqp.errors import ContactQPError, Unsupported
 from contactqp.scene.models import build
 from contactqp.scene.pieces import distributed_model
 
@@ -96,3 +98,7 @@ with tempfile.TemporaryDirectory() as made:
         assert many is None or "\n" not in many
         if ranks.rank == 0:
             print(many, flush=True)
+
+truss = cq.load_scene(Path(__file__).parents[3] / "cases" / "bar_wall.toml")
+with pytest.raises(Unsupported, match=r"^a scene without bodies: expected elastic bodies"):
+    distributed_model(truss, ranks)
