@@ -57,6 +57,7 @@ def test_what_a_case_claims_holds(name):
         assert all(row.ok for row in rows), [row for row in rows if not row.ok]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", EXACT_METHODS)
 @pytest.mark.parametrize("name", TOUCHING)
 def test_every_exact_method_gives_the_exact_answer(name, method):

@@ -235,7 +235,7 @@ def _scaled(problem: cq.ContactProblem, unknowns: np.ndarray, contacts: np.ndarr
 exponents = st.integers(-6, 6)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 40), floating=st.booleans(), data=st.data())
 def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(
     seed: int, floating: bool, data: st.DataObject
@@ -247,7 +247,7 @@ def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(
     _agree(_figures(problem, u, force), _figures(_scaled(problem, unknowns, contacts), u / unknowns, force / contacts))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 40), floating=st.booleans(), length=st.integers(-6, 6), size=st.integers(-6, 6))
 def test_figures_are_invariant_under_change_of_units(seed: int, floating: bool, length: int, size: int) -> None:
     problem, u, force = _candidate(seed, floating)
@@ -261,7 +261,7 @@ def test_figures_are_invariant_under_change_of_units(seed: int, floating: bool, 
     _agree(_figures(problem, u, force), _figures(other, u * per_length, force * per_force))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 40), floating=st.booleans(), data=st.data())
 def test_figures_are_invariant_under_permutation(seed: int, floating: bool, data: st.DataObject) -> None:
     problem, u, force = _candidate(seed, floating)
@@ -279,7 +279,7 @@ def test_figures_are_invariant_under_permutation(seed: int, floating: bool, data
 # --- bounds -----------------------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 400), size=st.floats(-12, 0.5), what=st.sampled_from(["u", "force", "both"]))
 def test_bounds_are_never_below_the_truth_and_near_it(seed: int, size: float, what: str) -> None:
     problem = seeded_problem(seed)

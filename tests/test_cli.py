@@ -139,6 +139,7 @@ def test_no_equilibrium_is_exit_1_in_one_line(capsys, tmp_path):
     assert data["failure"]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
 def test_explain_says_what_is_in_a_case(case, capsys):
     code, out, _ = run(capsys, "explain", "--no-solve", case)

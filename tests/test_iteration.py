@@ -47,6 +47,7 @@ CASES = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.usefixtures("by_iteration")
 @needs_pyamg
 @pytest.mark.parametrize("name", CASES)

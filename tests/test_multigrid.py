@@ -37,6 +37,7 @@ SMALL = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
 def test_the_v_cycle_is_symmetric_and_its_spectrum_ends_at_one(name, part):

@@ -72,6 +72,7 @@ def certified(truth, u, force):
     return cq.certify(fresh(truth.problem), u, force, tie_force=truth.solution.tie_force)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)
 @pytest.mark.parametrize("size", [1e-10, 1e-7, 1e-3])
 @pytest.mark.parametrize("kind", ["rough", "smooth"])
@@ -96,6 +97,7 @@ def test_the_bounds_are_above_the_truth_and_not_far_above(truth, size, kind):
     assert any("force_bound" in reason for reason in certificate.reasons)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)
 def test_our_own_answer_is_bounded_as_closely(truth):
     solution = cq.solve(fresh(truth.problem))
@@ -105,6 +107,7 @@ def test_our_own_answer_is_bounded_as_closely(truth):
     assert push <= certificate.force_error <= 100 * push
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("truth", PROBLEMS, indirect=True)
 def test_the_dual_norm_is_above_the_truth(truth):
     problem = fresh(truth.problem)

@@ -79,6 +79,7 @@ def _numbers(data: Any) -> Iterator[float]:
         yield data
 
 
+@pytest.mark.slow
 def test_its_numbers_are_those_of_a_report(tmp_path: pathlib.Path) -> None:
     """Rounded to the digits that it prints: forces are what cases expect and get, errors stand in the rows."""
     cases = [ROOT / "cases" / f"{name}.toml" for name in ("truss_floor_printed", "bar_wall")]

@@ -85,6 +85,7 @@ def test_a_beam_on_a_stop() -> None:
     assert solution.work.factorisations == 1
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", POLISHED)
 def test_bodies_held_by_contact_alone(method: str) -> None:
     if not _method(method).semidefinite:

@@ -207,6 +207,7 @@ def random_body(seed: int) -> tuple[cq.ContactProblem, list[np.ndarray]]:
     return problem, [*corners, corners[0], np.zeros(n)]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_cycles_of_random_bodies_balance_their_energy(seed: int) -> None:
     problem, loads = random_body(seed)

@@ -67,6 +67,7 @@ def round_one_corner(steps: int) -> cq.History:
     return led(SQUARE[:2], steps)
 
 
+@pytest.mark.slow
 def test_after_a_corner_the_slip_turns_along_a_tractrix() -> None:
     """From a = 90 degrees on; steps are off by their size, to first order."""
     errors = []

@@ -170,6 +170,7 @@ def test_a_node_on_top_of_a_ball_needs_its_indefinite_tangent(curved):
         assert "unstable" in history.notes[0]
 
 
+@pytest.mark.slow
 def test_energies_balance_where_the_steps_are_small():
     ball = cq.Circle([0.3, -0.6], 1.0)
     fine = cq.large_deformation(arch(0.5), [[3.0, -10.0]], node_over(ball, 0.5), steps=100)

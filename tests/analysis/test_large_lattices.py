@@ -72,6 +72,7 @@ def test_arc_length_meets_load_control_where_nothing_snaps(seed):
     np.testing.assert_allclose(between, by_load[-1].displacement, atol=2e-2 * np.abs(between).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3])
 def test_a_snap_under_load_is_a_limit_point_of_the_path(seed):
     body, contact, load, history = loaded(seed)

@@ -172,6 +172,7 @@ def test_a_path_is_resumed_where_it_broke_off():
     assert [limit.kind for limit in rest.limit_points] == ["minimum"]
 
 
+@pytest.mark.slow
 def test_work_and_energy_agree_along_a_path_without_jumps():
     history = cq.large_deformation(arch(), DOWN, **(BY_NODE | dict(steps=200)))
     for energies in history.energies[::50]:

@@ -21,6 +21,7 @@ def jumps(history: cq.History) -> list[str]:
     return [note for note in history.notes if "jumps" in note]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("steps", "shown"), [(1, "2"), (4, "1.5"), (5, "1.6"), (10, "1.5"), (50, "1.42")])
 @pytest.mark.parametrize(("friction", "lost"), [(0.8, "1.4"), (0.7, "1.35")])
 def test_a_step_across_a_snap(friction: float, lost: str, steps: int, shown: str) -> None:

@@ -12,6 +12,7 @@ from benchmarks.half_plane import Parabola
 from benchmarks.membrane_over_ball import RADIUS, RIM, SLOPE, deflection, gradient, membrane_level, on_disc, on_square
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("kind", "h1"), [("tri3", 0.9), ("quad4", 0.9), ("tri6", 1.3), ("quad8", 1.3)])
 def test_hertz_line_contact(kind, h1):
     """Order 1 in H1 with linear elements, 3/2 with quadratic ones: the pressure is a root at the edge of contact."""

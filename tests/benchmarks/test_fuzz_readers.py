@@ -101,6 +101,7 @@ def arguments(seed: Seed) -> list[str]:
     return [seed.mutated, "answer.json"] if seed.mutated.startswith("p.") else ["p", seed.mutated]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fault", BROKEN)
 @pytest.mark.parametrize("name", FORMATS)
 def test_at_the_command_line_a_broken_file_is_exit_2_and_one_line(capsys, monkeypatch, written, name, fault):

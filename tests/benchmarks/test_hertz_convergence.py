@@ -17,6 +17,7 @@ def test_force_and_peak_pressure_converge_at_first_order_or_better():
     assert levels[-1].pressure_error < 0.02
 
 
+@pytest.mark.slow
 def test_the_exit_code_says_whether_the_peak_is_within_one_percent(monkeypatch: pytest.MonkeyPatch):
     """It is on the mesh of 48 divisions, off by 0.6 %, and not yet on that of 24."""
     monkeypatch.setattr(hertz_convergence, "level", cache(level))  # both refine from the same coarse meshes

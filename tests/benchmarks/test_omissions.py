@@ -6,6 +6,7 @@ from benchmarks import omissions
 from benchmarks.omissions import IMPORTS, OMISSIONS, Saving
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("omission", OMISSIONS, ids=lambda omission: omission.name)
 def test_both_ways_have_one_answer(omission):
     lean, full = omissions.alternated(omission.ways(200), rounds=1)
@@ -31,6 +32,7 @@ def test_a_mass_matrix_takes_memory_and_is_measured_in_a_process_of_its_own(caps
     assert 0 < full < 500
 
 
+@pytest.mark.slow
 def test_what_a_bar_does_not_import_costs_more_with_it():
     name, brought_in, modules = next(row for row in IMPORTS if row[0] == "plotting")
     saving = omissions.of_imports(name, brought_in, omissions.installed(modules), rounds=1)

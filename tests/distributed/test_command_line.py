@@ -59,6 +59,7 @@ def test_tables_and_files_are_written_once(python_on_ranks, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["p.history.png", "p.png", "path.toml"]
 
 
+@pytest.mark.slow
 def test_bodies_in_pieces_are_drawn_and_written(python_on_ranks, tmp_path):
     """Their pictures ask for more than their tables: with a path, for its loads and energies too."""
     text = (CASES / "hertz_line.toml").read_text().partition("[[expect]]")[0]

@@ -48,6 +48,7 @@ def test_no_preconditioner_changes_the_answer(
     assert len(on_ranks("rubbing.py", count, solver, *names).splitlines()) == len(names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2])
 def test_curved_bodies_that_stick_in_the_middle_and_slide_around_it(on_ranks: Callable[..., str], count: int) -> None:
     """Cattaneo and Mindlin's spheres: rows of two bodies, directions of slip in space."""

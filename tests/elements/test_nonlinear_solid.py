@@ -46,6 +46,7 @@ def turn(d, angle):
     return Q if d == 2 else Q @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("kind", "model", "law"), CASES)
 def test_force_and_tangent_are_the_derivatives_of_the_energy(kind, model, law):
     part = solid(kind, model, law)

@@ -69,6 +69,7 @@ CASES = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("slave_is_lower", [False, True])
 def test_the_mortar_transmits_a_constant_pressure(case, slave_is_lower):

@@ -71,6 +71,7 @@ def test_the_systems_that_the_chapter_prints() -> None:
     assert not lifted.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("pull", PULLS)
 def test_two_masses_on_a_rough_floor(pull: str, name: str) -> None:

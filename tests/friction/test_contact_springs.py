@@ -111,6 +111,7 @@ CORNERS = [
 ]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("steps", [1, 4, 7])
 @pytest.mark.parametrize("way", ["penalty", "perturbed-lagrangian", "contact springs"])
 def test_two_masses_loaded_and_unloaded(way: str, steps: int) -> None:

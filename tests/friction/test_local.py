@@ -145,6 +145,7 @@ def jammed(normal: float, tangential: float = 0.0, friction: float = 0.5) -> cq.
     return cq.LocalProblem(delassus=W, offset=[normal, tangential, normal, tangential], friction=friction, dimension=2)
 
 
+@pytest.mark.slow
 def test_a_jammed_block_has_no_answer_and_the_existence_test_says_so() -> None:
     assert cq.existence_margin(jammed(-0.1)) < 0
     assert cq.existence_margin(jammed(0.1)) > 0

@@ -28,6 +28,7 @@ def off(solution: cq.Solution, known: Known) -> float:
     return max(float(np.max(abs(a - b)) / np.max(abs(b))) for a, b in pairs)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("angle", ANGLES)
 def test_a_block_sticks_below_its_bound_and_slides_along_the_push_beyond(way: str, angle: float) -> None:
@@ -45,6 +46,7 @@ def test_a_block_sticks_below_its_bound_and_slides_along_the_push_beyond(way: st
     assert slid.certificate.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_on_unequal_springs_it_does_not_slide_along_the_push(way: str) -> None:
     """K_T = [[5, 1], [1, 2]]: pushed by K_T s + mu N s/|s| it slides by s, whatever the push's own direction."""
@@ -84,6 +86,7 @@ def test_a_polygon_in_place_of_the_cone_is_refused() -> None:
     assert not cq.certify(problem, [*flat, 0.0], [10.0], [corner]).passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("ties", [0, 1])
 def test_open_sticking_and_sliding_at_once(way: str, ties: int) -> None:

@@ -19,6 +19,7 @@ from tests.friction.problems import TOUCH, known_answer, one_contact, pad, rando
 from tests.friction.test_several import KLARBRING, ROD
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("friction", "most"), [(0.1, 1), (0.4, 1), (0.5, 1), (0.55, 3), (0.8, 3), (1.5, 3), (5.0, 3)])
 def test_klarbrings_family(friction: float, most: int) -> None:
     """mu_c = W_nn/|W_nt| = 1/2: up to it every load has one answer, above it some have three."""
@@ -128,6 +129,7 @@ FAMILIES = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", FAMILIES)
 def test_counted_as_enumeration_counts(name: str) -> None:
     """Up to five contacts: no several answers unsaid, and none said that are not there."""

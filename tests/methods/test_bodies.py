@@ -103,6 +103,7 @@ def test_a_coarse_raw_answer_is_refused():
     assert not raw.certificate.passed
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", EXACT)
 def test_a_body_that_contact_alone_holds_up(method, dimension):

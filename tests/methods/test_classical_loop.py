@@ -193,6 +193,7 @@ def test_the_answer_satisfies_signorini(name: str, seed: int) -> None:
     assert np.max(np.abs(problem.tie @ u - problem.tie_value), initial=0) <= 1e-10 * size
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(-6, 6), force=st.floats(-6, 6))

@@ -44,6 +44,7 @@ def test_exact_forces_pass_beside_a_solution(known: GalleryProblem) -> None:
     assert_multipliers(known.problem, known.normal_force, tie_force=known.tie_force)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("known", [known for known in EVERY if any(known.exact.normal_force)])
 def test_the_opposite_sign_fails(known: GalleryProblem) -> None:
     # Where other answers are not excluded, another one may be meant.
@@ -65,6 +66,7 @@ def test_friction_along_the_slip_fails(known: GalleryProblem) -> None:
         assert_multipliers(known, known.normal_force, given["friction_force"])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("known", EVERY)
 def test_a_moved_displacement_fails(known: GalleryProblem) -> None:
     given = parts(known)

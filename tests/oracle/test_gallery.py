@@ -21,12 +21,14 @@ from tests.oracle.exact_conditions import broken_conditions, doubles, is_semidef
 EVERY = problems("named") + [known for kind in RANDOM for known in problems(kind, count=6)]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_answer_satisfies_every_condition_exactly(known: GalleryProblem) -> None:
     assert broken_conditions(known.data, known.exact) == []
     assert is_semidefinite(known.data.stiffness)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", RANDOM)
 def test_the_conditions_hold_whatever_the_seed(kind: str) -> None:
     count = 3 if kind == "large" else 30
@@ -45,6 +47,7 @@ def test_the_data_are_doubles_or_what_rounding_them_changes_is_said(known: Galle
         assert doubles(x for row in known.exact.friction_force for x in row)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_certificate_passes_the_answer_and_the_solver_finds_it(known: GalleryProblem) -> None:
     problem, right = known.problem, (known.displacement, known.normal_force, known.friction_force, known.tie_force)

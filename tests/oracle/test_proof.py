@@ -129,6 +129,7 @@ def test_a_set_in_tension_is_not_held() -> None:
     assert list(settle(lifted, [(0,)], 0).answer.normal_force.entries()) == [0]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", [101, 102])
 def test_families_of_hard_problems_against_an_independent_way(name: str, seed: int) -> None:

@@ -38,6 +38,7 @@ def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, s
             assert any("recovered" in note for note in judged.notes)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seeds", SEEDS, ids=["one", "more"])
 @pytest.mark.parametrize("name", WELL_POSED)
 def test_displacements_alone_or_forces_alone_of_a_wrong_answer_fail(name: str, seeds: range) -> None:

@@ -166,6 +166,7 @@ def test_a_thrown_rod(rod):
     assert min(labels(figure)) == pytest.approx(0.5, abs=1.001 * step)
 
 
+@pytest.mark.slow
 def test_ten_thousand_steps_are_drawn_without_a_look_at_one(monkeypatch, rod):
     def refuse(*_):
         raise AssertionError("an instant was certified to be drawn")

@@ -304,6 +304,7 @@ def test_pictures_are_made_of_them(tmp_path, capsys, name):
     assert (tmp_path / f"{name}.history.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["von_mises_truss.toml", SNAPS])
 def test_a_report_is_made_of_them(tmp_path, capsys, name):
     with pytest.raises(SystemExit) as exit_:

@@ -38,6 +38,7 @@ def test_it_is_short() -> None:
     assert len([line for line in SCRIPT[1].splitlines() if line]) <= 20
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 def test_the_script_says_what_the_report_says(
     written: tuple[Path, ReportResult], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

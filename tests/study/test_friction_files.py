@@ -108,6 +108,7 @@ def test_no_answer_is_exit_1_in_one_line(capsys, sliding):
     assert not data["met"]
 
 
+@pytest.mark.slow
 def test_walls_that_close_on_a_block_have_no_answer_and_none_is_invented(capsys, tmp_path):
     """Forces so large that the closing velocity is lost in their rounding are no answer."""
     walls = np.array([[1, 0, -1, 0], [0, 1, 0, 1], [-1, 0, 1, 0], [0, 1, 0, 1.0]])

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from contactqp.study.report.report import write_report
 from contactqp.study.running.running import Running
 
@@ -31,6 +33,7 @@ def test_a_report_steps_a_motion_by_active_set(tmp_path):
     assert not result.summary.unmet
 
 
+@pytest.mark.slow
 def test_a_report_tries_the_methods_that_a_case_names_and_finds_what_is_wrong(tmp_path):
     text = coarse()
     assert text.count(WRONG[0]) == 1

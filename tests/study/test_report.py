@@ -291,6 +291,7 @@ expect = [
 """
 
 
+@pytest.mark.slow
 def test_with_friction_every_method_walks_the_path(tmp_path: Path) -> None:
     """Its last load alone, no push at all, would leave it where it was: that is no truth, and nobody is wrong."""
     case = tmp_path / "pushed.toml"

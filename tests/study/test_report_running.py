@@ -155,6 +155,7 @@ def _table(folder: Path) -> list[Row]:
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="process groups and signals of POSIX")
 
 
+@pytest.mark.slow
 @POSIX
 def test_killed_and_interrupted_it_goes_on_and_ends_with_the_same_table(
     case: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]

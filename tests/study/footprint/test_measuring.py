@@ -60,6 +60,7 @@ def test_it_is_plain_data(wall):
     assert Footprint.from_data(nothing.data()) == nothing
 
 
+@pytest.mark.slow
 def test_work_of_a_path_is_that_of_all_steps():
     path = measure(CASES / "von_mises_arc.toml")
     assert path.certified
