@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from contactqp.distributed import aggregates as aggregates_module
 from contactqp.distributed import smoothed_aggregation, v_cycle
+from contactqp.distributed import stored_rows as stored_rows_module
 from contactqp.distributed.aggregates import Aggregates
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
@@ -20,6 +21,7 @@ from contactqp.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
 
 smoothed_aggregation.COARSEST = 40
+stored_rows_module.AT_A_TIME = 7  # K comes in several parts
 ranks = Ranks()
 
 
