@@ -27,6 +27,8 @@ SOLVERS: dict[str, dict[str, Any]] = {
     # Twice the memory that MUMPS expects to need: what it needs depends on the order in which messages come.
     "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100},
 }
+# Types of PETSc's that keep nothing of the matrix that they were made of; others may hold places in it.
+APART = ("hypre", "cholesky")
 # Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
 AUTO, FACTORISED = "auto", 100_000
 # What holds a body that floats, of its own diagonal: little beside what any deformation costs, much beside rounding.
@@ -113,7 +115,8 @@ class Preconditioner:
             self._pc.setUp()
         _refuse_failed_factors(self._pc, self._solver)
         self._pc.setReusePreconditioner(True)  # even if the diagonal of K changes
-        self._pc.setOperators(problem.stiffness)  # the copy in rows is not kept
+        if self._pc.getType() in APART:
+            self._pc.setOperators(problem.stiffness)  # the copy in rows is not kept
 
     def __call__(self, r: Vector) -> Vector:
         """M r."""

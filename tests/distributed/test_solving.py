@@ -36,6 +36,11 @@ def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], coun
     assert len(on_ranks("answers_as_one_process.py", count, solver, *cases).splitlines()) == len(cases)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_options_name_other_preconditioners(on_ranks: Callable[..., str], count: int) -> None:
+    assert on_ranks("other_preconditioners.py", count).strip() == "obeyed"
+
+
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_what_is_no_answer_is_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_answers.py", count)
