@@ -15,7 +15,8 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.smoothed_aggregation import smoothed_level
 from contactqp.distributed.solving import iteration_of
-from contactqp.distributed.stored_rows import stored_rows
+from contactqp.distributed.stiffness_sizes import stiffness_sizes
+from contactqp.distributed.stored_rows import chosen_rows, stored_rows
 from contactqp.errors import Unsupported
 from contactqp.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
@@ -41,6 +42,19 @@ def random_aggregates(K) -> Aggregates:
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.max(abs(a - b)) / np.max(abs(b)))
+
+
+def rows_are_those_of_the_whole_matrix(whole_problem) -> None:
+    """Some rows of K as they stand on this rank, in any order, and |K| x."""
+    problem = distribute(whole_problem, ranks)
+    K, first = whole(problem.stiffness), problem.stiffness.getOwnershipRange()[0]
+    random = np.random.default_rng(ranks.rank)
+    for part in (0, 2, 1):
+        chosen = random.permutation(len(problem.load))[: part * len(problem.load) // 2]
+        assert np.array_equal(chosen_rows(problem.stiffness, chosen).toarray(), K[first + chosen])
+    x = random.standard_normal(len(problem.load))
+    sizes = ranks.gathered(stiffness_sizes(problem, x))
+    assert largest_difference(sizes, abs(K) @ ranks.gathered(x)) <= 1e-14
 
 
 def levels_are_those_of_whole_matrices(whole_problem, size: int) -> None:
@@ -121,6 +135,8 @@ def a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was() -> None:
     assert np.array_equal(many.stiffness.getDiagonal().array, before)
 
 
+rows_are_those_of_the_whole_matrix(layered(0.1, (4, 4, 6)))
+rows_are_those_of_the_whole_matrix(on_sphere((4, 5, 3)))
 levels_are_those_of_whole_matrices(layered(0.1, (4, 4, 6)), 1)
 levels_are_those_of_whole_matrices(on_sphere((4, 5, 3)), 3)
 aggregates_are_neighbours(on_sphere((4, 5, 3)))
