@@ -32,7 +32,7 @@ AGGRESSIVE = "pc_gamg_aggressive_coarsening"
 # No aggregate.
 NONE = -1
 # A motion of which the others leave an aggregate no more than this part of its square is one of them there.
-SAME_MOTION = 1e-10
+SAME_MOTION = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,8 @@ def _found(pc: Any, graph: Any) -> Aggregates | None:
     of = np.full(len(indptr) - 1, NONE, dtype=indices.dtype)
     of[np.diff(indptr) > 0] = indices  # one a row
     count = prolongation.getSize()[1]
-    return Aggregates(of, np.array(prolongation.getOwnershipRangesColumn())) if count < graph.getSize()[0] else None
+    coarser = 0 < count < graph.getSize()[0]
+    return Aggregates(of, np.array(prolongation.getOwnershipRangesColumn())) if coarser else None
 
 
 def _graph(comm: Any, stored: StoredRows) -> Any:

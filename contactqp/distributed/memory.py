@@ -1,10 +1,12 @@
-"""Memory that was freed and that the C library keeps for itself."""
+"""Memory that is free and that the C library, or PETSc, keeps for itself."""
 
 from __future__ import annotations
 
 import ctypes
 from functools import cache
 from typing import Any
+
+from contactqp.distributed.environment import petsc
 
 
 def give_back() -> None:
@@ -16,6 +18,16 @@ def give_back() -> None:
     trim = _malloc_trim()
     if trim is not None:
         trim(0)
+
+
+def destroy_dropped(comm: Any) -> None:
+    """Destroy what of PETSc's Python has dropped on all ranks: PETSc waits to be told. Collective.
+
+    Until then it keeps every vector and scatter that was made for a while: some of them in each solution.
+    """
+    cleanup = getattr(petsc(), "garbage_cleanup", None)  # PETSc before 3.18 destroys at once
+    if cleanup is not None:
+        cleanup(comm)
 
 
 @cache

@@ -15,6 +15,7 @@ from contactqp.distributed.certificate import certify_distributed, contact_statu
 from contactqp.distributed.friction import solve_friction
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.iteration import DistributedIteration
+from contactqp.distributed.memory import destroy_dropped
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
@@ -73,6 +74,7 @@ def solve_distributed(
     started = time.perf_counter()
     refuse_method(method)
     refuse_arguments(tolerance, "auto", True, time_limit, max_iter)
+    destroy_dropped(problem.ranks.comm)
     settings = Settings(tolerance, max_iter, time_limit, _start(warm_start), {})
     if method in bounded.METHODS:
         return _by_bounds(problem, method, solver, settings, started)

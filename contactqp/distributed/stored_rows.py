@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
+from contactqp.errors import BackendFailed
 
 # Blocks of rows that are copied at a time: with the eighty entries a row of bodies in space some 0.01 GB.
 AT_A_TIME = 2**12
@@ -32,12 +33,12 @@ class StoredBlocks:
     columns: int  # blocks of a row
 
     def rows(self, begin: int, end: int) -> sp.bsr_matrix:
-        """A copy of the rows of blocks from one to before another."""
+        """The rows of blocks from one to before another, their values a copy."""
         cut = slice(self.indptr[begin], self.indptr[end])
         return self._matrix(cut, self.indptr[begin : end + 1] - self.indptr[begin])
 
     def chosen(self, blocks: NDArray[Any]) -> sp.bsr_matrix:
-        """A copy of some rows of blocks."""
+        """Some rows of blocks, copied."""
         count = np.diff(self.indptr)[blocks]
         ends = np.append(0, np.cumsum(count))
         return self._matrix(np.repeat(self.indptr[blocks] - ends[:-1], count) + np.arange(ends[-1]), ends)
@@ -133,6 +134,8 @@ def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, col
     structure = (matrix, _integer(), ctypes.c_int(0), ctypes.c_int(size > 1))
     places = [ctypes.byref(item) for item in (rows, begins, numbers, found)]
     _call("MatGetRowIJ", *structure, *places)
+    if not found:
+        raise BackendFailed(f"PETSc shows no rows of this matrix as {kind}")
     stack.callback(_call, "MatRestoreRowIJ", *structure, *places)
     get, restore = {"AIJ": ("GetArrayRead", "RestoreArrayRead"), "BAIJ": ("GetArray", "RestoreArray")}[kind]
     _call(f"MatSeq{kind}{get}", matrix, ctypes.byref(values))
@@ -145,11 +148,13 @@ def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, col
 
 
 def _seen(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
-    """An array where it lies in memory."""
+    """An array where it lies in memory; it cannot be written to."""
     if not count:
         return np.zeros(0, dtype=dtype)
     kind = np.ctypeslib.as_ctypes_type(dtype)
-    return np.ctypeslib.as_array(ctypes.cast(start, ctypes.POINTER(kind)), (count,))
+    found = np.ctypeslib.as_array(ctypes.cast(start, ctypes.POINTER(kind)), (count,))
+    found.flags.writeable = False
+    return found
 
 
 def _integer() -> Any:

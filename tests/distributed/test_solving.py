@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -54,3 +55,10 @@ def test_arguments_that_are_no_good_are_refused_in_one_line(on_ranks: Callable[.
 @pytest.mark.parametrize("count", [3])
 def test_what_a_row_feels_by_rounding_alone_it_does_not_resist(on_ranks: Callable[..., str], count: int) -> None:
     assert "held" in on_ranks("partly_held.py", count)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc to look at memory in")
+def test_solutions_again_and_again_take_no_more_memory(on_ranks: Callable[..., str]) -> None:
+    """PETSc keeps what Python drops until it is told that all ranks have dropped it."""
+    assert on_ranks("same_memory.py", 2).strip() == "the same"
