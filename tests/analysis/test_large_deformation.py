@@ -143,6 +143,7 @@ class Flattened(cq.ObstacleContact):
         return None
 
 
+@pytest.mark.slow
 def test_without_its_curvature_convergence_is_linear_and_the_answer_the_same():
     ball, load = cq.Circle([0.3, -0.4], 0.5), [[30.0, -30.0]]
     known = cq.large_deformation(arch(0.5), load, cq.ObstacleContact([[0.0, 0.5]], ball), steps=1)

@@ -140,6 +140,7 @@ def test_bifurcations_on_the_way_are_told():
     np.testing.assert_allclose(history.times, arch_load(-history.displacements[:, 1], rise), atol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_path_that_turns_sharply_goes_on_and_not_back():
     """Of a flat arch whose load counts for much in the length of an arc the limit is a needle in (u, t)."""
     steep = dict(control="arc-length", steps=30, arc_length=0.3)

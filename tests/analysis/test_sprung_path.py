@@ -73,6 +73,7 @@ def test_a_truss_that_sticks_on_springs_hangs_where_it_touched(mode: dict[str, A
         assert history.events[0].time == pytest.approx(CLOSING, rel=1e-14)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode: dict[str, Any]) -> None:
@@ -92,6 +93,7 @@ def test_every_solution_is_what_the_method_makes_of_its_problem(seed: int, mode:
             require_same(cq.solve(other, "penalty", **springs), history[-1], 1e-9)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_energy_is_in_bodies_and_springs(seed: int) -> None:
     """Elastic energy is 1/2 u'Ku + 1/2 sum l_N^2 / beta + l_T^2 / beta_T, and the balance needs both."""

@@ -16,6 +16,7 @@ def reports() -> list[Judged]:
     return bound_random.run(400, jobs=1, each=15)
 
 
+@pytest.mark.slow
 def test_no_bound_is_below_the_true_error_and_half_are_within_ten_times(reports: list[Judged]) -> None:
     assert len(reports) == 400
     assert len({one.family for one in reports}) >= 25

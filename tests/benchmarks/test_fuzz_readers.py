@@ -36,6 +36,7 @@ def test_every_valid_file_is_judged(written):
             assert outcome(seed, root / name) == JUDGED, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "each", "refused", "judged"), [FEW, *MANY])
 def test_mutated_files_are_judged_or_refused(written, first, each, refused, judged):
     root, known = written
@@ -69,6 +70,7 @@ def test_what_is_neither_judged_nor_refused_is_told(tmp_path):
     assert outcome(Seed("x", "x", lambda _: np.log(np.zeros(1))), tmp_path).startswith("RuntimeWarning")
 
 
+@pytest.mark.slow
 def test_a_mutation_is_the_same_whenever_it_is_asked_for_and_changes_files():
     data = b"%%MatrixMarket matrix array real general\n3 1\n1.0\n2.0\n3.0\n" * 3
     for k in range(40):

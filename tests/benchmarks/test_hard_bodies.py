@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import hard_bodies
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.skipif(not available(), reason="needs pypardiso: pip install 'contactqp[fast]'")
 @pytest.mark.parametrize("variant", hard_bodies.VARIANTS)
 def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):

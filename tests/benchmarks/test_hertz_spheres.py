@@ -1,6 +1,7 @@
 """Two elastic spheres by the mortar, on meshes that do not match, converge to Hertz's force and pressure."""
 
 import numpy as np
+import pytest
 
 from benchmarks import hertz_spheres
 from benchmarks.hertz_spheres import CONTACT, MATERIALS, RADII, Hertz, half_space, level, main, orders
@@ -21,6 +22,7 @@ def test_blunter_spheres_are_seen():
     assert level(8, (1.05 * RADII[0], 1.05 * RADII[1])).force > 0.02
 
 
+@pytest.mark.slow
 def test_the_exit_code_says_whether_the_peak_is_near_enough(monkeypatch):
     assert main(["--finest", "8"]) == 0
     monkeypatch.setattr(hertz_spheres, "LARGEST_PEAK_ERROR", 0.01)

@@ -22,6 +22,7 @@ def test_two_answers_are_noticed():
         omissions.alternated((one, lambda: 1.001 * one()), rounds=1)
 
 
+@pytest.mark.slow
 def test_a_mass_matrix_takes_memory_and_is_measured_in_a_process_of_its_own(capsys):
     assert omissions.main(["--only", "mass matrix", "--size", "500", "--rounds", "1"]) == 0
     header, row = capsys.readouterr().out.splitlines()

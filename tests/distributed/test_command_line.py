@@ -27,7 +27,11 @@ def in_one_process(capsys, case) -> dict:
     return outcome
 
 
-@pytest.mark.parametrize(("cases", "count"), [(("bar_wall", "hertz_line"), 2), (("tie_symmetry",), 3)], ids=str)
+@pytest.mark.parametrize(
+    ("cases", "count"),
+    [(("bar_wall", "hertz_line"), 2), pytest.param(("tie_symmetry",), 3, marks=pytest.mark.slow)],
+    ids=str,
+)
 def test_the_answer_is_that_of_one_process(python_on_ranks, capsys, cases, count):
     files = [CASES / f"{case}.toml" for case in cases]
     done = run(python_on_ranks, count, *files, "--json")
@@ -86,6 +90,7 @@ def test_what_is_not_offered_there_is_refused_in_one_line(commands):
         assert said in line
 
 
+@pytest.mark.slow
 def test_an_expectation_that_is_not_met_is_the_exit_code_of_all_ranks(python_on_ranks, tmp_path):
     case = tmp_path / "wrong.toml"
     case.write_text((CASES / "bar_wall.toml").read_text().replace('"285/2 kN"', '"143 kN"'))

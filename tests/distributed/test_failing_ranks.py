@@ -21,6 +21,7 @@ def run(python_on_ranks, tmp_path, kind, rank=1, *more):
     return done
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("kind", "code", "said", "traced"),
     [
@@ -38,6 +39,7 @@ def test_one_rank_fails(python_on_ranks, tmp_path, kind, code, said, traced):
     assert ("Traceback" in done.err) is traced
 
 
+@pytest.mark.slow
 def test_the_first_rank_fails(python_on_ranks, tmp_path):
     done = run(python_on_ranks, tmp_path, "petsc_error", 0)
     assert done.code == 1

@@ -7,6 +7,7 @@ import pytest
 from tests.distributed.conftest import finished
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_all_ranks_are_there(on_ranks, monkeypatch, count):
     monkeypatch.setenv("PETSC_OPTIONS", "-greeting hello")
@@ -19,6 +20,7 @@ def test_a_script_that_fails_fails_the_test_with_what_all_ranks_said(on_ranks, m
         on_ranks("greeting.py", 2, 2)
 
 
+@pytest.mark.slow
 def test_a_run_that_hangs_fails_the_test(start_ranks):
     # Rank 1 waits for a message that nobody sends.
     hangs = "from mpi4py import MPI; c = MPI.COMM_WORLD; c.rank and c.recv(); c.barrier()"

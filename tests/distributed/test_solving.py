@@ -25,7 +25,7 @@ def test_the_answer_is_that_of_one_process_on_any_number_of_ranks(
     assert len(said) == len(names) + 2 * len(set(names) & set(KINDS))  # three of each kind of the gallery
 
 
-@pytest.mark.parametrize("count", [4, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 2, 3))])
+@pytest.mark.parametrize("count", [pytest.param(count, marks=pytest.mark.slow) for count in (1, 2, 3, 4)])
 def test_small_ones_on_every_number_of_ranks(on_ranks: Callable[..., str], count: int) -> None:
     """Two bodies with one contact may leave a rank without any of it."""
     assert len(on_ranks("answers_as_one_process.py", count, "auto", "floating_disc", *NODES).splitlines()) == 7
@@ -52,6 +52,7 @@ def test_arguments_that_are_no_good_are_refused_in_one_line(on_ranks: Callable[.
     assert "refused" in on_ranks("refused_arguments.py", count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3])
 def test_what_a_row_feels_by_rounding_alone_it_does_not_resist(on_ranks: Callable[..., str], count: int) -> None:
     assert "held" in on_ranks("partly_held.py", count)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("count", [3, pytest.param(1, marks=pytest.mark.slow)])
 def test_its_levels_are_those_of_whole_matrices_and_its_spectrum_ends_at_one(
     on_ranks: Callable[..., str], count: int
 ) -> None:

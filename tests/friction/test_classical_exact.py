@@ -130,6 +130,7 @@ def test_without_friction_at_some_contacts(name: str) -> None:
     np.testing.assert_allclose(solution.displacement[:2], [7.095e-3, 19.095e-3], 1e-11)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ["lagrange-multiplier", "master-slave", "augmented"])
 def test_random_problems_against_every_equilibrium(name: str) -> None:
     """What is returned is in enumeration's list; without an equilibrium every method refuses."""

@@ -90,6 +90,7 @@ def test_intervals_that_are_a_little_too_narrow_would_be_seen() -> None:
     assert not holds(replace(enclosed, radius=narrower), exact)
 
 
+@pytest.mark.slow
 def test_two_hundred_contacts_are_known_to_twelve_digits() -> None:
     problem = pressed_block((199, 30))
     assert problem.contacts == 200
@@ -186,6 +187,7 @@ def test_tangential_rows_without_friction_are_enclosed_too() -> None:
     assert enclosed.friction_force[0, 0] == 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", ["active-set", "clarabel", "osqp", "projected-gauss-seidel"])
 def test_refinement_by_any_method_ends_far_beyond_doubles(method: str) -> None:
     problem = pressed_block((10, 5))

@@ -107,6 +107,7 @@ def _values(scene: Scene, answer: cq.ExactSolution, claim: Expectation) -> tuple
     return None
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", [name for name in NODES if name not in NOT_COVERED])
 def test_what_a_case_claims_is_exactly_so(name: str) -> None:
     scene = cq.load_scene(CASES / f"{name}.toml")

@@ -206,6 +206,7 @@ def test_the_picture_of_a_cube(tmp_path):
     assert (tmp_path / "cube.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
 def test_files_are_written_whole(tmp_path, suffix, start):
     file = tmp_path / f"block{suffix}"

@@ -186,6 +186,7 @@ def test_wrong_large_deformations_are_refused_in_one_line(name, tmp_path, capsys
 BY_ARC = 'path = { control = "arc-length", arc_length = "2 cm", steps = 5 }'
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("command", "path"),
     [

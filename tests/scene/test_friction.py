@@ -378,6 +378,7 @@ def test_a_case_says_whether_there_are_other_answers():
         judged(smooth, words[0])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("method", ["active-set", "osqp", "lagrange-multiplier"])
 def test_a_block_wedged_between_walls_too_close_for_it_is_refused(method):
     """Each wall is 0.1 m into it: friction or not, no displacement satisfies both."""

@@ -295,6 +295,7 @@ def test_the_data_has_the_path():
 SNAPS = pytest.param("von_mises_snaps.toml", marks=pytest.mark.slow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["truss_dragged.toml", SNAPS])
 def test_pictures_are_made_of_them(tmp_path, capsys, name):
     with pytest.raises(SystemExit) as exit_:

@@ -41,6 +41,7 @@ def test_several_cases_put_their_names_before_the_suffix(capsys, tmp_path):
     assert names(tmp_path) == ["a.bar_wall.svg", "a.truss_floor.history.svg", "a.truss_floor.svg"]
 
 
+@pytest.mark.slow
 def test_a_path_is_drawn_to_a_file_of_its_own(capsys, tmp_path):
     path = str(CASES / "jenkins_loop.toml")
     code, out, _ = run(capsys, "run", path, "--plot", tmp_path / "a.svg")

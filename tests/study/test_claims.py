@@ -59,6 +59,7 @@ def test_the_script_says_what_the_report_says(
     assert summary["clarabel"].silently_wrong > 0  # else nothing is counted
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 def test_a_row_that_is_spoiled_is_seen(
     written: tuple[Path, ReportResult],

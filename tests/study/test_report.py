@@ -173,6 +173,7 @@ def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path) -> None:
     assert result.rows[0].verdict == rows.WRONG  # against the case's own value
 
 
+@pytest.mark.slow
 def test_a_report_that_ends_early_leaves_what_it_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No file of the report, nothing of it half-written, and the same call goes on: after an error, an interruption."""
     folder, honest = tmp_path / "report", CaseStudy.answer
@@ -316,6 +317,7 @@ def test_a_wrong_end_of_a_path_is_found(tmp_path: Path) -> None:
     assert _write(tmp_path / "report", ["active-set"], [case]).exit_code == 1
 
 
+@pytest.mark.slow
 def test_exact_events_with_friction_take_no_method(tmp_path: Path) -> None:
     case = tmp_path / "pushed.toml"
     case.write_text(PUSHED.replace("steps = 2", 'events = "exact"'))

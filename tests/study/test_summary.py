@@ -48,6 +48,7 @@ def test_a_truth_that_the_proven_solution_contradicts_says_so(typo: Path, tmp_pa
     assert re.fullmatch(rf".* \(3 of 4 numbers; the others: .*\), {CONTRADICTED}", _truth(part).source)
 
 
+@pytest.mark.slow
 def test_wrong_answers_of_a_case_in_doubt_are_told_with_their_count(
     typo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
