@@ -89,6 +89,7 @@ def test_small_steps_slip_along_the_velocity_long_after_a_corner() -> None:
     assert abs(last.friction_force[0, 0]) > 0, "exp(-16 / 1.5), not zero"
 
 
+@pytest.mark.slow
 def test_what_a_corner_dissipates() -> None:
     """mu N times the block's way: 4 - L on the first leg, L log(1 / sin a) on the second."""
     angle = 2 * np.arctan(np.exp(-4.0 / LEASH))

@@ -57,6 +57,7 @@ def test_a_block_that_bounces_ever_less_comes_to_rest() -> None:
     assert len(opened) > 5
 
 
+@pytest.mark.slow
 def test_in_space_friction_opposes_the_velocity() -> None:
     block = cq.ContactProblem(
         stiffness=np.zeros((3, 3)),
@@ -249,6 +250,7 @@ def test_a_mass_let_go_on_a_contact_spring_swings_about_its_weight() -> None:
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("friction", "corners"),
     [(0.3, 4), (1.5, 8), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1.5, 4), (0.3, 8)))],

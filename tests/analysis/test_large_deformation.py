@@ -236,6 +236,7 @@ def dragged(friction=0.5, steps=20, method="active-set"):
     return history, truss, lead, weight - force(lead) * height
 
 
+@pytest.mark.slow
 def test_a_truss_that_turns_far_is_dragged_along_a_plane_with_friction():
     history, truss, lead, pressed = dragged()
     forward, back = history[40], history[60]
@@ -262,6 +263,7 @@ def test_the_bar_is_compressed_on_the_way_and_its_tangent_indefinite():
     assert any("indefinite" in note for solution in history for note in solution.certificate.notes)
 
 
+@pytest.mark.slow
 def test_with_large_sliding_steps_change_nothing():
     coarse, fine = dragged(steps=5)[0], dragged(steps=10)[0]
     np.testing.assert_allclose(coarse[-1].displacement, fine[-1].displacement, atol=1e-10)

@@ -27,6 +27,7 @@ def test_no_bound_is_below_the_true_error_and_half_are_within_ten_times(reports:
     assert all(np.median(values) <= 10 and len(values) > 100 for values in found.values())
 
 
+@pytest.mark.slow
 def test_candidates_are_of_many_kinds_right_and_wrong(reports: list[Judged]) -> None:
     assert {
         "truth rounded",

@@ -55,6 +55,7 @@ def test_curved_bodies_that_stick_in_the_middle_and_slide_around_it(on_ranks: Ca
     assert " 0 slip" not in on_ranks("rubbing.py", count, "auto", "cattaneo_mindlin_sphere")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "names"), [(2, PARTIAL[3:]), pytest.param(3, PARTIAL[1::2], marks=pytest.mark.slow)], ids=["few", "more"]
 )

@@ -14,6 +14,7 @@ def test_all_ranks_are_there(on_ranks, monkeypatch, count):
     assert on_ranks("greeting.py", count, count, "-not_for_petsc").split() == [str(count), "ranks"]
 
 
+@pytest.mark.slow
 def test_a_script_that_fails_fails_the_test_with_what_all_ranks_said(on_ranks, monkeypatch):
     monkeypatch.setenv("PETSC_OPTIONS", "-greeting nothing")
     with pytest.raises(pytest.fail.Exception, match=r"(?s)exit code 1.*AssertionError"):

@@ -68,6 +68,7 @@ def test_they_agree_where_nothing_slides() -> None:
     assert not sliding.associated.certificate.passed
 
 
+@pytest.mark.slow
 def test_random_problems_of_the_plane() -> None:
     """Passed exactly where nothing slides under load; else refused, whatever enumeration finds."""
     rng = np.random.default_rng(9)

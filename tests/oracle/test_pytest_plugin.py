@@ -102,6 +102,7 @@ def test_the_mark_gives_problems_by_kind_and_by_name(run) -> None:  # type: igno
         result.stdout.fnmatch_lines([f"*{name.replace('[', '[[]')}*PASSED*"])
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("mark", "words"),
     [

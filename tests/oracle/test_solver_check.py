@@ -37,6 +37,7 @@ def test_a_wrong_solver_is_told_where_and_why() -> None:
     assert "bar-short-of-wall" in report.table()
 
 
+@pytest.mark.slow
 def test_what_plain_elimination_makes_of_stiff_problems() -> None:
     """The true contacts closed and one system solved in doubles: digits are lost as docs/guide/testing.md says."""
 

@@ -337,6 +337,7 @@ def test_notes_are_told():
     ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
 def test_names_are_shown_as_they_are(tmp_path, suffix):
     names = dict(dof_names=["_u$a$"], contact_names=["$\\frac{$_tip"])

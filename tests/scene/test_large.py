@@ -107,6 +107,7 @@ RIGHT = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("path", [BY_NODE, FLOOR | BY_ARC, FLOOR | BY_LOAD], ids=["node", "arc", "load"])
 def test_claims_hold_and_fail_on_wrong_numbers(path):
     stated = [(quantity, value, keys) for of, quantity, value, keys in RIGHT if of == path]
@@ -280,6 +281,7 @@ def test_the_explanation_says_that_tangents_are_updated():
     assert not small["Newton loop"].included
 
 
+@pytest.mark.slow
 def test_the_data_has_the_path():
     data = judgement_data(judge(Scene(**ARCH, **BY_NODE), Trial()))
     assert [point["kind"] for point in data["limit_points"]] == ["maximum", "minimum"]

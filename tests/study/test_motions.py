@@ -24,6 +24,7 @@ def coarse() -> str:
     return text
 
 
+@pytest.mark.slow
 def test_a_report_steps_a_motion_by_active_set(tmp_path):
     (file := tmp_path / "stops.toml").write_text(coarse())
     result = write_report([file], tmp_path / "out", repeats=1, running=HERE)

@@ -259,6 +259,7 @@ def test_two_cases_of_one_name_stay_apart(tmp_path: Path) -> None:
     assert [study.name for study in load_studies(files, ())] == ["a-wall", "b-wall"]
 
 
+@pytest.mark.slow
 def test_a_case_may_limit_its_methods(tmp_path: Path) -> None:
     case = tmp_path / "limited.toml"
     text = CASES[0].read_text()
@@ -311,6 +312,7 @@ def test_with_friction_every_method_walks_the_path(tmp_path: Path) -> None:
     assert cq.solve(cq.load_scene(case).problem()).displacement[0] == 0.0
 
 
+@pytest.mark.slow
 def test_a_wrong_end_of_a_path_is_found(tmp_path: Path) -> None:
     case = tmp_path / "pushed.toml"
     case.write_text(PUSHED.replace("20 mm", "19 mm"))

@@ -64,6 +64,7 @@ def test_wrong_answers_of_a_case_in_doubt_are_told_with_their_count(
     assert all(row["verdict"] == rows.WRONG for row in data["rows"] if row["case"] == "typo")
 
 
+@pytest.mark.slow
 def test_what_is_not_met_is_told_once_with_how_often(
     typo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -49,6 +49,7 @@ def workers(address: str) -> Iterator[Cluster]:
         yield found
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of distributed itself
 def test_cells_run_there_and_a_crash_costs_its_own(workers: Cluster) -> None:
     halves = [Cell(str(i), do.half, (i,), Number) for i in range(6)]
