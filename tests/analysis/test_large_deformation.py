@@ -70,6 +70,7 @@ def test_the_certificate_is_of_the_last_step_and_holds_for_the_solution():
     assert not cq.certify(last.problem, last.displacement + np.array([0, 1e-6]), last.normal_force).passed
 
 
+@pytest.mark.slow
 def test_snap_through_onto_a_floor_is_told_with_its_load():
     limit, w = arch_limit()
     leapt = cq.large_deformation(arch(), [5 * DOWN], steps=1)

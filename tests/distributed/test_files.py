@@ -39,6 +39,7 @@ def test_a_part_that_is_wrong_is_seen(on_ranks, gallery):
         on_ranks("dealt.py", 2, "--spoil", gallery / "tied-1")
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_answer_once(python_on_ranks, gallery, tmp_path):
     problem = cq.read_problem(gallery / "tied-1")
     arrays = {"K": problem.stiffness.toarray(), "f": problem.load, "E_N": problem.normal.toarray(), "g": problem.gap}

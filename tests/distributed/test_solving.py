@@ -37,6 +37,7 @@ def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], coun
     assert len(on_ranks("answers_as_one_process.py", count, solver, *cases).splitlines()) == len(cases)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("count", [1, 2])
 def test_options_name_other_preconditioners(on_ranks: Callable[..., str], count: int) -> None:
     assert on_ranks("other_preconditioners.py", count).strip() == "obeyed"

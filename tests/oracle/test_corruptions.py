@@ -22,7 +22,7 @@ def test_the_corpus_is_large_and_mixed() -> None:
     assert sum("space" in base.name for base in bases) >= 10
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", KINDS)
 def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> None:
     """All are refused; the cause of one is looked for, those of all in the slow test beneath."""

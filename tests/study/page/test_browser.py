@@ -315,6 +315,7 @@ def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any
     assert browser.execute_script("return document.querySelectorAll('details[open]').length") == opened
 
 
+@pytest.mark.slow
 def test_a_page_of_sections_alone_draws_its_charts(browser: Any, tmp_path: Path) -> None:
     drawn = chart(hostile().rows)
     sections = (Part("First", ("Words.",), (drawn,), ()), Part("Second", (), (drawn,), ()))
