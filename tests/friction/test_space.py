@@ -165,8 +165,7 @@ def test_units_mean_nothing(length: float, force: float) -> None:
     np.testing.assert_allclose(solution.friction_force / force, known.friction_force, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4))])
 def test_random_problems_satisfy_the_law_or_are_refused(seed: int) -> None:
     """mu from 0 to 5, coupled strongly, floating, tied; each was made around an answer, so there is one to find."""
     rng = np.random.default_rng(seed)
