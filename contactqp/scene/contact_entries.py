@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
@@ -55,15 +56,15 @@ class PairedContact:
 
 
 @dataclass(frozen=True, eq=False)
-class ContactEntries:
+class ContactEntries(ABC):
     """The entries of the scene's contacts, in their order."""
 
     contacts: tuple[PairedContact, ...]
 
     @property
+    @abstractmethod
     def kept(self) -> NDArray[np.int64]:
         """Which rows of all pairings are contacts of the problem: those that a free unknown moves."""
-        raise NotImplementedError
 
     @property
     def row_names(self) -> list[str]:
