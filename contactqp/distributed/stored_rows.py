@@ -17,7 +17,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
-from contactqp.errors import BackendFailed
+from contactqp.distributed.formats import block_type
+from contactqp.errors import BackendFailed, Unsupported
 
 # Blocks of rows that are copied at a time: with the eighty entries a row of bodies in space some 0.01 GB.
 AT_A_TIME = 2**12
@@ -93,9 +94,19 @@ def stored_rows(matrix: Any) -> Iterator[StoredRows]:
     ----------
     matrix : PETSc.Mat
         AIJ of single unknowns, or BAIJ.
+
+    Raises
+    ------
+    Unsupported
+        It is of another type.
     """
     size, (first, last) = matrix.getBlockSize(), matrix.getOwnershipRange()
-    kind = "BAIJ" if size > 1 else "AIJ"
+    kind = block_type(size).upper()
+    if matrix.getType() not in (f"seq{kind}".lower(), f"mpi{kind}".lower()):
+        raise Unsupported(
+            f"stiffness: expected PETSc's {kind} for blocks of {size} unknowns, got {matrix.getType()}; "
+            "contactqp.distributed.formats.held_in_blocks makes it"
+        )
     here, count = ctypes.c_void_p(matrix.handle), (last - first) // size
     with ExitStack() as stack:
         if matrix.comm.size == 1:

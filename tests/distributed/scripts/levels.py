@@ -12,6 +12,7 @@ from contactqp.distributed import smoothed_aggregation, v_cycle
 from contactqp.distributed import stored_rows as stored_rows_module
 from contactqp.distributed.aggregates import Aggregates
 from contactqp.distributed.distributing import distribute
+from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.smoothed_aggregation import smoothed_level
 from contactqp.distributed.solving import iteration_of
@@ -101,6 +102,14 @@ def aggregates_are_neighbours(whole_problem) -> None:
     assert 1 <= fine.starts[-1] < small.starts[-1] < len(near) / 2
 
 
+def a_matrix_of_another_type_is_refused() -> None:
+    """Its memory would be read as what it is not."""
+    rows = held_in_rows(distribute(on_sphere((3, 3, 2)), ranks).stiffness)
+    refused = pytest.raises(Unsupported, match=r"^stiffness: expected PETSc's BAIJ for blocks of 3 unknowns, got")
+    with refused, stored_rows(rows):
+        pass
+
+
 def the_cycle_is_symmetric_and_its_spectrum_ends_at_one(problem, part: float) -> None:
     """Else conjugate gradients would not converge, and one would be no bound on the largest eigenvalue of M K."""
     many = distribute(problem, ranks)
@@ -146,6 +155,7 @@ for problem, part in (
     (stacked((3, 3, 2), (2, 2, 2)), 1.0),
 ):
     the_cycle_is_symmetric_and_its_spectrum_ends_at_one(problem, part)
+a_matrix_of_another_type_is_refused()
 a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was()
 if ranks.rank == 0:
     print("equal")
