@@ -16,12 +16,13 @@ from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.energy_norm import CONTRACTION, energy_norm, force_norm, residual_noise, response
 from contactqp.extended import Extended, extend, extended_rows
+from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.least_distance import least_closing, least_forces, least_retreat
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint, saddle_point
-from contactqp.violations import Answer, Residuals, lengths_that_meet, stiffness_sizes
+from contactqp.violations import Answer, Residuals, lengths_that_meet
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50
@@ -48,6 +49,7 @@ class AdmissiblePair:
     radius: float  # >= |c - u*|_K
     dual_radius: float  # >= |w - u*|_K
     force: Extended  # (m,) l
+    tie_force: Extended  # (k,) nu
     open_gap: NDArray[np.float64]  # (m,) g - E v
     saddle: SaddlePoint  # of the contacts that were closed for v
     exact: bool  # v and l are the solution, to rounding
@@ -139,6 +141,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         radius=allowance,
         dual_radius=allowance,
         force=on_set.normal_force.positive_part(),
+        tie_force=on_set.tie_force,
         open_gap=np.maximum(on_set.gap.double(), 0.0),
         saddle=on_set.saddle,
         exact=True,
@@ -269,6 +272,7 @@ def _from_repair(
         radius=float(np.sqrt(apart**2 / 4 + slack)) + allowance,
         dual_radius=float(np.sqrt(apart**2 + 2 * slack)) + allowance,
         force=force,
+        tie_force=tie,
         open_gap=room,
         saddle=saddle,
         exact=False,

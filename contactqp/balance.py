@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from contactqp.extended import extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
+from contactqp.intrinsic_size import bodies
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, bodies, outer_forces
+from contactqp.violations import Answer, outer_forces
 
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14

@@ -45,15 +45,17 @@ from contactqp.admissible_pair import AdmissiblePair, Undecided, Unproven, admis
 from contactqp.condensation import Condensation
 from contactqp.contact_iteration import ContactIteration, Limits
 from contactqp.energy_norm import (
+    FEW_DIGITS,
     RIGID_ROUNDING,
     energy_norm,
     force_norm,
     force_size,
     residual_noise,
+    response,
     rigid_rounding,
     without_part_along,
 )
-from contactqp.extended import Extended, extend
+from contactqp.extended import Extended, extend, extended_rows
 from contactqp.iteration import Iteration
 from contactqp.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.polishing import WITHIN_ROUNDING
@@ -63,7 +65,8 @@ from contactqp.violations import Answer, Residuals, lengths_that_meet, own_compl
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
-# Forces that vanish to rounding and may be this part of the displacement's energy norm at most have an absolute error.
+# Forces of this part of the displacement's energy norm, or a displacement of this part of the forces', have an absolute
+# error.
 NEXT_TO_NOTHING = 1e-12
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
@@ -133,8 +136,8 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
         return replace(no_bounds(str(reason)), suspicious=str(reason))
     force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0
     return Bounds(
-        energy_error=_relative(found.displacement, found.energy_scale, found.displacement, np.inf),
-        force_error=_relative(found.force, force_scale, found.radius, np.inf),
+        energy_error=_relative(found.displacement, found.energy_scale, found.displacement),
+        force_error=_relative(found.force, force_scale, found.radius),
         energy_scale=found.energy_scale,
         force_scale=force_scale,
         estimated=found.estimated,
@@ -143,10 +146,9 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
 
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
-    energy_scale, uncertain = energy_norm(problem, extend(answer.displacement) + pair.to_middle)
+    energy_scale, uncertain = _strain(problem, answer, condensation, pair)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    # A displacement without strain has none in extended precision; one whose own rounding to doubles strains the
-    # bodies more than it does is refused: no doubles hold that answer.
+    # A displacement without strain has none in extended precision.
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     size = force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
@@ -161,6 +163,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     )
     distance = sum(energy_norm(problem, pair.to_middle)) + pair.radius
     error, scale = _force_error(problem, answer, condensation, pair, known)
+    # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
+    energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not np.any(problem.diagonal)
@@ -169,11 +173,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(scale, size)
     return replace(
         known,
-        energy_error=(
-            0.0
-            if nothing_elastic
-            else _relative(distance, energy_scale, pair.radius + uncertain, rounding + pair.undecided)
-        ),
+        energy_scale=energy_scale,
+        energy_error=0.0 if nothing_elastic else _relative(distance, energy_scale, pair.radius + uncertain),
         force_error=0.0 if nothing_elastic else error,
         force_scale=scale,
         force_bound=force_bound,
@@ -181,6 +182,23 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
+
+
+def _strain(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
+) -> tuple[float, float]:
+    """|u*|_K, and what it may be off by.
+
+    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
+    does not move rigidly.
+    """
+    norm, uncertain = energy_norm(problem, extend(answer.displacement) + pair.to_middle)
+    if not (condensation.rigid.count and pair.exact and uncertain > FEW_DIGITS * norm):
+        return norm, uncertain
+    forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
+    elastic, missing = response(problem, condensation, forces, tied=False)
+    strain, rounding = energy_norm(problem, elastic)
+    return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:
@@ -206,24 +224,22 @@ def _force_error(
     """
     change = extend(answer.normal_force) - pair.force
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
-    vanishing = max(WITHIN_ROUNDING * known.energy_scale, known.force_rounding, 2 * pair.undecided)
-    rounding = known.rounding + known.force_rounding + pair.undecided
+    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.force_rounding, 2 * pair.undecided)
     errors, scales = [], []
     for tied in (True, False) if both else (True,):
         scale, uncertain = force_norm(problem, condensation, pair.force, tied)
         scale = 0.0 if scale <= vanishing else scale
         error = sum(force_norm(problem, condensation, change, tied)) + pair.dual_radius
-        nothing = max(rounding, vanishing, NEXT_TO_NOTHING * known.energy_scale)
-        errors.append(_relative(error, scale, pair.dual_radius + uncertain, nothing))
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain))
         scales.append(scale)
     return max(errors), scales[0]
 
 
-def _relative(error: float, scale: float, uncertainty: float, rounding: float) -> float:
-    """error over the least that the true scale can be; absolute where that is zero, infinite where it may be zero."""
-    if scale > uncertainty:
-        return error / (scale - uncertainty)
-    return error if scale == 0 and uncertainty <= rounding else float("inf")
+def _relative(error: float, scale: float, uncertainty: float) -> float:
+    """error over the least that the true scale can be; absolute, with its uncertainty, where the scale is zero."""
+    if scale == 0:
+        return error + uncertainty
+    return error / (scale - uncertainty) if scale > uncertainty else float("inf")
 
 
 def _force_bound(

@@ -28,11 +28,12 @@ from contactqp.violations import (
     Violations,
     own_compliance,
     plain_residuals,
+    ratio,
     residuals,
     violations,
 )
 
-# Lengths that are smaller than this part of the tolerance times the largest of their body are what the solver of an
+# Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
 ROUNDING_OF_ANSWERS = 1e-3
 
@@ -156,14 +157,15 @@ def _judged(
 ) -> Certificate:
     with problem.lock:
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
-        found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance)
+        found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
         others = uniqueness(problem, answer, found, condensation, tolerance)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
     law = coulomb_residual(problem, answer, found)
     failures = list(failed_figures(problem, answer, found, figures, tolerance))
     failures += failed_law(problem, law, IMPLIED * tolerance)
-    failures += failed_bounds(problem, answer, known, error_tolerance)
+    nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
+    failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
     grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
     return Certificate(
         **figures,
@@ -209,7 +211,7 @@ def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, to
     Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
     the energy of the answer is known it must vanish against that too.
     """
-    vanish = (found.gap_measure <= tolerance) & (found.force_measure <= tolerance)
+    vanish = (ratio(abs(found.gap), found.lengths) <= tolerance) & (found.force_measure <= tolerance)
     if known.energy_scale > 0:
         vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * known.energy_scale
     return np.asarray(vanish)

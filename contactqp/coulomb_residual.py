@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from contactqp.coulomb_cone import Vectors, natural_map
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import ContactEntries, contact_entries
-from contactqp.violations import Answer, Violations
+from contactqp.violations import Answer, Violations, beyond, ratio, slips
 
 # The other figures imply this one up to this factor.
 IMPLIED = 4.0
@@ -42,7 +42,8 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     along = normal_force(contact_entries(problem, "normal"), found.meeting)
     across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
-    return law_residual(answer, found, (slip, problem.friction), (along, across, felt))
+    least = least_force(contact_entries(problem, "normal"), found.nothing.force)
+    return law_residual(answer, found, (slip, problem.friction), (along, across, felt), least)
 
 
 def law_residual(
@@ -50,6 +51,7 @@ def law_residual(
     found: Violations,
     rubbing: tuple[Vectors, Vector],
     unit: tuple[Vector, Vector, NDArray[np.bool_]],
+    nothing: Vector,
 ) -> Vector:
     """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
 
@@ -59,25 +61,31 @@ def law_residual(
         The slips [length] and the coefficients of friction.
     unit : three (m,) arrays
         `normal_force` and what `tangential_force` returns.
+    nothing : (m,) array
+        `least_force`: the contact forces up to which there is none.
     """
-    (slip, friction), (along, across, felt) = rubbing, unit
+    (slip, friction), (along, across, felt), least = rubbing, unit, nothing
     phi = np.maximum(along, np.where(felt, across, 0.0))
-    # What is at rest to rounding (an infinite length) has no gap and no slip.
-    L_N, L_T = found.lengths, np.where(felt, found.tangential_lengths, np.inf)
-    L = np.maximum(np.where(np.isfinite(L_N), L_N, 0.0), np.where(np.isfinite(L_T), L_T, 0.0))
-    gap = np.where(np.isfinite(L_N), found.gap, 0.0)
-    slip = np.where(np.isfinite(L_T)[:, None], slip, 0.0)
+    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
+    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
+    slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
     rubbed = answer.friction_force
     rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
     force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
     velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
     mu = np.where(felt, friction, 0.0)
-    return np.asarray(np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu))
+    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu)
+    return beyond(missed, least * _inverse(phi))
 
 
 def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
     """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
     return _inverse(entries.largest(entries.over(meeting)))
+
+
+def least_force(entries: ContactEntries, none: Vector) -> Vector:
+    """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
+    return _inverse(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:

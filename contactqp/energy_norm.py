@@ -13,11 +13,12 @@ from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.factorization import RIGID_FORCE, inverse_root
+from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.polishing import correction
 from contactqp.problem import ContactProblem, Vector
 from contactqp.range_space import REGULAR
 from contactqp.saddle import free_motions, saddle_point
-from contactqp.violations import Answer, forces_that_meet, stiffness_sizes
+from contactqp.violations import Answer, forces_that_meet
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5

@@ -104,21 +104,25 @@ def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     )
 
 
-def failed_bounds(problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float) -> Iterator[str]:
-    yield from failed_errors(known, tolerance)
+def failed_bounds(
+    problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float, nothing: float
+) -> Iterator[str]:
+    """`nothing` is as in `failed_errors`."""
+    yield from failed_errors(known, tolerance, nothing)
     if fails_force_bound(known, tolerance) and known.relative_force_bound is not None:
         yield said_of_force_bound(problem, answer, known, int(np.argmax(known.relative_force_bound)), tolerance)
 
 
-def failed_errors(known: Bounds, tolerance: float) -> Iterator[str]:
-    """What is said of the bounds on the whole answer."""
+def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """What is said of the bounds on the whole answer; errors up to `nothing` [square root of energy] are none."""
     if known.suspicious is not None:
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
-    # of a displacement without strain against the rounding of the displacement.
+    # of a displacement without strain against what its rounding, and what is nothing beside all sizes, strains.
+    strain, pushed = max(known.rigid_rounding, nothing), max(tolerance * known.energy_scale, nothing)
     pairs = (
-        ("energy_error", "displacement", known.energy_scale, known.rigid_rounding, known.free_distance),
-        ("force_error", "contact forces", known.force_scale, tolerance * known.energy_scale, known.force_rounding),
+        ("energy_error", "displacement", known.energy_scale, strain, known.free_distance),
+        ("force_error", "contact forces", known.force_scale, pushed, known.force_rounding),
     )
     for name, what, scale, absolute, forgiven in pairs:
         value = getattr(known, name)

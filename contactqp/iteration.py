@@ -14,10 +14,11 @@ from contactqp.contact_iteration import ContactIteration, Flags
 from contactqp.elimination import CHOICE
 from contactqp.errors import Unsupported
 from contactqp.held_rows import HeldRows
+from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.multigrid import Hierarchy, available
 from contactqp.problem import ContactProblem, Vector
 from contactqp.v_cycle import HeldHierarchy
-from contactqp.violations import force_measure, stiffness_sizes
+from contactqp.violations import force_measure
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
 LARGE, COUPLED = 200_000, 40

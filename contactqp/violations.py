@@ -3,7 +3,9 @@
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j (of a
 load that is known to be a sum, |f| is the sum of the sizes) and
 L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
-both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0.
+both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
+and L, u is the displacement without its rigid part. What is nothing beside the intrinsic size of problem and answer
+(`intrinsic_size`) violates nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from numpy.typing import NDArray
 
 from contactqp.coulomb_cone import directions, lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
-from contactqp.factorization import Array
+from contactqp.factorization import Array, RigidMotions
+from contactqp.intrinsic_size import Nothing, bodies, intrinsic_size, nothing, stiffness_sizes, without_rigid_part
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import ContactEntries, contact_entries, row_sizes
 
@@ -54,12 +57,14 @@ class Violations:
     slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
     tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
     slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
-    lengths: Vector  # (m,) L of the normal rows, infinite where they are at rest [length]
+    lengths: Vector  # (m,) L of the normal rows [length]
     tangential_lengths: Vector  # (m,) that of the tangential rows
     gap: Vector  # (m,) g - E_N u [length]
-    gap_measure: Vector  # (m,) |gap| / L
+    gap_measure: Vector  # (m,) |gap| / L, 0 where the gap is nothing
     force_measure: Vector  # (m,) |l_N| as a force
     meeting: Vector  # (n,) F [force]
+    intrinsic_size: float  # S of problem and answer [square root of energy]
+    nothing: Nothing  # forces and lengths up to which there are none
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,30 +111,61 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
 
 
 def violations(
-    problem: ContactProblem, answer: Answer, left: Residuals, rounding: float = ROUNDING_OF_LENGTH
+    problem: ContactProblem,
+    answer: Answer,
+    left: Residuals,
+    rounding: float = ROUNDING_OF_LENGTH,
+    rigid: RigidMotions | None = None,
 ) -> Violations:
-    """Every figure of an answer with these residuals; `rounding` as in `lengths_that_meet`."""
-    F, u = forces_that_meet(problem, answer), answer.displacement
+    """Every figure of an answer with these residuals.
+
+    Parameters
+    ----------
+    rounding : float
+        The part of the intrinsic size that is nothing.
+    rigid : RigidMotions, optional
+        What K lets through; none where nothing floats.
+    """
+    elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
+    size = intrinsic_size(problem, answer, elastic)
+    none = nothing(problem, answer, size, rounding)
+    F = np.asarray(stiffness_sizes(problem) @ abs(elastic) + outer_forces(problem, answer))
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),
         Sizes(
             meeting=F,
             push=force_measure(problem.normal, answer.normal_force, F),
-            lengths=lengths_that_meet(problem, problem.normal, problem.gap, u, rounding),
-            tangential_lengths=tangential_lengths(problem, u, rounding),
-            tie_lengths=lengths_that_meet(problem, problem.tie, problem.tie_value, u, rounding),
+            felt=force_measure(problem.normal, answer.normal_force, F, none.force),
+            lengths=_lengths(problem, problem.normal, problem.gap, elastic),
+            tangential_lengths=_lengths_across(problem, elastic),
+            tie_lengths=_lengths(problem, problem.tie, problem.tie_value, elastic),
+            intrinsic_size=float(np.max(size, initial=0.0)),
+            nothing=none,
         ),
-        _rubbing(problem, answer, F),
+        _rubbing(problem, answer, F, none.force),
     )
 
 
-def _rubbing(problem: ContactProblem, answer: Answer, F: Vector) -> Rubbing | None:
+def _lengths(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
+    """|E||u| + |g| (m,) of rows [length]."""
+    return np.asarray(row_sizes(problem, rows).size @ abs(displacement) + abs(limit))
+
+
+def _lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
+    """The same (m,) of the tangential rows of each contact together."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.zeros(problem.contacts)
+    origin = problem.slip_origin
+    return lengths(_lengths(problem, problem.tangent, origin.ravel(), displacement).reshape(origin.shape))
+
+
+def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     entries, friction = contact_entries(problem, "tangent"), problem.friction
-    return Rubbing(slip, friction, lambda force: vector_measure(entries, force, F))
+    return Rubbing(slip, friction, lambda force: vector_measure(entries, force, F, none))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +174,12 @@ class Sizes:
 
     meeting: Vector  # (n,) F [force]
     push: Vector  # (m,) |l_N| as a force
+    felt: Vector  # (m,) the same, 0 where it is nothing
     lengths: Vector  # (m,) L of the normal rows
     tangential_lengths: Vector  # (m,) that of the tangential rows
     tie_lengths: Vector  # (k,) that of the ties
+    intrinsic_size: float  # S [square root of energy]
+    nothing: Nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,23 +188,25 @@ class Rubbing:
 
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
     friction: Vector  # (m,) the coefficients
-    measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact
+    measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact,
+    # without what is nothing
 
 
 def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
     """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
     residual, gap, open_tie = left
-    gap_measure, push = ratio(abs(gap), sizes.lengths), sizes.push
-    cone, direction, slip_measure = _friction(answer, rubbing, sizes.tangential_lengths)
+    none, push, felt = sizes.nothing, sizes.push, sizes.felt
+    gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
+    cone, direction, slip_measure = _friction(answer, rubbing, sizes)
     return Violations(
-        equilibrium=ratio(abs(residual), sizes.meeting),
+        equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
         residual=residual,
         penetration=np.where(gap < 0, gap_measure, 0.0),
-        tension=np.where(answer.normal_force < 0, push, 0.0),
-        complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, push), 0.0),
+        tension=np.where(answer.normal_force < 0, felt, 0.0),
+        complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, felt), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(abs(open_tie), sizes.tie_lengths),
+        tie=ratio(beyond(abs(open_tie), none.tie), sizes.tie_lengths),
         slip_measure=slip_measure,
         lengths=sizes.lengths,
         tangential_lengths=sizes.tangential_lengths,
@@ -173,19 +214,14 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
         gap_measure=gap_measure,
         force_measure=push,
         meeting=sizes.meeting,
+        intrinsic_size=sizes.intrinsic_size,
+        nothing=none,
     )
 
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
     return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + outer_forces(problem, answer))
-
-
-def stiffness_sizes(problem: ContactProblem) -> Any:
-    """|K|, made once for a stiffness."""
-    if "stiffness_sizes" not in problem._shared:
-        problem._shared["stiffness_sizes"] = abs(problem.stiffness_rows)
-    return problem._shared["stiffness_sizes"]
 
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
@@ -244,16 +280,6 @@ def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
     return np.asarray(largest[body])
 
 
-def bodies(problem: ContactProblem) -> NDArray[np.intp]:
-    """(n,) the number of the body, a connected part of K, that each unknown belongs to."""
-    from scipy.sparse.csgraph import connected_components
-
-    if "bodies" not in problem._shared:
-        _, problem._shared["bodies"] = connected_components(problem.stiffness_rows, directed=False)
-    body: NDArray[np.intp] = problem._shared["bodies"]
-    return body
-
-
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
     """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
     return row_sizes(problem, rows).compliance
@@ -264,17 +290,26 @@ def ratio(size: Vector, scale: Vector) -> Vector:
     return np.divide(size, scale, out=np.where(size > 0, np.inf, 0.0), where=scale > 0)
 
 
-def force_measure(rows: Any, force: Vector, meeting: Vector) -> Vector:
-    """max_j |E_ij l_i| / F_j for every row i."""
+def beyond(size: Vector, none: Vector) -> Vector:
+    """Sizes, 0 where they are nothing; NaN is something, and nothing hides behind what overflows."""
+    return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
+
+
+def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
+    """max_j |E_ij l_i| / F_j for every row i; what is no more than `none` (n,) does not count."""
     row = _row_of_entries(rows)
+    acting = abs(rows.data) * abs(force)[row]
+    if none is not None:
+        acting = beyond(acting, none[rows.indices])
     measure = np.zeros(rows.shape[0])
-    np.maximum.at(measure, row, ratio(abs(rows.data) * abs(force)[row], meeting[rows.indices]))
+    np.maximum.at(measure, row, ratio(acting, meeting[rows.indices]))
     return measure
 
 
-def vector_measure(entries: ContactEntries, force: Array, meeting: Vector) -> Vector:
-    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact."""
-    return entries.largest(ratio(abs(entries.forces(force)), meeting[entries.unknown])[None])
+def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
+    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact; what is no more than `none` (n,) does not count."""
+    acting = beyond(abs(entries.forces(force)), none[entries.unknown])
+    return entries.largest(ratio(acting, meeting[entries.unknown])[None])
 
 
 def _row_of_entries(rows: Any) -> NDArray[np.intp]:
@@ -282,15 +317,22 @@ def _row_of_entries(rows: Any) -> NDArray[np.intp]:
     return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
 
 
-def _friction(answer: Any, rubbing: Rubbing | None, length: Vector) -> tuple[Vector, Vector, Vector]:
+def _friction(answer: Any, rubbing: Rubbing | None, sizes: Sizes) -> tuple[Vector, Vector, Vector]:
     """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, and the slip."""
     if rubbing is None or answer.friction_force is None:
         none = np.zeros(len(answer.normal_force))
         return none, none, none
-    force, slip = answer.friction_force, rubbing.slip
-    size, slipped = lengths(force), lengths(slip)
+    force = answer.friction_force
+    slip = slips(rubbing.slip, sizes.nothing)
+    size = lengths(force)
     bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
-    beyond = np.maximum(size - bound, 0.0)[:, None] * directions(force)
+    excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     wrong = force - bound[:, None] * directions(slip)
-    slip_measure = ratio(slipped, length)
-    return rubbing.measure(beyond), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure
+    slip_measure = ratio(lengths(slip), sizes.tangential_lengths)
+    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure
+
+
+def slips(slip: Array, none: Nothing) -> Array:
+    """Slips (m, d-1), zero at contacts where they are nothing."""
+    slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
+    return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))

@@ -42,6 +42,7 @@ LAYERS = (
     "range_space",
     "saddle",
     "row_sizes",
+    "intrinsic_size",
     "violations",
     "iteration",
     "coulomb_residual",

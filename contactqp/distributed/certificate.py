@@ -93,7 +93,7 @@ def certify_distributed(
     failures = [
         *_failed_figures(problem, answer, found, figures, tolerance),
         *_failed_law(problem, law, natural_map, IMPLIED * tolerance),
-        *failed_errors(known, error_tolerance),
+        *failed_errors(known, error_tolerance, ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size),
         *_failed_force_bound(problem, answer, known, error_tolerance),
     ]
     grazing, names = _grazing(problem, answer, found, known, tolerance)

@@ -11,6 +11,7 @@ from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.iteration import FLOATING
 from contactqp.multigrid import energy_ratios, of_size_one
+from contactqp.problem import Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,20 @@ def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodi
         problem.shared["floating bodies"] = _found(problem, bodies)
     found: FloatingBodies = problem.shared["floating bodies"]
     return found
+
+
+def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
+    """`contactqp.intrinsic_size.without_rigid_part` of this rank's unknowns. Collective."""
+    floating = floating_bodies(problem, bodies)
+    if not problem.ranks.any(floating.floats):
+        return displacement
+    Z, K = floating.motions, problem.diagonal
+    width = Z.shape[1]
+    products = [bodies.totals((K * Z[:, i])[:, None] * np.column_stack([Z, displacement])) for i in range(width)]
+    gram = np.stack(products, axis=1)  # (count, r, r + 1)
+    coordinates = np.array([np.linalg.lstsq(g[:, :width], g[:, width:], rcond=None)[0] for g in gram])
+    moved = bodies.combined(Z, bodies.told(coordinates.reshape(-1, width, 1)))
+    return np.asarray(displacement - moved[:, 0])
 
 
 def _found(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:

@@ -8,56 +8,99 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.coulomb_residual import law_residual, normal_force, tangential_force
+from contactqp.coulomb_cone import lengths
+from contactqp.coulomb_residual import law_residual, least_force, normal_force, tangential_force
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rigid_motions import without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.factorization import Array
+from contactqp.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
 from contactqp.row_sizes import RowSizes, entries_of, sizes_of
 from contactqp.violations import (
     Rubbing,
     Sizes,
     Violations,
-    at_rest_infinite,
     figures,
     force_measure,
-    lengths_of_pairs,
     vector_measure,
 )
 
 
 def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies, rounding: float) -> Violations:
-    """Every figure of this rank's unknowns, contacts and ties; `rounding` as in `lengths_that_meet`. Collective."""
+    """Every figure of this rank's unknowns, contacts and ties; `rounding` as in `contactqp.violations.violations`.
+
+    Collective."""
     u = answer.displacement
-    F = stiffness_sizes(problem, abs(u)) + outer_forces(problem, answer)
-    meeting = Meeting(problem, bodies, u, rounding)
+    elastic = without_rigid_part(problem, bodies, u)
+    F = stiffness_sizes(problem, abs(elastic)) + outer_forces(problem, answer)
+    size = intrinsic_size(problem, answer, elastic)
+    none = _nothing(problem, u, size, rounding)
     residual = outer_resultant(problem, answer) - problem.product(u)
-    along = force_measure(problem.normal.entries, answer.normal_force, problem.normal.near(F))
+    near = problem.normal.near(F)
     sizes = Sizes(
         meeting=F,
-        push=along,
-        lengths=meeting.lengths(problem.normal, problem.gap),
-        tangential_lengths=_tangential_lengths(problem, meeting),
-        tie_lengths=meeting.lengths(problem.tie, problem.tie_value),
+        push=force_measure(problem.normal.entries, answer.normal_force, near),
+        felt=force_measure(problem.normal.entries, answer.normal_force, near, problem.normal.near(none.force)),
+        lengths=_lengths(problem.normal, problem.gap, elastic),
+        tangential_lengths=_lengths_across(problem, elastic),
+        tie_lengths=_lengths(problem.tie, problem.tie_value, elastic),
+        intrinsic_size=size,
+        nothing=none,
     )
     left = residual, problem.gap - problem.normal.lengths(u), problem.tie_value - problem.tie.lengths(u)
-    return figures(answer, left, sizes, _rubbing(problem, u, F))
+    return figures(answer, left, sizes, _rubbing(problem, u, F, none.force))
+
+
+def intrinsic_size(problem: DistributedProblem, answer: DistributedAnswer, elastic: Vector) -> float:
+    """`contactqp.intrinsic_size` of all bodies together, `elastic` (n_here,) as there. Collective."""
+    u, ranks = answer.displacement, problem.ranks
+    force = problem.load - outer_resultant(problem, answer)
+    D = np.divide(1.0, np.sqrt(problem.diagonal), out=np.zeros_like(u), where=problem.diagonal > 0)
+    load = float(np.max(D * abs(problem.load), initial=0.0))
+    sizes = [load, float(np.max(D * abs(force), initial=0.0))]
+    for rows, limit in _rows(problem):
+        of_row, size = row_sizes(problem, rows), abs(rows.entries)
+        moved = rows.lengths(u), size @ rows.near(abs(u)), size @ rows.near(abs(elastic))
+        sizes.append(float(np.max(imposed(limit, *moved, of_row.compliance), initial=0.0)))
+    strain = ranks.dot(elastic, problem.product(elastic))
+    return float(max(ranks.max(max(sizes)), np.sqrt(max(strain, 0.0))))
+
+
+def _rows(problem: DistributedProblem) -> list[tuple[Rows, Vector]]:
+    rows = [(problem.normal, problem.gap), (problem.tie, problem.tie_value)]
+    if problem.tangent is not None and problem.slip_origin is not None:
+        rows.append((problem.tangent, problem.slip_origin.ravel()))
+    return rows
+
+
+def _nothing(problem: DistributedProblem, u: Vector, size: float, part: float) -> Nothing:
+    """`contactqp.intrinsic_size.nothing` of this rank's unknowns and rows. Collective."""
+    force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * stiffness_sizes(problem, abs(u)))
+
+    def least(rows: Rows) -> Vector:
+        of_row, whole = row_sizes(problem, rows), abs(rows.entries) @ rows.near(abs(u))
+        return np.asarray(np.maximum(part * size * np.sqrt(of_row.compliance), HELD_BY_DOUBLES * whole))
+
+    tangent = np.zeros(0) if problem.tangent is None else least(problem.tangent)
+    return Nothing(force, least(problem.normal), tangent, least(problem.tie))
 
 
 def coulomb_residual(problem: DistributedProblem, answer: DistributedAnswer, found: Violations) -> Vector | None:
     """`contactqp.coulomb_residual` of this rank's contacts; None without friction on any rank. Collective."""
     if not problem.frictional or problem.tangent is None:
         return None
-    rubbing = _rubbing(problem, answer.displacement, found.meeting)
+    rubbing = _rubbing(problem, answer.displacement, found.meeting, found.nothing.force)
     if rubbing is None:
         return None
     normal, tangent = (entries_of(rows.entries, problem.contacts) for rows in (problem.normal, problem.tangent))
     along = normal_force(normal, problem.normal.near(found.meeting))
     across = tangential_force(tangent, problem.tangent.near(found.meeting))
-    return law_residual(answer, found, (rubbing.slip, rubbing.friction), (along, *across))
+    least = least_force(normal, problem.normal.near(found.nothing.force))
+    return law_residual(answer, found, (rubbing.slip, rubbing.friction), (along, *across), least)
 
 
 def outer_resultant(problem: DistributedProblem, answer: DistributedAnswer) -> Vector:
@@ -86,37 +129,27 @@ def row_sizes(problem: DistributedProblem, rows: Rows) -> RowSizes:
     return sizes_of(rows.entries, rows.near(problem.diagonal))
 
 
-class Meeting:
-    """The lengths that meet at rows under a displacement. Making it is collective, and so is `lengths`."""
-
-    def __init__(self, problem: DistributedProblem, bodies: Bodies, displacement: Vector, rounding: float) -> None:
-        self._problem, self._displacement, self._rounding = problem, displacement, rounding
-        size = np.zeros(len(bodies.number))
-        np.maximum.at(size, bodies.of, np.sqrt(problem.diagonal) * abs(displacement))
-        self._largest = bodies.told(bodies.largest(size))[bodies.of]  # (n_here,) of the unknown's body
-
-    def lengths(self, rows: Rows, limit: Vector) -> Vector:
-        """`contactqp.violations.lengths_that_meet` of this rank's rows."""
-        sizes = row_sizes(self._problem, rows)
-        length = sizes.size @ rows.near(abs(self._displacement)) + abs(limit)
-        least = self._rounding * np.sqrt(sizes.compliance)
-        return at_rest_infinite(rows.entries, length, least, rows.near(self._largest))
+def _lengths(rows: Rows, limit: Vector, displacement: Vector) -> Vector:
+    """|E||u| + |g| of this rank's rows. Collective."""
+    return np.asarray(abs(rows.entries) @ rows.near(abs(displacement)) + abs(limit))
 
 
-def _tangential_lengths(problem: DistributedProblem, meeting: Meeting) -> Vector:
+def _lengths_across(problem: DistributedProblem, displacement: Vector) -> Vector:
+    """The same of the tangential rows of each contact together. Collective."""
     if problem.tangent is None or problem.slip_origin is None:
-        return np.full(problem.contacts, np.inf)
-    lengths = meeting.lengths(problem.tangent, problem.slip_origin.ravel())
-    return lengths_of_pairs(lengths.reshape(problem.slip_origin.shape))
+        return np.zeros(problem.contacts)
+    origin = problem.slip_origin
+    return lengths(_lengths(problem.tangent, origin.ravel(), displacement).reshape(origin.shape))
 
 
-def _rubbing(problem: DistributedProblem, displacement: Vector, F: Vector) -> Rubbing | None:
+def _rubbing(problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector) -> Rubbing | None:
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return None
     slip = problem.tangent.lengths(displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    entries, meeting = entries_of(problem.tangent.entries, problem.contacts), problem.tangent.near(F)
+    entries = entries_of(problem.tangent.entries, problem.contacts)
+    meeting, least = problem.tangent.near(F), problem.tangent.near(none)
 
     def measure(force: Array) -> Vector:
-        return vector_measure(entries, force, meeting)
+        return vector_measure(entries, force, meeting, least)
 
     return Rubbing(slip, problem.friction, measure)

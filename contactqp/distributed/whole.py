@@ -19,6 +19,7 @@ from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.existence import describe_motion
+from contactqp.intrinsic_size import Nothing
 from contactqp.problem import ContactProblem
 from contactqp.solution import FreeMotion, Solution
 from contactqp.violations import Violations
@@ -117,16 +118,33 @@ def certificate_of(
     """With what it says contact by contact of all ranks, where `whole` makes that of their parts. Collective."""
     part, certificate = solution.problem, solution.certificate
     bound, found = certificate.force_bound, certificate.violations
-    numbers = dict.fromkeys(_OF_UNKNOWNS, part.dof_number) | {"tie": part.tie_number}
     return replace(
         certificate,
         force_bound=None if bound is None else whole(bound, part.contact_number),
-        violations=None
-        if found is None
-        else Violations(
-            **{
-                each.name: whole(getattr(found, each.name), numbers.get(each.name, part.contact_number))
-                for each in fields(found)
-            }
-        ),
+        violations=None if found is None else _violations_of(found, part, whole),
     )
+
+
+def _violations_of(
+    found: Violations, part: DistributedProblem, whole: Callable[[NDArray[Any], Numbers], NDArray[Any]]
+) -> Violations:
+    """The violations of all unknowns, contacts and ties, from each rank's. Collective."""
+    numbers = dict.fromkeys(_OF_UNKNOWNS, part.dof_number) | {"tie": part.tie_number}
+    gathered = {
+        each.name: whole(getattr(found, each.name), numbers.get(each.name, part.contact_number))
+        for each in fields(found)
+        if each.name not in ("intrinsic_size", "nothing")
+    }
+    none = found.nothing
+    origin, across = part.slip_origin, none.tangent
+    if origin is not None:
+        across = whole(across.reshape(origin.shape), part.contact_number).ravel()
+    nothing = Nothing(
+        force=whole(none.force, part.dof_number),
+        normal=whole(none.normal, part.contact_number),
+        tangent=none.tangent
+        if origin is None
+        else whole(none.tangent.reshape(origin.shape), part.contact_number).ravel(),
+        tie=whole(none.tie, part.tie_number),
+    )
+    return Violations(**gathered, intrinsic_size=found.intrinsic_size, nothing=nothing)

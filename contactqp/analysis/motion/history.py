@@ -18,9 +18,9 @@ from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate import certify, contact_status
 from contactqp.errors import Unsupported
+from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
-from contactqp.violations import stiffness_sizes
 
 
 @dataclass(frozen=True, eq=False)

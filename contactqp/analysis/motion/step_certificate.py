@@ -17,10 +17,15 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.coulomb_cone import directions, lengths
+from contactqp.intrinsic_size import HELD_BY_DOUBLES
 from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import ROUNDING_OF_LENGTH, bodies, own_compliance, ratio
+from contactqp.row_sizes import row_sizes
+from contactqp.violations import beyond, ratio
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+
+# Forces and lengths that are this part of the intrinsic size are nothing, as for `certify` by default.
+NOTHING = 1e-12
 
 Block = NDArray[np.float64]  # one row a step
 
@@ -59,7 +64,7 @@ class StepJudge:
         self._sizes = tuple(abs(matrix) for matrix in (self._K, self._N, self._A))
         self._pushing, self._pushing_size = (sp.csr_matrix(rows.T) for rows in (self._N, self._sizes[1]))
         self._unit = np.sqrt(template.diagonal)
-        self._rest = {name: _Rest(template, rows) for name, rows in self._rows().items()}
+        self._compliance = {name: np.sqrt(row_sizes(template, rows).compliance) for name, rows in self._rows().items()}
         self._entries = sp.coo_matrix(abs(self._N))
 
     def _rows(self) -> dict[str, Any]:
@@ -113,7 +118,8 @@ class StepJudge:
         friction, gap = np.column_stack([a.friction for a in answered]), np.column_stack([p.gap for p in posed])
         looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
         size = abs(x)
-        residual, F = load - self._K @ x, F + self._sizes[0] @ size
+        inner = self._sizes[0] @ size
+        residual, F = load - self._K @ x, F + inner
         _, N, A = self._sizes
         if np.any(normal):
             residual, F = residual - self._N.T @ normal, F + N.T @ abs(normal)
@@ -121,19 +127,19 @@ class StepJudge:
             residual, F = residual - self._A.T @ tie, F + A.T @ abs(tie)
         if self._T is not None:
             residual, F = residual - self._T.T @ friction, F + abs(self._T).T @ abs(friction)
-        moved = self._unit[:, None] * size
-        room = gap - self._N @ x
-        length = self._rest["normal"].lengths(N @ size + abs(gap), moved)
-        room_measure, push = ratio(abs(room), length), self._forces(normal, F)
-        held = np.zeros_like(tie)
+        whole = self._intrinsic_size(load, x)
+        none = np.maximum(NOTHING * whole * self._unit[:, None], HELD_BY_DOUBLES * inner)
+        room, length = gap - self._N @ x, N @ size + abs(gap)
+        room_measure = ratio(beyond(abs(room), self._no_length("normal", length, whole)), length)
+        push, held = self._forces(normal, F, none), np.zeros_like(tie)
         if problem.ties:
             value = np.array([np.zeros(problem.ties) if p.tie_value is None else p.tie_value for p in posed]).T
-            sizes = self._rest["tie"].lengths(A @ size + abs(value), moved)
-            held = ratio(abs(self._A @ x - value), sizes)
-        cone, direction = self._coulomb(posed, x, normal, friction, F, moved)
+            sizes = A @ size + abs(value)
+            held = ratio(beyond(abs(self._A @ x - value), self._no_length("tie", sizes, whole)), sizes)
+        cone, direction = self._coulomb(posed, x, normal, friction, F, whole)
         stray = ~looked & (normal != 0)  # a force where the step had no contact
         return StepFigures(
-            _worst_part(residual, F),
+            _worst(ratio(beyond(abs(residual), none), F)),
             _worst(np.where(looked & (room < 0), room_measure, 0.0)),
             _worst(np.where((normal < 0) | stray, push, 0.0)),
             _worst(np.where(looked & (room > 0) & (normal > 0), np.minimum(room_measure, push), 0.0)),
@@ -151,16 +157,26 @@ class StepJudge:
         base = np.column_stack(bases)
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
-    def _forces(self, force: Block, F: Block) -> Block:
-        """max_j |E_ij l_i| / F_j (m, steps)."""
+    def _intrinsic_size(self, load: Block, x: Block) -> Vector:
+        """(steps,) the size of each step, as in `contactqp.intrinsic_size`: loads and |x|_K, inertia included."""
+        D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)
+        strain = np.sqrt(np.maximum(np.sum(x * (self._K @ x), axis=0), 0.0))
+        return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))
+
+    def _no_length(self, name: str, length: Block, whole: Vector) -> Block:
+        """The lengths of rows up to which there are none, beside those that meet there."""
+        return np.maximum(NOTHING * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
+
+    def _forces(self, force: Block, F: Block, none: Block) -> Block:
+        """max_j |E_ij l_i| / F_j (m, steps), without what is nothing."""
         measure = np.zeros_like(force)
         acting = np.any(force != 0, axis=1)[self._entries.row]
         row, column, size = self._entries.row[acting], self._entries.col[acting], self._entries.data[acting]
-        np.maximum.at(measure, row, ratio(size[:, None] * abs(force[row]), F[column]))
+        np.maximum.at(measure, row, ratio(beyond(size[:, None] * abs(force[row]), none[column]), F[column]))
         return measure
 
     def _coulomb(
-        self, posed: list[Posed], x: Block, normal: Block, friction: Block, F: Block, moved: Block
+        self, posed: list[Posed], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
     ) -> tuple[Block, Block]:
         """|l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its lengths."""
         steps, m = x.shape[1], len(normal)
@@ -174,15 +190,15 @@ class StepJudge:
             return np.moveaxis(rows.reshape(m, width, steps), 1, 2).reshape(-1, width)
 
         slip, force = by_contact(self._T @ x - origin), by_contact(friction)
-        meeting_lengths = self._rest["tangent"].lengths(abs(self._T) @ abs(x) + abs(origin), moved)
-        size = lengths(by_contact(np.where(np.isfinite(meeting_lengths), meeting_lengths, 0.0)))
-        size = np.where(size > 0, size, np.inf)
+        along = abs(self._T) @ abs(x) + abs(origin)
+        size, least = lengths(by_contact(along)), lengths(by_contact(self._no_length("tangent", along, whole)))
+        slip = np.where((beyond(lengths(slip), least) == 0)[:, None], 0.0, slip)
         bound = (problem.friction[:, None] * np.maximum(normal, 0.0)).ravel()  # type: ignore[index]
-        beyond = np.maximum(lengths(force) - bound, 0.0)
+        excess = np.maximum(lengths(force) - bound, 0.0)
         wrong = lengths(force - bound[:, None] * directions(slip))
         meeting = self._meeting_at_tangents(F).ravel()
         slip_measure = ratio(lengths(slip), size)
-        cone, direction = ratio(beyond, meeting), np.minimum(slip_measure, ratio(wrong, meeting))
+        cone, direction = ratio(excess, meeting), np.minimum(slip_measure, ratio(wrong, meeting))
         return _worst(cone.reshape(m, steps)), _worst(direction.reshape(m, steps))
 
     def _meeting_at_tangents(self, F: Block) -> Block:
@@ -196,33 +212,6 @@ class StepJudge:
         least = np.full((self._N.shape[0], F.shape[1]), np.inf)
         np.minimum.at(least, columns.row, F[columns.col] / np.sqrt(columns.data)[:, None])
         return least
-
-
-class _Rest:
-    """Rows whose lengths are the rounding of what moves around them are at rest (`violations.lengths_that_meet`)."""
-
-    def __init__(self, template: ContactProblem, rows: Any) -> None:
-        self._rounding = ROUNDING_OF_LENGTH * np.sqrt(own_compliance(template, rows))[:, None]
-        label = bodies(template)
-        self._order = np.argsort(label, kind="stable")
-        self._starts = np.searchsorted(label[self._order], np.arange(label.max(initial=0) + 1))
-        entries = rows.tocoo()
-        self._row, self._body = entries.row, label[entries.col]
-
-    def lengths(self, length: Block, moved: Block) -> Block:
-        """The lengths (rows, steps), infinite where a row is at rest; `moved` (n, steps) are sqrt(K_jj) |x_j|."""
-        if not np.any(length <= self._rounding * np.max(moved, axis=0, initial=0.0)):
-            return length
-        largest = np.maximum.reduceat(moved[self._order], self._starts, axis=0)
-        around = np.zeros_like(length)
-        np.maximum.at(around, self._row, largest[self._body])
-        return np.where(length <= self._rounding * around, np.inf, length)
-
-
-def _worst_part(residual: Block, F: Block) -> Block:
-    """The worst |residual_j| / F_j of each step; without forces there is no residual."""
-    part = np.divide(residual, F, out=residual, where=F != 0)
-    return np.asarray(np.maximum(np.max(part, axis=0), -np.min(part, axis=0)))
 
 
 def _worst(values: Block) -> Block:
