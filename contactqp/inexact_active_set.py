@@ -24,7 +24,7 @@ from contactqp.methods.method import Settings
 from contactqp.multigrid_bounds import dual_norm, force_norm
 from contactqp.problem import Vector
 from contactqp.solution import Candidate
-from contactqp.violations import ratio
+from contactqp.violations import beyond, ratio
 
 # The bodies without contact are solved to this part of their energy norm: the first set comes from them.
 FIRST = 0.3
@@ -43,6 +43,9 @@ LOOSEST = 1e-9
 UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
+# Forces and lengths of this part of the energy norm of the displacement are nothing (`contactqp.intrinsic_size`, a tenth
+# of what the certificate takes for nothing).
+NOTHING = 1e-13
 # Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
 # certificate shall prove 1e-6.
 ENERGY, BOUND = 1e-7, 3e-7
@@ -177,6 +180,10 @@ class _Search:
         """x'K x."""
         return self.way.dot(self.x, self.problem.load - run.residual)
 
+    def _energy_norm(self, run: ConjugateGradients) -> float:
+        """|x|_K."""
+        return float(np.sqrt(max(self._work(run), 0.0)))
+
     def _penetration(self) -> Vector:
         return np.asarray((self.way.lengths(self.x) - self.limit)[: self.m])
 
@@ -186,10 +193,11 @@ class _Search:
         self.force[on_set] = held.forces(run.residual)
         m, allowed = self.m, SIGN * self.tolerance
         pull = self.way.force_measure(self.force, self.x, self.problem.load)[:m]
-        self.tension = (self.force[:m] < 0) & (pull > allowed)
+        compliance, least = self.way.own_compliance[:m], NOTHING * self._energy_norm(run)
+        pulling = -self.force[:m] * np.sqrt(compliance) > least
+        self.tension = pulling & (pull > allowed)
         depth, lengths = self._penetration(), (self.way.length_sizes(self.x) + abs(self.limit))[:m]
-        self.penetrated = ~self.closed & (depth > allowed * lengths)
-        compliance = self.way.own_compliance[:m]
+        self.penetrated = ~self.closed & (depth > np.maximum(allowed * lengths, least * np.sqrt(compliance)))
         pulled = np.where(self.tension, self.force[:m] * np.sqrt(compliance), 0.0)
         sunk = np.where(self.penetrated, depth, 0.0) / np.sqrt(np.where(self.penetrated, compliance, 1.0))
         self.history.append(float(np.hypot(self.way.norm(pulled), self.way.norm(sunk))))
@@ -203,12 +211,13 @@ class _Goal:
         self.sizes = way.product_sizes(search.x) + abs(search.problem.load) + way.force_sizes(search.force)
         self.equilibrium = EQUILIBRIUM * search.tolerance
         self.size = _size(search)
+        self.nothing = NOTHING * _strain(search) * np.sqrt(way.diagonal)
         self.energy = search.energy * self.size
         self.way, self.on_set = way, np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool))
 
     def reached(self, run: ConjugateGradients) -> bool:
         error = run.estimate()
-        left = ratio(abs(run.unbalanced), self.sizes)
+        left = ratio(beyond(abs(run.unbalanced), self.nothing), self.sizes)
         if not self.way.any(left > ROUNDING):
             return True
         if error > self.way.least_eigenvalue * self.energy**2:

@@ -294,3 +294,24 @@ def test_the_hint_is_checked_and_kept():
         problem.replace(near_null_space=np.ones((2, 6)))
     with pytest.raises(cq.InvalidProblem, match="near_null_space: expected finite numbers"):
         problem.replace(near_null_space=np.full((n, 1), np.nan))
+
+
+@pytest.mark.parametrize("bed", [1e2, 1e5, 1e8])
+def test_contacts_where_nothing_arrives_hold_up_no_set(monkeypatch: pytest.MonkeyPatch, bed: float) -> None:
+    """Half of the nodes stand on stiff springs: at the far side forces are 1e-20 and less, and their signs rounding."""
+    monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", "pyamg")
+    n, rng = 30, np.random.default_rng(0)
+    chain = sp.diags([np.full(n, 2.0), np.full(n - 1, -1.0), np.full(n - 1, -1.0)], [0, 1, -1])
+    springs = np.zeros(n * n)
+    springs[n * n // 2 :] = bed
+    K = sp.csr_matrix(sp.kron(sp.identity(n), chain) + sp.kron(chain, sp.identity(n)) + sp.diags(springs))
+    load = np.zeros(n * n)
+    load[:n] = rng.uniform(0.0, 10.0, n)
+    near_and_far = np.r_[:n, n * n - n : n * n]
+    rows = sp.csr_matrix((rng.choice([-1.0, 1.0], 2 * n), (np.arange(2 * n), near_and_far)), shape=(2 * n, n * n))
+    problem = cq.ContactProblem(K, load, rows, np.where(rng.random(2 * n) < 0.5, 0.0, rng.uniform(0.0, 3.0, 2 * n)))
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", "superlu")
+    exact = cq.solve(problem.replace(load=load))
+    assert solution.normal_force == pytest.approx(exact.normal_force, rel=1e-6, abs=1e-6)
