@@ -56,6 +56,7 @@ from contactqp.energy_norm import (
     without_part_along,
 )
 from contactqp.extended import Extended, extend, extended_rows
+from contactqp.intrinsic_size import rigid_part
 from contactqp.iteration import Iteration
 from contactqp.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.polishing import WITHIN_ROUNDING
@@ -70,6 +71,8 @@ VANISHING = 1e-22
 NEXT_TO_NOTHING = 1e-12
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
+# A strain of so many times that of the rigid part alone is still one that K's rounding makes.
+STRAINED_BY_ROUNDING = 16.0
 # Why the forces of single contacts have no bound, though their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation: its energy bounds nothing"
@@ -148,7 +151,11 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
     energy_scale, uncertain = _strain(problem, answer, condensation, pair)
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    # A displacement without strain has none in extended precision.
+    # A displacement without strain has none in extended precision, but for that of its rigid part, which K's rounding
+    # makes.
+    rigid = rigid_rounding(problem, condensation, answer.displacement)
+    if condensation.rigid.count and energy_scale <= rigid:
+        uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, answer.displacement)
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     size = force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
@@ -157,7 +164,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     known = Bounds(
         energy_scale=energy_scale,
         rounding=rounding,
-        rigid_rounding=rigid_rounding(problem, condensation, answer.displacement),
+        rigid_rounding=rigid,
         force_rounding=force_rounding,
         free_distance=_free_distance(problem, condensation, pair),
     )
@@ -199,6 +206,15 @@ def _strain(
     elastic, missing = response(problem, condensation, forces, tied=False)
     strain, rounding = energy_norm(problem, elastic)
     return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
+
+
+def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """The energy norm that K, being rounded, gives the rigid part of a displacement."""
+    K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
+    forces = forces @ rigid_part(problem, displacement, condensation.rigid)
+    elastic, missing = response(problem, condensation, extend(forces), tied=False)
+    return sum(energy_norm(problem, elastic)) + missing
 
 
 def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:

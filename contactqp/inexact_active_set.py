@@ -43,8 +43,8 @@ LOOSEST = 1e-9
 UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
-# Forces and lengths of this part of the energy norm of the displacement are nothing (`contactqp.intrinsic_size`, a tenth
-# of what the certificate takes for nothing).
+# Forces and lengths of this part of the energy norm of the displacement are nothing (`contactqp.intrinsic_size`): a
+# tenth of what the certificate takes for nothing.
 NOTHING = 1e-13
 # Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
 # certificate shall prove 1e-6.

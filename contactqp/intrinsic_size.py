@@ -60,11 +60,14 @@ def without_rigid_part(problem: ContactProblem, displacement: Vector, rigid: Rig
 
     Where nothing is stiff there is no rigid part either: unknowns without stiffness keep their displacement.
     """
-    if not rigid.count:
-        return displacement
+    return displacement - rigid.motions @ rigid_part(problem, displacement, rigid) if rigid.count else displacement
+
+
+def rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:
+    """The coordinates (r,) of the rigid part of a displacement."""
     weight = np.sqrt(problem.diagonal)
     coordinates, *_ = np.linalg.lstsq(weight[:, None] * rigid.motions, weight * displacement, rcond=None)
-    return np.asarray(displacement - rigid.motions @ coordinates)
+    return np.asarray(coordinates)
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:

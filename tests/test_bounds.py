@@ -111,3 +111,32 @@ def test_forces_whose_squares_are_zero_have_a_norm(force):
     norm, rounding = force_norm(problem, condense(problem), extend(np.array([force])))
     assert 0 <= norm < 1e-160
     assert 0 <= rounding < 1e-160
+
+
+def _floating_triangle(stiffness: float, gap: float, force: float) -> cq.ContactProblem:
+    """Three bars at odd angles, loaded where they land: K z of a rigid motion is rounding, and u* only moves."""
+    at = np.array([[0.0, 0.0], [1.3, 0.1], [0.4, 0.9]])
+    K = np.zeros((6, 6))
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        d = np.concatenate([at[i] - at[j], at[j] - at[i]]) / np.linalg.norm(at[i] - at[j])
+        K[np.ix_([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], [2 * i, 2 * i + 1, 2 * j, 2 * j + 1])] += np.outer(d, d)
+    rows = np.zeros((2, 6))
+    rows[0, 1] = rows[1, 3] = -1.0
+    load = np.array([0.0, -1.0, 0.0, -0.7, 0.0, 0.0]) * force
+    return cq.ContactProblem(stiffness * K, load, rows, [gap, 1.001 * gap])
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "gap", "force"),
+    [(3.1e2, 1e-6, 1e-3), (3.1e2, -0.02, 1e3), (3.1e2, 0.83, 1e6), (7.7e10, 1e-6, 1e3), (7.7e10, -1e-9, 1.0)],
+)
+def test_a_body_whose_stiffness_is_singular_to_rounding_only_may_move_without_strain(stiffness, gap, force):
+    problem = _floating_triangle(stiffness, gap, force)
+    for method in ("active-set", "clarabel"):
+        solution = cq.solve(problem, method)
+        assert solution.normal_force == pytest.approx([force, 0.7 * force], rel=1e-9)
+        assert solution.certificate.proven
+    u, push = solution.displacement, solution.normal_force
+    strained = u + np.array([0.0, 0.0, 0.0, 0.0, 1e-6 * max(abs(gap), force / stiffness), 0.0])
+    assert not cq.certify(problem, strained, push).passed
+    assert not cq.certify(problem, u, push * [1.0, 1 + 1e-5]).passed
