@@ -96,8 +96,7 @@ def _holding(
     left: Residuals,
 ) -> OnSet | None:
     """The refined answer on a set, or on what corrections make of it, if its signs hold."""
-    start = None if condensation.rigid.count else answer
-    on_set, _, holds = polish(problem, condensation, closed, corrections, start, left, CAUTION)
+    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, left, CAUTION)
     if on_set.contraction >= CONTRACTION:
         raise Unproven(
             f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"

@@ -59,8 +59,11 @@ def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
     """|K z| (r, n), formed once for the motions of a stiffness."""
     known = problem._shared.get("left_of_stiffness")
     if known is None or known[0] is not rigid:
-        rows = extended_rows(problem)
-        known = rigid, np.array([abs((rows.stiffness @ extend(z)).double()) for z in rigid.motions.T])
+        forces = rigid.forces
+        if forces is None:
+            rows = extended_rows(problem)
+            forces = np.column_stack([(rows.stiffness @ extend(z)).double() for z in rigid.motions.T])
+        known = rigid, abs(forces.T)
         problem._shared["left_of_stiffness"] = known
     return np.asarray(known[1])
 

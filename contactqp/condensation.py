@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from contactqp.elimination import eliminate
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import SUSPICIOUS_PIVOT, Array, DenseCholesky, RigidMotions, inverse_root, null_space
+from contactqp.factorization import (
+    SUSPICIOUS_PIVOT,
+    Array,
+    DenseCholesky,
+    RigidMotions,
+    inverse_root,
+    null_space,
+    stated_motions,
+)
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 from contactqp.stages import CONDENSE, count_factorisation, stage
@@ -53,11 +61,15 @@ class Condensation:
         self._sparse = problem.stiffness_rows
         self._diagonal = problem.diagonal
         touched = _touched_unknowns(problem)
-        self._eliminate(touched, unknown_scale(problem))
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
-        if self._may_be_singular():
+        stated = _stated_motions(problem)
+        fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
+        self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
+        if stated.count and self._floats_no_further(stated):
+            self.rigid = stated
+        elif self._may_be_singular():
             self.rigid = null_space(self._sparse)
-            fixing = fixing_unknowns(self.rigid.motions, touched, self._diagonal)
+            fixing = fixing_unknowns(self.rigid.motions, self.retained, self._diagonal)
             if fixing.size:
                 self._spent += self._elimination.half_substitutions
                 self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
@@ -105,6 +117,14 @@ class Condensation:
         if interior < SUSPICIOUS_PIVOT:
             return True
         return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
+
+    def _floats_no_further(self, stated: RigidMotions) -> bool:
+        """Whether K is regular but for the stated motions: S is, once these are anchored."""
+        if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
+            return False
+        motions, _ = np.linalg.qr(stated.motions[self.retained] / self.scale[:, None])
+        anchored = self.schur * np.outer(self.scale, self.scale) + motions @ motions.T
+        return DenseCholesky(anchored, np.ones(len(anchored))).smallest_pivot >= max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     @cached_property
     def lost_digits(self) -> float:
@@ -273,6 +293,13 @@ def _same_matrix(one: Any, other: Any) -> bool:
     if one is None or other is None or one.shape != other.shape:
         return False
     return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)
+
+
+def _stated_motions(problem: ContactProblem) -> RigidMotions:
+    """Those of `near_null_space` that nothing resists, a motion of one body each."""
+    if problem.near_null_space is None:
+        return RigidMotions(np.zeros((problem.dimension, 0)))
+    return stated_motions(problem.stiffness_rows, problem.near_null_space)
 
 
 def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:

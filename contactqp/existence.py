@@ -129,10 +129,12 @@ def describe_motion(problem: ContactProblem, motion: Vector) -> str:
     moving = np.flatnonzero(abs(motion) > NO_PART * np.max(abs(motion)))
     # Rounded, so that unknowns that move alike are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
-    return _listed([f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order])
+    named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
+    return _listed(named, len(order))
 
 
-def _listed(names: list[str]) -> str:
+def _listed(names: list[str], count: int | None = None) -> str:
+    """The first names of a list, and how many more there are of `count`, or of the list."""
     shown = names[:NAMES_IN_A_MESSAGE]
-    more = len(names) - len(shown)
+    more = (len(names) if count is None else count) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")

@@ -162,6 +162,7 @@ class RigidMotions:
 
     motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
     softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
+    forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
 
     @property
     def count(self) -> int:
@@ -185,8 +186,11 @@ def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
     of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
     diagonal of about one. An unknown at rest among unknowns at rest is measured against the largest motion.
     """
-    forces = _forces(matrix, motions)
-    size = abs(matrix) @ abs(motions)
+    return _is_rigid(motions, _forces(matrix, motions), abs(matrix) @ abs(motions))
+
+
+def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
+    """The same of K z (n, q) and |K||z| (n, q)."""
     largest = np.max(abs(motions), axis=0, initial=0.0)
     still = np.all(abs(forces) <= RIGID_FORCE * np.maximum(size, largest), axis=0)
     energy, scale = np.sum(motions * forces, axis=0), np.sum(abs(motions) * size, axis=0)
@@ -197,6 +201,44 @@ def _forces(matrix: Any, motions: Array) -> Array:
     """K z of every column, accumulated in extended precision: what is zero must not drown in rounding."""
     rows = SparseRows(matrix)
     return np.column_stack([(rows @ extend(z)).double() for z in motions.T]) if motions.size else np.zeros_like(motions)
+
+
+def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
+    """The combinations of some motions (n, q) that are rigid, component by component of a matrix's graph.
+
+    Each is that of one component, with K z = 0 to rounding (`is_rigid`); what is not among them may float all the same.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    graph = sp.csr_matrix(matrix)
+    root = np.sqrt(np.where(graph.diagonal() > 0, graph.diagonal(), 1.0))
+    moving, forces = root[:, None] * motions, (graph @ motions) / root[:, None]
+    count, label = connected_components(graph, directed=False)
+    found: list[Array] = []
+    for members in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=count))[:-1]):
+        for column in _least_energetic(moving[members], forces[members]).T:
+            motion = np.zeros(len(root))
+            motion[members] = column
+            found.append(motion)
+    if not found:
+        return RigidMotions(np.zeros((len(root), 0)))
+    motions = np.column_stack(found) / root[:, None]
+    forces = _forces(graph, motions)
+    size = abs(graph) @ abs(motions)
+    rigid = _is_rigid(root[:, None] * motions, forces / root[:, None], size / root[:, None])
+    return RigidMotions(motions[:, rigid], forces=forces[:, rigid])
+
+
+def _least_energetic(motions: Array, forces: Array) -> Array:
+    """Orthonormal combinations of motions (p, q) with next to no energy, K z being the forces (p, q)."""
+    basis, values, rotation = np.linalg.svd(motions, full_matrices=False)
+    kept = values > np.finfo(float).eps * max(motions.shape) * np.max(values, initial=0.0)
+    if not np.any(kept):
+        return motions[:, :0]
+    mix = rotation[kept].T / values[kept]
+    energy = basis[:, kept].T @ (forces @ mix)
+    energies, turned = np.linalg.eigh((energy + energy.T) / 2)
+    return np.asarray(motions @ (mix @ turned[:, energies <= SOFT]))  # exact where the motions are
 
 
 def null_space(matrix: Any) -> RigidMotions:

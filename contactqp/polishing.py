@@ -277,7 +277,7 @@ def least_displacement(
     """
     u, force, tie = without_noise(problem, condensation, answer)
     shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
-    if not free.shape[1]:
+    if not free.shape[1] or np.max(abs(shift)) <= WITHIN_ROUNDING * np.max(abs(u), initial=0.0):
         return answer, free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
