@@ -26,10 +26,12 @@ from contactqp.factorization import (
     Array,
     DenseCholesky,
     RigidMotions,
+    condensed_null_space,
     inverse_root,
     null_space,
     stated_motions,
 )
+from contactqp.pardiso import NotPositive
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate
 from contactqp.stages import CONDENSE, count_factorisation, stage
@@ -42,6 +44,10 @@ LOST_DIGITS = 8 * np.finfo(float).eps
 CONDENSED_ROUNDING = 1e-6
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
 UNRESISTED = 1e-9
+# The eigenvectors of a K up to this size cost next to nothing.
+SMALL = 900
+# Nodes of a body that are retained where it may float: three that are no line hold it.
+FAR_APART = 4
 # Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
 # of one, get an unknown more to hold them.
 HARDLY_HELD = 1e-4
@@ -64,15 +70,11 @@ class Condensation:
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         stated = _stated_motions(problem)
         fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
-        self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
+        self._eliminate_if_regular(np.union1d(touched, fixing), unknown_scale(problem))
         if stated.count and self._floats_no_further(stated):
             self.rigid = stated
         elif self._may_be_singular():
-            self.rigid = null_space(self._sparse)
-            fixing = fixing_unknowns(self.rigid.motions, self.retained, self._diagonal)
-            if fixing.size:
-                self._spent += self._elimination.half_substitutions
-                self._eliminate(np.union1d(touched, fixing), unknown_scale(problem))
+            self._find_rigid_motions(problem, touched)
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
         self.tie = problem.tie[:, self.retained].toarray()
@@ -83,10 +85,17 @@ class Condensation:
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
-    def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
-        self.retained = retained
+    def _eliminate_if_regular(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
+        """Eliminate the interior; where it floats some nodes far apart are retained as well."""
+        try:
+            self._eliminate(retained, of_stiffness, singular=self._sparse.shape[0] <= SMALL)
+        except NotPositive:
+            self._eliminate(np.union1d(retained, unknowns_far_apart(self._sparse)), of_stiffness)
+
+    def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array, singular: bool = True) -> None:
         self._reduced: tuple[Vector, Vector, Vector] | None = None
-        self._elimination = eliminate(self._sparse, retained)
+        self._elimination = eliminate(self._sparse, retained, singular)
+        self.retained = retained
         if len(retained) < self._sparse.shape[0]:
             self.factorisations += 1
             count_factorisation()
@@ -117,6 +126,26 @@ class Condensation:
         if interior < SUSPICIOUS_PIVOT:
             return True
         return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
+
+    def _find_rigid_motions(self, problem: ContactProblem, touched: NDArray[np.intp]) -> None:
+        """Where the interior floats, some nodes far apart are retained as well; then S knows all rigid motions.
+
+        If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
+        """
+        scale, large = unknown_scale(problem), problem.dimension > SMALL
+        if large and self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
+            self._spent += self._elimination.half_substitutions
+            self._eliminate(np.union1d(self.retained, unknowns_far_apart(self._sparse)), scale)
+        if large and self._elimination.smallest_pivot >= SUSPICIOUS_PIVOT:
+            if self._may_be_singular():
+                self.rigid = condensed_null_space(self._sparse, self.retained, self._elimination, self.scale)
+            return
+        self.rigid = null_space(self._sparse)
+        fixing = fixing_unknowns(self.rigid.motions, touched, self._diagonal)
+        held = np.union1d(touched, fixing)
+        if not np.array_equal(held, self.retained):
+            self._spent += self._elimination.half_substitutions
+            self._eliminate(held, scale)
 
     def _floats_no_further(self, stated: RigidMotions) -> bool:
         """Whether K is regular but for the stated motions: S is, once these are anchored."""
@@ -305,6 +334,36 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
 def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+
+
+def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
+    """The unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K tells.
+
+    Unknowns that K couples with the same others are those of one node.
+    """
+    from scipy.sparse.csgraph import connected_components, dijkstra
+
+    graph = sp.csr_matrix(stiffness)
+    _, label = connected_components(graph, directed=False)
+    hops = sp.csr_matrix((np.ones(graph.nnz), graph.indices, graph.indptr), shape=graph.shape)
+    starts = np.unique(label, return_index=True)[1]
+    chosen: list[NDArray[np.intp]] = []
+    away = np.full(len(label), np.inf)
+    for _ in range(FAR_APART):
+        chosen.append(starts)
+        reached = dijkstra(hops, directed=False, indices=starts, unweighted=True, min_only=True)
+        away = np.minimum(away, reached)
+        order = np.lexsort((away, label))
+        starts = order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)]
+    nodes = np.unique(np.concatenate(chosen))
+    return np.unique(np.concatenate([_of_same_node(graph, int(j)) for j in nodes])).astype(np.intp)
+
+
+def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
+    near = np.sort(graph.indices[graph.indptr[j] : graph.indptr[j + 1]])
+    return np.array(
+        [k for k in near if np.array_equal(np.sort(graph.indices[graph.indptr[k] : graph.indptr[k + 1]]), near)]
+    )
 
 
 def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:

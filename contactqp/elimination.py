@@ -121,18 +121,21 @@ class LastBlock:
         return self._factor.backward(right)
 
 
-def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
+def eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool = True) -> Elimination:
     """The fastest way that there is for a stiffness (n, n) CSR and unknowns (p,) to retain.
 
     Raises
     ------
+    NotPositive
+        The interior is singular, as far as PARDISO can tell; only where `singular` is False: SuperLU has its pivots,
+        and takes much longer.
     InvalidProblem
         The environment names a solver that is none.
     Unsupported
         S does not fit into memory.
     """
     try:
-        return _eliminate(stiffness, retained)
+        return _eliminate(stiffness, retained, singular)
     except MemoryError:
         count = len(retained)
         size = f"{count**2 * np.dtype(float).itemsize / 2**30:.0f} GiB"
@@ -142,7 +145,7 @@ def eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
         ) from None
 
 
-def _eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
+def _eliminate(stiffness: Any, retained: NDArray[np.intp], singular: bool) -> Elimination:
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in CHOICES:
         raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {chosen!r}")
@@ -153,7 +156,8 @@ def _eliminate(stiffness: Any, retained: NDArray[np.intp]) -> Elimination:
     if wanted and np.all(stiffness.diagonal()[interior] > 0):
         try:
             return LastBlock(stiffness, retained)
-        except NotPositive:
-            pass  # singular or nearly so: whether it is indefinite is for the pivots of the other way to tell
+        except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
+            if not singular:
+                raise
     pays = count > max(DENSE_SIZE, FEW * len(retained))
     return (TrailingBlock if pays else BackSubstitution)(sp.csr_matrix(stiffness), retained)

@@ -27,6 +27,8 @@ MIXED_AT_MOST = 1e-6
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
 # for.
 SUSPICIOUS_PIVOT = 1e-8
+# Steps of conjugate gradients that spread forces over a body.
+SPREADING = 30
 # Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
 # matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
@@ -265,6 +267,60 @@ def null_space(matrix: Any) -> RigidMotions:
     return RigidMotions(np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray()), softest)
 
 
+def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: Any, scale: Array) -> RigidMotions:
+    """The null space of K whose interior, without the retained unknowns, is regular: that of S, expanded.
+
+    Where S has soft motions that are not rigid, K itself is asked.
+
+    Parameters
+    ----------
+    retained : (p,) array of int
+    elimination : contactqp.elimination.Elimination
+        Of the interior.
+    scale : (p,) array
+        What gives S a unit diagonal.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    label = connected_components(sp.csr_matrix(matrix), directed=False)[1][retained]
+    S = elimination.schur * np.outer(scale, scale)
+    parts = [_SoftPart(np.flatnonzero(label == c), S) for c in np.unique(label)]
+    width = max((part.motions.shape[1] for part in parts), default=0)
+    if not width:
+        return RigidMotions(np.zeros((matrix.shape[0], 0)))
+    soft = np.zeros((len(retained), width))
+    for part in parts:
+        soft[part.members, : part.motions.shape[1]] = part.motions
+    _, nothing = elimination.reduce(np.zeros(matrix.shape[0]))
+    motions = [_spread(matrix, elimination.expand(scale * z, nothing)) for z in soft.T]
+    found = stated_motions(matrix, np.column_stack(motions))
+    if found.count < sum(part.motions.shape[1] for part in parts):
+        return null_space(matrix)
+    return RigidMotions(found.motions, min((part.next_energy for part in parts), default=1.0), found.forces)
+
+
+def _spread(matrix: Any, motion: Array) -> Array:
+    """A rigid motion whose forces K z, the rounding of all of K that elimination gathers at few unknowns, are spread."""
+    from scipy.sparse.linalg import cg
+
+    diagonal = matrix.diagonal()
+    jacobi = sp.diags(1 / np.where(diagonal > 0, diagonal, 1.0))
+    forces = _forces(matrix, motion[:, None])[:, 0]
+    return np.asarray(motion - cg(matrix, forces, maxiter=SPREADING, M=jacobi)[0])
+
+
+class _SoftPart:
+    """The soft motions of one body's part of S, scaled to a unit diagonal."""
+
+    def __init__(self, members: NDArray[np.intp], S: Array) -> None:
+        self.members = members
+        block = S[np.ix_(members, members)]
+        self.motions, self.next_energy = np.zeros((len(members), 0)), 1.0
+        if DenseCholesky(block, np.ones(len(members))).smallest_pivot < SUSPICIOUS_PIVOT:
+            shifted = DenseCholesky(block + SOFT * np.eye(len(members)), np.ones(len(members)))
+            self.motions, self.next_energy = _lowest(block, shifted)
+
+
 def _null_space_of_component(component: Any) -> RigidMotions:
     size = component.shape[0]
     if size == 1:
@@ -297,20 +353,27 @@ def _lowest_dense(scaled: Array) -> tuple[Array, float]:
 
 
 def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
-    """Inverse subspace iteration on K + shift: the block doubles until it holds a vector that is not rigid."""
+    """Soft motions by inverse subspace iteration, and the energy of the first that is not."""
     shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
-    random = np.random.default_rng(0)
-    width = 8
-    while True:
-        block, _ = np.linalg.qr(random.standard_normal((scaled.shape[0], width)))
-        for _ in range(4):
-            block, _ = np.linalg.qr(shifted.solve(block))
-        values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
-        if values[-1] > SOFT or width >= scaled.shape[0]:
-            break
-        width = min(2 * width, scaled.shape[0])
-    lowest = block @ rotation[:, values <= SOFT]
+    lowest, next_energy = _lowest(scaled, shifted)
     for _ in range(2):
         # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
         lowest = lowest - shifted.solve(_forces(scaled, lowest))
-    return lowest, float(np.min(values[values > SOFT], initial=1.0))
+    return lowest, next_energy
+
+
+def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
+    """Inverse subspace iteration on K + SOFT: the block doubles until it holds a vector that is not soft."""
+    random = np.random.default_rng(0)
+    size = scaled.shape[0]
+    width = min(8, size)
+    while True:
+        block, _ = np.linalg.qr(random.standard_normal((size, width)))
+        for _ in range(4):
+            block, _ = np.linalg.qr(shifted.solve(block))
+        values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
+        if values[-1] > SOFT or width >= size:
+            break
+        width = min(2 * width, size)
+    soft = values <= SOFT
+    return np.asarray(block @ rotation[:, soft]), float(np.min(values[~soft], initial=1.0))

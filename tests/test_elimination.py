@@ -128,3 +128,53 @@ def test_contacts_whose_dense_stiffness_does_not_fit_are_refused_in_one_line(mon
     springs = cq.ContactProblem(np.eye(4), np.ones(4), np.eye(4), np.zeros(4))
     with pytest.raises(Unsupported, match=r"4 unknowns at contacts .* memory is full"):
         cq.solve(springs)
+
+
+def floating_block(cells=18, **changes):
+    """A block of more than 900 unknowns, pressed down at its top and held by contact alone."""
+    body = Body(rectangle(1.0, 0.5, (2 * cells, cells)), Material(1.0, 0.3), "plane-strain", name="block")
+    structure = Structure([body])
+    paraboloid = cq.Paraboloid([0.5, 0.0], [0.0, 1.0], 5.0)
+    problem = structure.assemble([]).problem([cq.pair(structure.surface("block", "bottom"), paraboloid)])
+    load, points = np.zeros(body.size), body.mesh.points
+    load[2 * np.flatnonzero(points[:, 1] == 0.5) + 1] = -1e-3
+    return problem.replace(load=load, **changes)
+
+
+def test_a_body_whose_motions_are_stated_is_factorised_once():
+    problem = floating_block()
+    stated, unstated = cq.solve(problem), cq.solve(problem.replace(near_null_space=None))
+    assert stated.work.factorisations == 1
+    assert stated.certificate.passed
+    assert stated.certificate.proven
+    assert condense(problem).rigid.count == 3
+    assert np.allclose(stated.normal_force, unstated.normal_force, rtol=0, atol=1e-9 * np.max(unstated.normal_force))
+
+
+def test_motions_that_are_stated_wrongly_or_in_part_stay_hints():
+    problem = floating_block()
+    reference = cq.solve(problem).normal_force
+    motions = problem.near_null_space
+    strained = motions + 1e-9 * np.random.default_rng(0).normal(size=motions.shape)
+    for hints in (strained, motions[:, :1], np.random.default_rng(1).normal(size=motions.shape)):
+        twin = problem.replace(near_null_space=hints)
+        assert condense(twin).rigid.count == 3
+        solution = cq.solve(twin)
+        assert solution.certificate.proven
+        assert np.allclose(solution.normal_force, reference, rtol=0, atol=1e-9 * np.max(reference))
+
+
+def test_supports_leave_combinations_of_the_stated_motions():
+    # Held in x at one side: only the motion along y is left, one column or a combination of several.
+    body = Body(rectangle(1.0, 0.5, (36, 18)), Material(1.0, 0.3), "plane-strain", name="block")
+    structure = Structure([body])
+    assembled = structure.assemble([Support("block", "left", 0)])
+    paraboloid = cq.Paraboloid([0.0, 0.0], [0.0, 1.0], 5.0)
+    problem = assembled.problem([cq.pair(structure.surface("block", "bottom"), paraboloid)])
+    load = np.zeros(body.size)
+    load[2 * np.flatnonzero(body.mesh.points[:, 1] == 0.5) + 1] = -1e-3
+    mixed = problem.near_null_space @ np.array([[1.0, 2.0, 0.5], [1.0, -1.0, 3.0], [0.0, 1.0, 1.0]])
+    for motions in (problem.near_null_space, mixed):
+        twin = problem.replace(load=load[assembled.free], near_null_space=motions)
+        assert condense(twin).rigid.count == 1
+        assert cq.solve(twin).certificate.proven
