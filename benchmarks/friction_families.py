@@ -94,14 +94,17 @@ def _contact(
     )  # fmt: skip
 
 
+def _dense(problem: cq.ContactProblem) -> NDArray[np.float64]:
+    return np.asarray(problem.stiffness.toarray() if hasattr(problem.stiffness, "toarray") else problem.stiffness)
+
+
 def _in_units(plain: cq.ContactProblem, units: Units) -> cq.ContactProblem:
     assert plain.tangent is not None
     assert plain.slip_origin is not None
     d, width = units.unknown, plain.slip_origin.shape[1]
     row, rows = units.row, np.repeat(units.row, width)
-    stiffness = np.asarray(plain.stiffness.toarray() if hasattr(plain.stiffness, "toarray") else plain.stiffness)
     return cq.ContactProblem(
-        stiffness=stiffness / np.outer(d, d) * units.force / units.length,
+        stiffness=_dense(plain) / np.outer(d, d) * units.force / units.length,
         load=plain.load / d * units.force,
         normal=plain.normal.toarray() / d * row[:, None],
         gap=plain.gap * row * units.length,
@@ -137,6 +140,13 @@ LOCAL_FAMILIES = {
     )
 }
 FAMILIES = (*CONTACT_FAMILIES, *LOCAL_FAMILIES)
+# One contact far beyond all others, or every contact in a unit of its own.
+FAR, SCALED = "far_gap", "scaled_contact"
+for _dimension in (2, 3):
+    for _kind in (FAR, SCALED):
+        CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, False, False)
+        LOCAL_FAMILIES[f"local {_kind} {_dimension}D"] = (_dimension, False, 0.0, True)
+        FAMILIES += (f"{_kind} {_dimension}D", f"local {_kind} {_dimension}D")
 
 
 def contact_problem(name: str, seed: int) -> Posed:
@@ -150,7 +160,49 @@ def contact_problem(name: str, seed: int) -> Posed:
             2.0 ** rng.integers(-12, 13, n), 2.0 ** rng.integers(-12, 13, m), 2.0 ** float(rng.integers(-20, 21)),
             2.0 ** float(rng.integers(-30, 31)),
         )  # fmt: skip
+    if name.startswith(SCALED):
+        units = Units(np.ones(n), own_units(rng, m), 1.0, 1.0)
+    if name.startswith(FAR):
+        plain = with_far_contact(rng, plain)
+        units = Units(np.ones(plain.dimension), np.ones(m + 1), 1.0, 1.0)
     return Posed(_in_units(plain, units), plain, units, around)
+
+
+def own_units(rng: np.random.Generator, contacts: int) -> NDArray[np.float64]:
+    """(m,) powers of two from 1e-8 to 1e8, of rows, gap and slip origin of every contact."""
+    return np.asarray(2.0 ** rng.integers(-26, 27, contacts))
+
+
+def with_far_contact(rng: np.random.Generator, near: cq.ContactProblem) -> cq.ContactProblem:
+    """The problem with a contact that stays open, a million to a billion away, and a far slip origin: answers stay.
+
+    It belongs to a body of its own, or, every other time, to the first unknowns of the others, beyond a stop that no
+    answer reaches.
+    """
+    assert near.tangent is not None
+    assert near.slip_origin is not None
+    assert near.friction is not None
+    width, n = near.slip_origin.shape[1], near.dimension
+    alone = width + 1 if rng.random() < 0.5 else 0
+    own = np.eye(n + alone)[n:] if alone else np.eye(n)[: width + 1]
+    K = np.zeros((n + alone, n + alone))
+    K[:n, :n], K[n:, n:] = _dense(near), np.eye(alone)
+
+    def wider(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.hstack([rows, np.zeros((len(rows), alone))])
+
+    far = 2.0 ** float(rng.integers(20, 31))
+    return cq.ContactProblem(
+        stiffness=K,
+        load=np.append(near.load, rng.normal(size=alone)),
+        normal=np.vstack([wider(near.normal.toarray()), own[0]]),
+        gap=np.append(near.gap, far),
+        tangent=np.vstack([wider(near.tangent.toarray()), own[1 : width + 1]]),
+        friction=np.append(near.friction, 0.5),
+        slip_origin=np.vstack([near.slip_origin, np.full((1, width), -far)]),
+        tie=wider(near.tie.toarray()) if near.ties else None,
+        tie_value=near.tie_value if near.ties else None,
+    )
 
 
 def local_problem(name: str, seed: int) -> tuple[cq.LocalProblem, bool]:
@@ -173,4 +225,11 @@ def local_problem(name: str, seed: int) -> tuple[cq.LocalProblem, bool]:
         rubbed = -(mu * pressed * np.where(slips, 1.0, rng.uniform(0.0, 0.9, m)))[:, None] * direction
         u = np.column_stack([np.where(closed, 0.0, 0.4), np.where(slips | ~closed, 0.5, 0.0)[:, None] * direction])
         q = u.ravel() - W @ np.column_stack([pressed, rubbed]).ravel()
+    if SCALED in name:
+        c = np.repeat(own_units(rng, m), dimension)
+        W, q = W * np.outer(c, c), q * c
+    if FAR in name:  # coupled to the first contact, and far beyond what it can be moved
+        moves = np.hstack([rng.integers(-2, 3, (dimension, dimension)) / 2, np.zeros((dimension, size - dimension))])
+        W = np.block([[W, W @ moves.T], [moves @ W, moves @ W @ moves.T + np.eye(dimension)]])
+        mu, q = np.append(mu, 0.5), np.concatenate([q, 2.0 ** float(rng.integers(20, 31)) * np.ones(dimension)])
     return cq.LocalProblem(delassus=W, offset=q, friction=mu, dimension=dimension), around

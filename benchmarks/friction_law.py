@@ -40,11 +40,28 @@ def broken(posed: Posed, solution: cq.Solution) -> float:
 
 
 def broken_locally(problem: cq.LocalProblem, solution: cq.LocalSolution) -> float:
-    """The same of a problem in local form; r_T = -l_T."""
-    r = solution.force
-    u = (problem.delassus.toarray() @ r.ravel() + problem.offset).reshape(r.shape)
+    """The same of a problem in local form, r_T = -l_T, contacts scaled to a compliance of one; far ones are no size."""
+    scale = _contact_scale(problem)
+    r = solution.force / scale[:, None]
+    u = scale[:, None] * (problem.delassus.toarray() @ solution.force.ravel() + problem.offset).reshape(r.shape)
     parts = _law(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], problem.friction)
-    return _worst(parts, (u, r, problem.offset))
+    return _worst(parts, (r, driven(problem, solution), np.minimum(abs(u), 1.0)))
+
+
+def driven(problem: cq.LocalProblem, solution: cq.LocalSolution) -> Array:
+    """W r (d m,) with every contact scaled to a compliance of one: what tells one answer from another."""
+    scale = np.repeat(_contact_scale(problem), problem.dimension)
+    return np.asarray(scale * (problem.delassus.toarray() @ solution.force.ravel()))
+
+
+def size_of_offsets(problem: cq.LocalProblem) -> Array:
+    """(m,) the largest |q| of every contact, scaled to a compliance of one."""
+    return np.asarray(_contact_scale(problem) * np.max(abs(problem.offset).reshape(problem.contacts, -1), axis=1))
+
+
+def _contact_scale(problem: cq.LocalProblem) -> Array:
+    size = problem.delassus.diagonal().reshape(problem.contacts, -1).max(axis=1)
+    return np.asarray(1.0 / np.sqrt(np.where(size > 0, size, 1.0)))
 
 
 def _law(normal: Array, friction: Array, gap: Array, slip: Array, coefficient: Array) -> tuple[Array, ...]:

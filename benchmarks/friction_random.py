@@ -21,7 +21,7 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks.friction_families import CONTACT_FAMILIES, FAMILIES, Posed, contact_problem, local_problem
-from benchmarks.friction_law import broken, broken_locally, plain_answer, seen
+from benchmarks.friction_law import broken, broken_locally, driven, plain_answer, seen, size_of_offsets
 from benchmarks.processes import reports_of
 
 ALGORITHMS = ("default", "tresca", "aclm", "newton", "nsgs", "admm")
@@ -144,7 +144,7 @@ def _judge_local(report: Report, problem: cq.LocalProblem, solvable: bool) -> No
     flat = problem.dimension == 2
     if flat:
         found = cq.equilibria(problem)
-        known = [solution.velocity.ravel() for solution in found]
+        known = [driven(problem, solution) for solution in found]
         report.states = len(known)
         for solution in found:
             if (worst := broken_locally(problem, solution)) > BREAKS:
@@ -162,13 +162,14 @@ def _judge_local(report: Report, problem: cq.LocalProblem, solvable: bool) -> No
             continue
         report.exists = True
         # A singular operator may leave a continuum of velocities.
-        if flat and not deficient and not _among(solution.velocity.ravel(), known):
+        nearest = float(np.min(size_of_offsets(problem), initial=1.0))
+        if flat and not deficient and not _among(driven(problem, solution), known, SAME * nearest):
             report.wrong.append(f"{name}: not among all {len(known)} equilibria")
 
 
-def _among(u: np.ndarray, known: list[np.ndarray]) -> bool:
-    size = max(float(np.max(abs(u), initial=0.0)), 1e-3)
-    return any(float(np.max(abs(u - other), initial=0.0)) <= SAME * size for other in known)
+def _among(u: np.ndarray, known: list[np.ndarray], least: float = 1e-3 * SAME) -> bool:
+    allowed = max(SAME * float(np.max(abs(u), initial=0.0)), least)
+    return any(float(np.max(abs(u - other), initial=0.0)) <= allowed for other in known)
 
 
 def _says_several(findings: tuple[str, ...]) -> bool:

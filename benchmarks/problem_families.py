@@ -6,7 +6,13 @@ every problem has (or has not) a solution is by construction; each maker says ho
 """
 
 # Importing the files registers what they hold.
-from benchmarks import families_of_constraints, families_of_contacts, families_of_floating_bodies, families_of_stiffness
+from benchmarks import (
+    families_of_constraints,
+    families_of_contacts,
+    families_of_floating_bodies,
+    families_of_scales,
+    families_of_stiffness,
+)
 from benchmarks.family_register import FAMILIES, Family, family
 
 __all__ = [
@@ -15,6 +21,7 @@ __all__ = [
     "families_of_constraints",
     "families_of_contacts",
     "families_of_floating_bodies",
+    "families_of_scales",
     "families_of_stiffness",
     "family",
 ]

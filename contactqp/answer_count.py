@@ -1,9 +1,11 @@
 """How many answers a small frictional problem of the plane has at its load: all combinations of open, stick and slip.
 
-Each combination is a linear system in the contact forces l and joints j (`contactqp.contact_compliance`), and an
-answer where its signs hold. Answers are told apart by how the contacts move: normal rows, and tangential ones where
-there is friction. Where a system leaves something free that moves contacts, a linear program decides whether signs can
-hold; if they can, there is a family of answers. `contactqp.equilibria` refines each of them; here they are counted.
+Each combination is a linear system in the contact forces l and joints j (`contactqp.contact_compliance`), and an answer
+where its signs hold. Answers are told apart by how the contacts move: normal rows, and tangential ones where there is
+friction. Signs and motions are measured contact by contact, against the lengths that meet there: a contact that is far,
+or has slipped far, hides no answer at another. Where a system leaves something free that moves contacts, a linear
+program decides whether signs can hold; if they can, there is a family of answers. `contactqp.equilibria` refines each
+of them; here they are counted.
 """
 
 from __future__ import annotations
@@ -21,9 +23,13 @@ from contactqp.problem import ContactProblem, Vector
 MOST_COUNTED = 5
 # Each system that leaves something free takes some linear programs.
 MOST_LOOSE = 30
-# Signs that fail by this part of the largest length or force, both in sqrt(energy), may be rounding.
+# Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
 DOUBTFUL = 1e-9
-# Answers that differ by less than this part of their size are one.
+# Of the largest force, what rounding may leave of another.
+ROUNDING = 1e-13
+# Of the largest displacement that the loads make without contacts, what rounding may leave of another.
+NOTHING = 1e-12
+# Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
 SAME = 1e-6
 
 
@@ -35,21 +41,25 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     singular = ~regular(matrices)
     y = np.zeros_like(right)
     y[~singular] = np.linalg.solve(matrices[~singular], right[~singular][:, :, None])[:, :, 0]
-    found = [system.moved(y[b]) for b in np.flatnonzero(~singular & system.holds(status, y))]
+    found = [y[b] for b in np.flatnonzero(~singular & system.holds(status, y))]
     loose = []
     for b in np.flatnonzero(singular):
         y[b], free = _least(matrices[b], right[b])
-        if np.max(abs(matrices[b] @ y[b] - right[b]), initial=0.0) > DOUBTFUL * system.size:
+        sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
+        rounding = system.nothing + ROUNDING * np.max(abs(y[b]), initial=0.0)
+        if np.any(abs(matrices[b] @ y[b] - right[b]) > DOUBTFUL * sizes + rounding):
             continue
         if len(free):
-            loose.append((b, y[b], free))
+            signs = _Signs(system, status[b], y[b], free)
+            if signs.may_hold:
+                loose.append(signs)
         elif system.holds(status[b : b + 1], y[b : b + 1])[0]:
-            found.append(system.moved(y[b]))
+            found.append(y[b])
     if len(loose) > MOST_LOOSE:
         return None
-    for b, start, free in loose:
-        found += _extremes(*system.signs(status[b]), start, free, system)
-    return any(np.max(abs(one - found[0]), initial=0.0) > SAME * system.size for one in found[1:])
+    for signs in loose:
+        found += signs.extremes()
+    return any(system.differ(one, found[0]) for one in found[1:])
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
@@ -71,11 +81,13 @@ class _Systems:
         free, self._held = compliance.free(problem, condensation)
         limits = np.stack([problem.gap, problem.slip_origin[:, 0]], axis=1) / compliance.scale[:, None]
         self._room = (limits.ravel() - free).reshape(-1, 2)  # of gap and slip without forces
-        self.size = float(max(np.max(abs(part), initial=0.0) for part in (free, limits, self._held))) or 1.0
+        self._given = (abs(limits).ravel() + abs(free)).reshape(-1, 2)
+        self.nothing = NOTHING * max(float(np.max(abs(part), initial=0.0)) for part in (free, self._held))
+        self._compliance = np.diagonal(self._W).reshape(-1, 2)
         self._slope = -np.hstack([self._W, self._V])
-        rubs = np.repeat(self.mu > 0, 2)
-        rubs[::2] = True
-        self._felt = self._slope[rubs]
+        self._rubs = np.repeat(self.mu > 0, 2)
+        self._rubs[::2] = True
+        self._felt = self._slope[self._rubs]
 
     def assembled(self, status: NDArray[np.int8]) -> tuple[Array, Array]:
         """(c, q, q) and (c, q)."""
@@ -92,15 +104,34 @@ class _Systems:
 
     def holds(self, status: NDArray[np.int8], y: Array) -> NDArray[np.bool_]:
         """Which solutions (c, q) have the signs of their combination (c, m)."""
-        m, allowed = len(self.mu), DOUBTFUL * self.size
+        m = len(self.mu)
         force = y[:, : 2 * m].reshape(len(y), m, 2)
         room = self._room - (y @ self._slope.T).reshape(force.shape)
         gap, slip = room[:, :, 0], -room[:, :, 1]
+        length, pushed = self._allowed(y)
         opened, stuck = status == OPEN, status == STICK
-        right = np.where(opened, gap >= -allowed, force[:, :, 0] >= -allowed)
-        right &= np.where(stuck, abs(force[:, :, 1]) <= self.mu * force[:, :, 0] + allowed, True)
-        right &= np.where(opened | stuck | (self.mu == 0), True, status * slip >= -allowed)
+        right = np.where(opened, gap >= -length[:, :, 0], force[:, :, 0] >= -pushed[:, :, 0])
+        bound = self.mu * (force[:, :, 0] + pushed[:, :, 0]) + pushed[:, :, 1]
+        right &= np.where(stuck, abs(force[:, :, 1]) <= bound, True)
+        right &= np.where(opened | stuck | (self.mu == 0), True, status * slip >= -length[:, :, 1])
         return np.asarray(np.all(right, axis=1))
+
+    def _allowed(self, y: Array) -> tuple[Array, Array]:
+        """(c, m, 2) by how much lengths and forces of solutions (c, q) may fail their signs by rounding."""
+        meeting = self._given + self.nothing / DOUBTFUL + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
+        largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
+        compliance = np.broadcast_to(self._compliance, meeting.shape)
+        felt = compliance > DEPENDENT * np.max(compliance, initial=0.0)
+        asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
+        return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
+
+    def sizes(self, status: NDArray[np.int8], y: Vector) -> Vector:
+        """Of every row of `signs`, what it may fail by in a solution (q,)."""
+        length, pushed = (part[0] for part in self._allowed(y[None]))
+        opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
+        sliding = np.flatnonzero((abs(status) == 1) & (self.mu > 0))
+        rubbed = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
+        return np.concatenate([length[opened, 0], pushed[closed, 0], rubbed, rubbed, length[sliding, 1]])
 
     def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
         """Room and its slope in y: the signs hold where room + slope y >= 0."""
@@ -114,9 +145,11 @@ class _Systems:
         rows = [-self._slope[2 * opened], unit[2 * closed], bound - friction, bound + friction, slip]
         return room, np.vstack(rows) if m else np.zeros((0, len(unit)))
 
-    def moved(self, y: Vector) -> Vector:
-        """How the contacts move by forces and joints."""
-        return np.asarray(self._felt @ y)
+    def differ(self, one: Vector, other: Vector) -> bool:
+        """Whether forces and joints of two answers move any contact differently."""
+        sizes = abs(self._felt) @ np.maximum(abs(one), abs(other))
+        doubtful = 10 * (DOUBTFUL * self._given.ravel()[self._rubs] + self.nothing)
+        return bool(np.any(abs(self._felt @ (one - other)) > SAME * sizes + doubtful))
 
     def moving(self, free: Array) -> Array:
         """What free directions (k, q) make of the contacts: rows (r, k) that they move at all."""
@@ -124,23 +157,40 @@ class _Systems:
         return np.asarray(change[np.any(abs(change) > np.sqrt(DEPENDENT), axis=1)])
 
 
-def _extremes(room: Vector, change: Array, start: Vector, free: Array, system: _Systems) -> list[Vector]:
-    """How the contacts move in those solutions start + free'c whose signs hold that lie furthest apart."""
-    from scipy.optimize import linprog
+class _Signs:
+    """The signs of one combination along the solutions start + free'c of a system that leaves something free."""
 
-    size, allowed = system.size, DOUBTFUL * system.size
-    left, slope = room + change @ start, change @ free.T
-    idle = np.all(abs(slope) <= np.sqrt(DEPENDENT), axis=1)
-    if np.any(left[idle] < -allowed):
-        return []
-    moving = system.moving(free)
-    wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(free)))
-    found = []
-    for row in wanted:
-        # Beyond a thousand times the size of the data a family is a family.
-        bounds = [(-1e3, 1e3)] * len(free)
-        answer = linprog(-row, A_ub=-slope, b_ub=left / size + DOUBTFUL, bounds=bounds, method="highs")
-        if answer.x is None:
-            return []
-        found.append(system.moved(start + size * free.T @ answer.x))
-    return found
+    def __init__(self, system: _Systems, status: NDArray[np.int8], start: Vector, free: Array) -> None:
+        self._start, self._free, self._moving = start, free, system.moving(free)
+        room, change = system.signs(status)
+        self._left, self._slope, self._allowed = room + change @ start, change @ free.T, system.sizes(status, start)
+        self._idle = np.all(abs(self._slope) <= np.sqrt(DEPENDENT), axis=1)
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether all signs that no c changes hold."""
+        return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
+
+    def extremes(self) -> list[Vector]:
+        """Those solutions whose signs hold that move the contacts furthest apart; none where no signs hold."""
+        from scipy.optimize import linprog
+
+        size = self._allowed / DOUBTFUL
+        known = size[~self._idle & (size > 0)]
+        step = float(np.median(known)) if len(known) else 1.0
+        size = np.where(size > 0, size, step)
+        moving = self._moving
+        wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(self._free)))
+        found = []
+        for row in wanted:
+            answer = linprog(
+                -row,
+                A_ub=-self._slope * (step / size)[:, None],
+                b_ub=self._left / size + DOUBTFUL,
+                bounds=[(-1e3, 1e3)] * len(self._free),  # beyond a thousand times its size a family is a family
+                method="highs",
+            )
+            if answer.x is None:
+                return []
+            found.append(self._start + step * self._free.T @ answer.x)
+        return found

@@ -1,8 +1,13 @@
 """Judging forces of a local problem: each contact in its own measure, and the errors that other codes publish.
 
-At contact i let L_i be the largest row sum of |W||r| + |V||l| + |q|, the size of the velocities that meet there, and
-w_i the largest |entry| of its own block of W. A velocity is measured as its size over L_i, a force as w_i |r_i| / L_i;
-0/0 is 0. All measures survive a change of units and common scaling of a contact's rows.
+At contact i let L_N be its normal row of |W||r| + |V||l| + |q|, the size of the normal velocities that meet there, and
+L_T the larger of its tangential rows. A normal velocity is measured as its size over L_N, a slip as its size over L_T,
+a normal force as w_N |r| / L_N and friction as w_T |r| / L_T, w_N = W_NN and w_T the largest |entry| of W_TT of the
+contact alone; 0/0 is 0. A slip that is large beside the gap hides no overlap, and a contact that is far hides nothing
+at another: what is less than 1e-12 of the largest velocity that drives or answers, both as roots of energies, is
+rounding and counts as none, and offsets of open contacts are not among these. All measures survive a change of units
+and common scaling of a contact's rows, the natural map too (`scaled_natural_map`); the errors that are published do
+not, and have no part in the verdict.
 """
 
 from __future__ import annotations
@@ -20,6 +25,9 @@ from contactqp.local_uniqueness import local_uniqueness
 from contactqp.problem_data import Vector, read_array
 from contactqp.published_errors import siconos_local_error
 
+# Velocities and forces of this part of the largest, as roots of energies, are rounding.
+NOTHING = 1e-12
+
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
 
 
@@ -27,8 +35,8 @@ FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction"
 class LocalCertificate:
     """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
 
-    natural_map: float  # |r - P_K(r - u - mu |u_T| e_N)| / |q|, where max |W| = 1 and |q| = sqrt(d m)
-    siconos_error: float  # `published_errors.siconos_local_error`, W and q as given
+    natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
+    siconos_error: float  # `published_errors.siconos_local_error`, W and q as given; no part of the verdict
     penetration: float  # (-u_N)+ as a velocity
     tension: float  # (-r_N)+ as a force
     complementarity: float  # min(u_N, r_N), each in its own measure
@@ -95,12 +103,12 @@ def judged(
     measured = _Measured(problem, r, joint)
     figures = {name: float(np.max(getattr(measured, name), initial=0.0)) for name in FIGURES}
     errors = {
-        "natural_map": normalised_error(problem, r, joint),
+        "natural_map": scaled_natural_map(problem, r, joint),
         "siconos_error": siconos_local_error(problem, r, joint),
     }
     failures = [measured.failure(name, tolerance) for name in FIGURES if figures[name] > tolerance]
     if errors["natural_map"] > tolerance:
-        failures.append(f"natural map: {errors['natural_map']:.3g} of |q| (tolerance {tolerance:g})")
+        failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
     return LocalCertificate(
         **errors,
         **figures,
@@ -120,18 +128,30 @@ def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayL
     return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
 
 
-def normalised_error(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> float:
-    """|r - P_K(r - u - mu |u_T| e_N)| / |q| of the problem scaled so that max |W| = 1 and |q| = sqrt(d m).
+def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> float:
+    """The largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
-    Acary, Bremond, Huber (2018); their measure depends on the scale of W and q, which scaling makes one. With no
-    offset at all, where r = 0 is right, it is the size of the scaled residual.
+    Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own
+    unit changes them. With no offset and no load at all it is relative to the velocities that meet.
     """
-    largest = float(np.max(abs(problem.delassus.data), initial=0.0)) or 1.0
-    size = float(np.linalg.norm(problem.offset)) / np.sqrt(max(len(problem.offset), 1))
-    size = size or 1.0
-    velocity = problem.velocity(force, joint_force) / size
-    residual = natural_map(force * (largest / size), velocity, problem.friction)
-    return float(np.linalg.norm(residual) / np.sqrt(max(len(problem.offset), 1)))
+    scale, shape = problem.contact_scale[:, None], (problem.contacts, problem.dimension)
+    residual = natural_map(force / scale, scale * problem.velocity(force, joint_force), problem.friction)
+    drive = (scale * problem.offset.reshape(shape), problem.bilateral_offset * problem.joint_scale)
+    size = max(float(np.max(abs(part), initial=0.0)) for part in drive)
+    size = size or float(np.max(scale * _meeting(problem, force, joint_force).reshape(shape), initial=0.0)) or 1.0
+    return float(np.max(lengths(residual / size), initial=0.0))
+
+
+def _meeting(problem: LocalProblem, force: NDArray[np.float64], joint_force: Vector) -> Vector:
+    """|W||r| + |V||l| + |q| (d m,): the velocities that meet."""
+    pushed = abs(problem.delassus) @ abs(force).ravel() + abs(problem.bilateral) @ abs(joint_force)
+    return np.asarray(pushed + abs(problem.offset))
+
+
+def _size(problem: LocalProblem, met: NDArray[np.float64]) -> float:
+    """The largest scaled velocity that drives or answers: the problem's `drive`, and what forces make of contacts."""
+    answers = np.maximum(met - abs(problem.offset).reshape(met.shape), 0.0) * problem.contact_scale[:, None]
+    return max(problem.drive, float(np.max(answers, initial=0.0)))
 
 
 class _Measured:
@@ -142,23 +162,37 @@ class _Measured:
         shape = (problem.contacts, problem.dimension)
         u = problem.velocity(r, joint)
         self._velocity = u
-        met = abs(problem.delassus) @ abs(r).ravel() + abs(problem.bilateral) @ abs(joint) + abs(problem.offset)
-        L = np.max(met.reshape(shape), axis=1, initial=0.0)
-        w = own_blocks(problem)
+        met = _meeting(problem, r, joint).reshape(shape)
+        self._along, self._across = met[:, 0], np.max(met[:, 1:], axis=1, initial=0.0)
+        self._nothing = NOTHING * _size(problem, met)
+        self._own = _own_blocks(problem)
+        scale = problem.contact_scale
+        u = np.where(abs(u) * scale[:, None] > self._nothing, u, 0.0)
         bound = problem.friction * np.maximum(r[:, 0], 0.0)
         size, wrong = lengths(r[:, 1:]), r[:, 1:] + bound[:, None] * directions(u[:, 1:])
-        self.slip = _part(lengths(u[:, 1:]), L)
-        self.gap = _part(abs(u[:, 0]), L)
-        self.push = _part(w * r[:, 0], L)
-        self.penetration = _part(np.maximum(-u[:, 0], 0.0), L)
+        self.slip = _part(lengths(u[:, 1:]), self._across)
+        self.gap = _part(abs(u[:, 0]), self._along)
+        self.push = self._measure(r[:, 0], 0)
+        self.penetration = _part(np.maximum(-u[:, 0], 0.0), self._along)
         self.tension = np.maximum(-self.push, 0.0)
-        self.complementarity = np.maximum(np.minimum(_part(u[:, 0], L), self.push), 0.0)
-        self.cone = _part(np.maximum(size - bound, 0.0) * w, L)
-        self.slip_direction = np.minimum(self.slip, _part(lengths(wrong) * w, L))
+        self.complementarity = np.maximum(np.minimum(_part(u[:, 0], self._along), self.push), 0.0)
+        self.cone = self._measure(np.maximum(size - bound, 0.0), 1)
+        self.slip_direction = np.minimum(self.slip, self._measure(lengths(wrong), 1))
         left = abs(problem.bilateral.T @ r.ravel() + problem.bilateral_delassus @ joint + problem.bilateral_offset)
         meeting = abs(problem.bilateral).T @ abs(r).ravel() + abs(problem.bilateral_delassus) @ abs(joint)
         meeting = meeting + abs(problem.bilateral_offset)
         self.joints = np.divide(left, meeting, out=np.zeros_like(left), where=meeting > 0)
+
+    def _measure(self, force: Vector, kind: int) -> Vector:
+        """(m,) normal (0) or tangential (1) forces by what they do to the velocities that meet in their own direction.
+
+        Where they do nothing there, the largest entry of the block and the larger of both velocities are the measure.
+        """
+        met, own = (self._along, self._across)[kind], self._own[kind]
+        any_own, any_met = np.max(self._own, axis=0), np.maximum(self._along, self._across)
+        size = np.where(abs(force) > self._nothing * self._problem.contact_scale, abs(force), 0.0)
+        heard = own > NOTHING * any_own
+        return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
     def state(self, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
         """(m,) which are closed, which of them stick, and (m, d) along what those that slip push."""
@@ -179,13 +213,13 @@ def _part(size: Vector, whole: Vector) -> Vector:
     return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
-def own_blocks(problem: LocalProblem) -> Vector:
-    """(m,) the largest |entry| of each contact's own block of W."""
-    entries = problem.delassus.tocoo()
-    row, column = entries.row // problem.dimension, entries.col // problem.dimension
-    own = row == column
-    largest = np.zeros(problem.contacts)
-    np.maximum.at(largest, row[own], abs(entries.data[own]))
+def _own_blocks(problem: LocalProblem) -> NDArray[np.float64]:
+    """(2, m) the largest |entry| of each contact's own block of W along its normal, and along its tangents."""
+    entries, d = problem.delassus.tocoo(), problem.dimension
+    kind = np.minimum(entries.row % d, 1)
+    own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
+    largest = np.zeros((2, problem.contacts))
+    np.maximum.at(largest, (kind[own], entries.row[own] // d), abs(entries.data[own]))
     return largest
 
 

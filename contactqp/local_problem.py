@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ class LocalProblem:
     ----------
     delassus : (d m, d m) array or sparse matrix
         W = H'M^-1 H, positive semidefinite; contact by contact, N before T. It is used as given, symmetric or not:
-        `asymmetry` is max |W - W'| / max |W|.
+        `asymmetry` is max |W - W'| / max |W|, `scaled_asymmetry` the same with every contact's rows scaled to a
+        compliance of one.
     offset : (d m,) or (m, d) array
         q, the velocities (or gaps and slips) without contact forces.
     friction : float or (m,) array
@@ -129,15 +131,16 @@ class LocalProblem:
         W = self.delassus
         diagonal = W.diagonal()
         largest = np.max(abs(W.data), initial=0.0)
-        worst = float(np.min(diagonal, initial=0.0))
+        own = np.repeat(self.contact_scale, self.dimension)
+        worst = float(np.min(diagonal * own**2, initial=0.0))
         if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
-            root = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, largest))
+            root = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), own)
             scaled = W.toarray() * np.outer(root, root)
-            worst, largest = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0]), 1.0
-        if worst < -INDEFINITE * largest:
+            worst = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0])
+        if worst < -INDEFINITE:
             raise InvalidProblem(
                 f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "
-                f"largest {'diagonal entry 1 after scaling' if largest == 1.0 else f'entry {largest:.3g}'})"
+                "largest diagonal entry 1 after scaling)"
             )
 
     @property
@@ -149,6 +152,63 @@ class LocalProblem:
     def joints(self) -> int:
         """Number of joints p."""
         return len(self.bilateral_offset)
+
+    @cached_property
+    def contact_scale(self) -> Vector:
+        """(m,) factors s_i of the contacts' rows by which the mean diagonal of every contact's own block is one.
+
+        s_i u_i and r_i / s_i are roots of energies. A contact without a compliance of its own is given a row of V, or
+        else an offset, as large as the other contacts have.
+        """
+        size = self.delassus.diagonal().reshape(self.contacts, self.dimension).mean(axis=1)
+        known = size > 0
+        scale = 1.0 / np.sqrt(np.where(known, size, 1.0))
+        rows = abs(self.bilateral).max(axis=1).toarray().ravel() if self.joints else np.zeros(len(self.offset))
+        for entries in (rows, abs(self.offset)):
+            size = np.max(entries.reshape(self.contacts, self.dimension), axis=1, initial=0.0)
+            felt = size > 0
+            typical = float(np.median((scale * size)[known & felt])) if np.any(known & felt) else 1.0
+            scale = np.where(felt & ~known, typical / np.where(felt, size, 1.0), scale)
+            known = known | felt
+        return np.asarray(scale)
+
+    @cached_property
+    def scaled_delassus(self) -> Any:
+        """(d m, d m) CSR matrix s_i W_ij s_j, s the `contact_scale`."""
+        scale = sp.diags(np.repeat(self.contact_scale, self.dimension))
+        return sp.csr_array(scale @ self.delassus @ scale)
+
+    @cached_property
+    def scaled_asymmetry(self) -> float:
+        """`asymmetry` of `scaled_delassus`, which no contact's own unit changes."""
+        return _asymmetry(self.scaled_delassus)
+
+    @cached_property
+    def joint_scale(self) -> Vector:
+        """(p,) factors by which the columns of V, scaled by `contact_scale`, have unit length."""
+        scaled = self.bilateral.toarray() * np.repeat(self.contact_scale, self.dimension)[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        return np.asarray(1.0 / np.where(size > 0, size, 1.0))
+
+    @cached_property
+    def drive(self) -> float:
+        """The root mean square of scaled offsets of contacts that overlap without forces, or of loads of joints.
+
+        It is the larger of the two: without either, no forces are an answer. A contact that is far has no part in it.
+        """
+        overlaps = self._scaled_offset[self._scaled_offset[:, 0] < 0]
+        return max(_mean_size(overlaps), _mean_size(self.bilateral_offset * self.joint_scale))
+
+    @cached_property
+    def typical_velocity(self) -> float:
+        """The `drive`, or where there is none, the scaled offset of the nearest contact that waits; or 1."""
+        sizes = np.max(abs(self._scaled_offset), axis=1, initial=0.0)
+        waiting = sizes[sizes > 0]
+        return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
+
+    @property
+    def _scaled_offset(self) -> NDArray[np.float64]:
+        return self.contact_scale[:, None] * self.offset.reshape(self.contacts, self.dimension)
 
     def contact_name(self, i: int) -> str:
         return self.contact_names[i] if self.contact_names else f"contact {i}"
@@ -166,6 +226,12 @@ class LocalProblem:
     def __repr__(self) -> str:
         joints = f", {self.joints} joints" if self.joints else ""
         return f"LocalProblem({self.contacts} contacts in {self.dimension}D{joints})"
+
+
+def _mean_size(parts: NDArray[np.float64]) -> float:
+    """The root of the mean square, of sizes whose squares need not be doubles."""
+    size = float(np.max(abs(parts), initial=0.0))
+    return size * float(np.sqrt(np.mean((parts / size) ** 2))) if size > 0 else 0.0
 
 
 def _asymmetry(W: Any) -> float:

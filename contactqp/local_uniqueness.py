@@ -2,7 +2,8 @@
 
 Velocities: `contactqp.critical_coefficients` on W; where it does not exclude other answers, they may exist.
 Forces: with B the directions in which closed contacts push (a contact that sticks in all, one that slips along its
-force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'B, R]] is singular.
+force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'B, R]] is singular. Each contact is
+scaled to a compliance of one.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ def local_uniqueness(
     if not problem.contacts or not np.any(problem.friction > 0):
         return Uniqueness()
     notes = []
-    if problem.asymmetry > ROUNDING:
+    if problem.scaled_asymmetry > ROUNDING:
         notes.append(
-            f"delassus is not symmetric by {problem.asymmetry:.2g} of its largest entry; the forces are judged by it "
-            "as given, what a minimisation makes of it is that far off"
+            f"delassus is not symmetric by {problem.scaled_asymmetry:.2g} of its largest entry; the forces are judged "
+            "by it as given, what a minimisation makes of it is that far off"
         )
     if problem.contacts > MOST_CONTACTS:
         reason = f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
@@ -52,8 +53,8 @@ def local_uniqueness(
 
 def _known(problem: LocalProblem) -> CriticalFriction:
     if problem not in _critical:
-        W = problem.delassus.toarray()
-        symmetric = problem.asymmetry <= ROUNDING
+        W = problem.scaled_delassus.toarray()
+        symmetric = problem.scaled_asymmetry <= ROUNDING
         _critical[problem] = of_operator(
             W, problem.friction, problem.contacts, floats=problem.joints > 0, symmetric=symmetric
         )
@@ -81,8 +82,10 @@ def _dependent(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[
     if not columns:
         return False
     B = np.array(columns).T
-    coupling = B.T @ problem.bilateral.toarray()
-    matrix = np.block([[B.T @ (problem.delassus @ B), coupling], [coupling.T, problem.bilateral_delassus.toarray()]])
+    joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
+    coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
+    inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
+    matrix = np.block([[B.T @ (problem.scaled_delassus @ B), coupling], [coupling.T, inner]])
     size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), np.finfo(float).tiny))
     values = np.linalg.svd(matrix / np.outer(size, size), compute_uv=False)
     return bool(values[-1] <= DEPENDENT * values[0])

@@ -7,8 +7,9 @@ scaled, with R x = base + slope y the normal and tangential lengths of the conta
 
 and a combination is an answer where its signs hold: g - N x >= 0 where open, l_N >= 0 where closed, |l_T| <= mu l_N
 where it sticks, s (T x - o) >= 0 where it slips. Where a system leaves forces or motions free, a linear program looks
-for signs that hold. Whether a small singular value is one or rounding cannot be told here: both are tried, and whoever
-refines the answers decides.
+for signs that hold. Every sign is measured by the lengths of its own contact, which a contact that is far or has
+slipped far does not share with the others. Whether a small singular value is one or rounding cannot be told here: both
+are tried, and whoever refines the answers decides.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,9 +34,9 @@ SWEEPS, SHORTEST = 3, 1e-10
 # Singular values of an equilibrated system, relative to the largest: above the first certainly none that is zero,
 # beneath the second certainly one. Compliances of soft bodies carry the rounding of stiff ones, times their condition.
 REGULAR, SINGULAR = 1e-8, 1e-15
-# Signs that fail by this part of the largest length or force may be rounding; refinement tells.
+# Signs that fail by this part of the contact's own lengths or force may be rounding; refinement tells.
 DOUBTFUL = 1e-8
-# Of the sizes that a sum is made of, what rounding may leave of it.
+# Of the sizes that a sum is made of, what rounding may leave of it; of compliances, which are beneath it.
 ROUNDING = 1e-12
 
 
@@ -48,7 +50,22 @@ class Combinations:
     target: Vector  # (2m,) g and o
     fixed: Array  # (q - 2m, q) H
     fixed_right: Vector  # (q - 2m,) h
-    size: float  # the largest length or force among the data, positive
+    nothing: float  # a length that is rounding
+
+    @cached_property
+    def _lengths(self) -> Vector:
+        """(2m,) the sizes of the lengths of every row; of a row without any, what the others have."""
+        size = abs(self.base) + abs(self.target) + self.nothing / DOUBTFUL
+        return _filled(size, float(np.max(abs(self.fixed_right), initial=0.0)))
+
+    @cached_property
+    def _forces(self) -> Vector:
+        """(2m,) the forces that these lengths ask for; where nothing is compliant, what balances the bodies."""
+        rows = np.arange(len(self.base))
+        compliance = abs(self.slope[rows, rows])
+        felt = compliance > ROUNDING * np.max(compliance, initial=0.0)
+        asked = np.divide(self._lengths, compliance, out=np.zeros_like(self._lengths), where=felt)
+        return _filled(np.maximum(asked, np.max(abs(self.fixed_right), initial=0.0)), 1.0)
 
     def plausible(self) -> Iterator[tuple[Status, Vector]]:
         """Combinations (m,) and their y (q,) where signs hold, or miss by what may be rounding."""
@@ -71,8 +88,8 @@ class Combinations:
             inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
             y = column * np.einsum("bji,bj->bi", rotation, inverse * coordinates)
             missing = abs(np.einsum("bij,bj->bi", matrix, y) - right)
-            rounding = ROUNDING * np.einsum("bij,bj->bi", abs(matrix), abs(y))
-            solved = np.all(missing <= DOUBTFUL * self.size + rounding, axis=1)
+            rounding = ROUNDING * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
+            solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
             for b in np.flatnonzero(solved & (rank <= most)):
                 free = rotation[b, rank[b] :] * column[b]
                 if (found := self._with_signs(status[b], y[b], free)) is not None:
@@ -80,14 +97,10 @@ class Combinations:
 
     def _with_signs(self, status: Status, y: Vector, free: Array) -> Vector | None:
         """Of the solutions y + free'c, one whose signs may hold."""
-        room, change = self._signs(status)
-        if not self._hold(room, change, y) and len(free):
-            y = self._within(room, change, y, free)
-        return y if self._hold(room, change, y) else None
-
-    def _hold(self, room: Vector, change: Array, y: Vector) -> bool:
-        allowed = DOUBTFUL * self.size + ROUNDING * (abs(change) @ abs(y))
-        return bool(np.all(room + change @ y >= -allowed))
+        room, change, size = self._signs(status)
+        if not _hold(room, change, size, y) and len(free):
+            y = _within(room, change, size, y, free)
+        return y if _hold(room, change, size, y) else None
 
     def _assembled(self, status: Status) -> tuple[Array, Array]:
         """(b, q, q) and (b, q): one row a contact force, one a friction force, then what always holds."""
@@ -106,8 +119,8 @@ class Combinations:
         right[:, m : 2 * m] = np.where(stuck, lengths[m:], 0.0)
         return matrix, right
 
-    def _signs(self, status: Status) -> tuple[Vector, Array]:
-        """Room and its slope in y: the signs hold where room + slope y >= 0."""
+    def _signs(self, status: Status) -> tuple[Vector, Array, Vector]:
+        """Room, its slope in y, and its size: the signs hold where room + slope y >= 0."""
         m, unit = len(status), np.eye(self.slope.shape[1])
         off = self.base - self.target
         opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
@@ -115,21 +128,41 @@ class Combinations:
         bound, sign = self.coefficient[stuck, None] * unit[stuck], status[sliding].astype(float)
         room = [-off[opened], np.zeros(len(closed)), np.zeros(2 * len(stuck)), sign * off[m + sliding]]
         slope = [-self.slope[opened], unit[closed], bound - unit[m + stuck], bound + unit[m + stuck]]
-        return np.concatenate(room), np.vstack([*slope, sign[:, None] * self.slope[m + sliding]])
-
-    def _within(self, room: Vector, change: Array, start: Vector, free: Array) -> Vector:
-        """Of the solutions start + free'c, one whose signs hold best, no room counting beyond the size of the data."""
-        from scipy.optimize import linprog
-
-        count = len(free)
-        answer = linprog(
-            np.append(np.zeros(count), -1.0),
-            A_ub=np.column_stack([-change @ free.T, np.ones(len(room))]),
-            b_ub=(room + change @ start) / self.size,
-            bounds=[(None, None)] * count + [(None, 1.0)],
-            method="highs",
+        rubbed = self.coefficient[stuck] * self._forces[stuck] + self._forces[m + stuck]
+        size = [self._lengths[opened], self._forces[closed], rubbed, rubbed, self._lengths[m + sliding]]
+        return (
+            np.concatenate(room),
+            np.vstack([*slope, sign[:, None] * self.slope[m + sliding]]),
+            np.concatenate(size),
         )
-        return start if answer.x is None else np.asarray(start + self.size * free.T @ answer.x[:-1])
+
+
+def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
+    rounding = ROUNDING * np.sum(abs(change), axis=1) * np.max(abs(y), initial=0.0)
+    return bool(np.all(room + change @ y >= -DOUBTFUL * size - rounding))
+
+
+def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array) -> Vector:
+    """Of the solutions start + free'c, one whose signs hold best, no room counting beyond its size."""
+    from scipy.optimize import linprog
+
+    count, slope = len(free), change @ free.T
+    moving = np.any(abs(slope) > ROUNDING * np.max(abs(slope), initial=0.0), axis=1)
+    step = float(np.median(size[moving])) if np.any(moving) else 1.0
+    answer = linprog(
+        np.append(np.zeros(count), -1.0),
+        A_ub=np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]),
+        b_ub=(room + change @ start) / size,
+        bounds=[(None, None)] * count + [(None, 1.0)],
+        method="highs",
+    )
+    return start if answer.x is None else np.asarray(start + step * free.T @ answer.x[:-1])
+
+
+def _filled(size: Vector, other: float) -> Vector:
+    """Sizes, those that are zero replaced by the median of the rest, or else by another size."""
+    known = size[size > 0]
+    return np.where(size > 0, size, float(np.median(known)) if len(known) else other or 1.0)
 
 
 def refuse_many(contacts: int, who: str = "enumeration") -> str | None:

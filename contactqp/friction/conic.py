@@ -21,8 +21,9 @@ from contactqp.methods.quadratic_program import collected_words
 from contactqp.problem_data import Vector
 
 SOLVERS = ("clarabel", "scs", "cvxpy")
-# Interior points know forces to the square root of their gap: it has to be this much smaller, down to rounding.
-TIGHTER, TIGHTEST = 1e-5, 1e-12
+# Interior points know forces to the square root of their gap: of the root this part of the tolerance is asked for, down
+# to rounding.
+TIGHTER, TIGHTEST = 0.1, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def _clarabel(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector
     cones += [clarabel.SecondOrderConeT(program.width)] * program.cones
     options = clarabel.DefaultSettings()
     options.verbose = False
-    options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = max(settings.tolerance * TIGHTER, TIGHTEST)
+    options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = max((settings.tolerance * TIGHTER) ** 2, TIGHTEST)
     if settings.time_limit is not None:
         options.time_limit = settings.time_limit
     P, A = sp.csc_matrix(sp.triu(program.P)), sp.csc_matrix(program.A)

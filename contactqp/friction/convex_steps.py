@@ -82,8 +82,8 @@ class ConvexSteps:
 
     @property
     def asymmetry(self) -> float:
-        """max |W - W'| / 2 max |W|: what a minimisation leaves out of W; 0 where that is rounding."""
-        return self._form.problem.asymmetry / 2 if self._form.asymmetric else 0.0
+        """max |W - W'| / 2 max |W|, contacts scaled: what a minimisation leaves out of W; 0 where that is rounding."""
+        return self._form.problem.scaled_asymmetry / 2 if self._form.asymmetric else 0.0
 
     @property
     def polygons(self) -> str:

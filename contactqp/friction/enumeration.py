@@ -25,7 +25,9 @@ from contactqp.friction.states import Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer
 
-# Displacements that differ by this part of their size are one.
+# Of the largest displacement that the loads make without contacts, what rounding may leave of another.
+NOTHING = 1e-12
+# Displacements that move the contacts alike, to this part of the lengths that meet there, are one.
 SAME = 1e-8
 
 
@@ -59,11 +61,15 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
 
 
 def _same(problem: ContactProblem, one: Answer, other: Answer) -> bool:
-    """Whether two displacements are one, in the energy scale of the unknowns."""
+    """Whether two displacements move every contact alike, each in the lengths that meet there."""
     weight = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, np.max(problem.diagonal) or 1.0))
-    difference = np.max(weight * abs(one.displacement - other.displacement))
-    size = max(np.max(weight * abs(one.displacement)), np.max(weight * abs(other.displacement)))
-    return bool(difference <= SAME * size)
+    largest = np.maximum(abs(one.displacement), abs(other.displacement))
+    size = SAME * largest + NOTHING * np.max(weight * largest, initial=0.0) / weight
+    rows = [problem.normal]
+    if problem.tangent is not None and problem.friction is not None:
+        rows.append(problem.tangent[problem.friction > 0])  # in the plane, one row a contact
+    difference = one.displacement - other.displacement
+    return all(bool(np.all(abs(row @ difference) <= abs(row) @ size)) for row in rows)
 
 
 class _Systems:
@@ -87,7 +93,7 @@ class _Systems:
             target=target[of_contacts],
             fixed=np.vstack([slope[tied], balance]),
             fixed_right=np.concatenate([(target - base)[tied], drive]),
-            size=max(float(np.max(abs(part), initial=0.0)) for part in (base, target, drive)) or 1.0,
+            nothing=NOTHING * max(float(np.max(abs(part), initial=0.0)) for part in (base, drive)),
         )
 
     def plausible(self) -> Iterator[tuple[Status, Answer]]:

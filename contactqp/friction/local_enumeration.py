@@ -15,8 +15,11 @@ from contactqp.friction.alart_curnier import newton
 from contactqp.friction.combinations import Combinations, refuse_many
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_form import LocalForm
+from contactqp.problem_data import Vector
 
-# Velocities that differ by this part of their size are one.
+# Of the typical velocity, what rounding may leave of another.
+NOTHING = 1e-12
+# Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
 SAME = 1e-8
 
 
@@ -30,17 +33,17 @@ def enumerated(form: LocalForm) -> Iterator[Iterate]:
     """
     if (reason := not_enumerated(form)) is not None:
         raise Unsupported(reason)
-    seen: list[np.ndarray] = []
+    seen: list[tuple[Vector, Vector]] = []  # W r + V l, and the sizes that its entries are made of
     for count, y in enumerate(y for _, y in _combinations(form).plausible()):
         force = np.stack([y[: form.m], -y[form.m : 2 * form.m]], axis=1)
         found = newton(form, Iterate.at(form, force, y[2 * form.m :]))
-        u = form.velocity(found.force, found.joint_force)
-        size = max(1.0, float(np.max(abs(u), initial=0.0)))
+        answers = form.velocity(found.force, found.joint_force).ravel() - form.q
+        sizes = abs(form.W) @ abs(found.force).ravel() + abs(form.V) @ abs(found.joint_force)
         # Where the law is missed by more than velocities differ, a better one may follow.
-        if found.error <= SAME * size:
-            if any(np.max(abs(u - other), initial=0.0) <= SAME * size for other in seen):
+        if found.error <= SAME * max(1.0, float(np.max(sizes, initial=0.0))):
+            if any(np.all(abs(answers - u) <= SAME * np.maximum(sizes, size)) for u, size in seen):
                 continue
-            seen.append(u)
+            seen.append((answers, sizes))
         yield Iterate(found.force, found.joint_force, found.error, count + 1)
 
 
@@ -65,5 +68,5 @@ def _combinations(form: LocalForm) -> Combinations:
         target=np.zeros(2 * form.m),
         fixed=np.hstack([V.T * signs, form.R]),
         fixed_right=-form.s,
-        size=max(float(np.max(abs(part), initial=0.0)) for part in (form.q, form.s)) or 1.0,
+        nothing=NOTHING,
     )

@@ -1,6 +1,6 @@
 """A local problem scaled for its algorithms: contacts whose own compliance is one, velocities of size one.
 
-With s_i = 1/sqrt(mean diagonal of W_ii), D = diag(s_i I), b = |D q| / sqrt(d m) and unit columns of joints,
+With D = diag(s_i I), s the problem's `contact_scale`, b its `typical_velocity`, and T such that D V T has unit columns,
 
     W := D W D,    q := D q / b,    V := D V T,    r := D^-1 r / b,    u := D u / b,
 
@@ -41,20 +41,14 @@ class LocalForm:
     def __init__(self, problem: LocalProblem) -> None:
         self.problem, self.d, self.m = problem, problem.dimension, problem.contacts
         self.mu = problem.friction
-        diagonal = problem.delassus.diagonal().reshape(self.m, self.d).mean(axis=1)
-        known = diagonal > 0
-        typical = float(np.median(diagonal[known])) if np.any(known) else 1.0
-        self._contact_scale = np.repeat(1.0 / np.sqrt(np.where(known, diagonal, typical)), self.d)
-        scaled = self._contact_scale * problem.offset
-        self._velocity_size = float(np.linalg.norm(scaled)) / np.sqrt(max(len(scaled), 1)) or 1.0
-        W = sp.csr_array(sp.diags(self._contact_scale) @ problem.delassus @ sp.diags(self._contact_scale))
+        self._contact_scale = np.repeat(problem.contact_scale, self.d)
+        self._joint_scale = problem.joint_scale
+        self._velocity_size = problem.typical_velocity
+        W = problem.scaled_delassus
         self.sparse = W.shape[0] > DENSE_SIZE and W.nnz < SPARSE_DENSITY * W.shape[0] ** 2
         self.W: Any = W if self.sparse else W.toarray()
-        self.q = scaled / self._velocity_size
-        V = problem.bilateral.toarray() * self._contact_scale[:, None]
-        size = np.linalg.norm(V, axis=0)
-        self._joint_scale = 1.0 / np.where(size > 0, size, 1.0)
-        self.V = V * self._joint_scale
+        self.q = self._contact_scale * problem.offset / self._velocity_size
+        self.V = problem.bilateral.toarray() * np.outer(self._contact_scale, self._joint_scale)
         self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale)
         self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size
 
@@ -71,7 +65,7 @@ class LocalForm:
     @cached_property
     def asymmetric(self) -> bool:
         """Whether W is unsymmetric by more than rounding."""
-        return self.problem.asymmetry > 1e-14
+        return self.problem.scaled_asymmetry > 1e-14
 
     @cached_property
     def symmetric_part(self) -> Any:
