@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import read_array
 from contactqp.stages import CERTIFY, stage
+from contactqp.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
 from contactqp.uniqueness import UNKNOWN, uniqueness
 from contactqp.violations import (
     FIGURES,
@@ -53,6 +54,10 @@ class Certificate:
     (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
     unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
     factor by which Tresca's fixed point changes the error of its bounds around this answer.
+
+    `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
+    the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
+    alone, because neither could be had; `notes` or `reasons` say why.
     """
 
     equilibrium: float  # componentwise backward error
@@ -79,6 +84,8 @@ class Certificate:
     error_tolerance: float
     passed: bool
     proven: bool
+    basis: str  # "bounds", "state" or "figures"
+    distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
     violations: Violations | None = field(
         repr=False, default=None
     )  # contact by contact; None where the answer is not finite
@@ -86,6 +93,8 @@ class Certificate:
     def __str__(self) -> str:
         verdict = "passed" if self.passed else "REFUSED"
         lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
+        if self.basis == STATE and self.distance is not None:
+            lines.append(f"  {self.distance:.3g} away from the answer of its own combination of open, stick and slip")
         lines += [f"  {failure}" for failure in self.failures]
         lines += [f"  no bound: {reason}" for reason in self.reasons]
         lines += [f"  note: {note}" for note in self.notes]
@@ -159,6 +168,11 @@ def _judged(
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
         others = uniqueness(problem, answer, found, condensation, tolerance)
+        state = StateVerdict(basis_without_friction(known))
+        if problem.frictional:
+            allowed = error_tolerance, ROUNDING_OF_ANSWERS * tolerance
+            state = state_verdict(problem, answer, found, condensation, allowed)
+            known = replace(known, energy_scale=state.energy)
     figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = balance(problem, answer, rigid)
     law = coulomb_residual(problem, answer, found)
@@ -166,6 +180,7 @@ def _judged(
     failures += failed_law(problem, law, IMPLIED * tolerance)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
     failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
+    failures += state.failures
     grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
     return Certificate(
         **figures,
@@ -176,13 +191,15 @@ def _judged(
         reasons=known.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
         failures=tuple(failures),
-        notes=(*notes(problem, grazing, known), *others.notes),
+        notes=(*notes(problem, grazing, known), *others.notes, *state.notes),
         uniqueness=others.findings,
         contraction=others.contraction,
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
         proven=known.proven,
+        basis=state.basis,
+        distance=state.distance,
         violations=found,
     )
 
@@ -298,4 +315,5 @@ def not_finite(frictional: bool, failures: list[str], tolerance: float, error_to
         error_tolerance=error_tolerance,
         passed=False,
         proven=False,
+        basis=FIGURES_ALONE,
     )

@@ -53,6 +53,11 @@ class LocalCertificate:
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
 
+    @property
+    def basis(self) -> str:
+        """What the verdict rests on: the figures alone."""
+        return "figures"
+
     def __str__(self) -> str:
         lines = ["passed" if self.passed else "REFUSED", f"  natural map {self.natural_map:.3g}"]
         return "\n".join(

@@ -174,14 +174,15 @@ def _factorised(condensation: Condensation, closed: NDArray[np.intp], tied: bool
 
 def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:
     """Indices of independent rows of unit length that span all of them, as many of `first` among them as can be."""
-    chosen = first[_independent(rows[first])]
+    chosen = first[independent_rows(rows[first])]
     others = np.setdiff1d(np.arange(len(rows)), first)
     basis, _ = np.linalg.qr(rows[chosen].T)
     beyond = rows[others] - (rows[others] @ basis) @ basis.T
-    return np.concatenate([others[_independent(beyond)], chosen]).astype(np.intp)
+    return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
 
 
-def _independent(rows: Array) -> NDArray[np.intp]:
+def independent_rows(rows: Array) -> NDArray[np.intp]:
+    """Places of rows of unit length that span all of them."""
     from scipy.linalg import qr
 
     if not rows.size:

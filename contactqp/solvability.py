@@ -9,7 +9,7 @@ from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.friction.contact_form import ContactForm
 from contactqp.friction.existence_test import interior_margin
 from contactqp.friction.local_form import LocalForm
-from contactqp.friction.rows import FrictionalRows
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
 

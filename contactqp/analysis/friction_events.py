@@ -19,7 +19,7 @@ from contactqp.errors import NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import ForceSystem
 from contactqp.friction.newton import combination_of, without_idle_friction
-from contactqp.friction.states import OPEN, STICK, Status, answer_in, holds
+from contactqp.friction_states import OPEN, STICK, Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution
 from contactqp.violations import Answer

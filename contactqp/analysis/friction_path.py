@@ -16,8 +16,8 @@ from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.step_jumps import step_notes
 from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
-from contactqp.friction.states import STICK, holds
 from contactqp.friction_attempt import attempt_with
+from contactqp.friction_states import STICK, holds
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Solution

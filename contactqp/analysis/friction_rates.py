@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.newton import suggested
-from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.problem import ContactProblem, Vector
 
 Mask = NDArray[np.bool_]

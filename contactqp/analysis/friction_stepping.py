@@ -17,8 +17,8 @@ from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.factorization import Array
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.newton import combination_of, search
-from contactqp.friction.states import OPEN, STICK, Status
 from contactqp.friction_attempt import attempt_on
+from contactqp.friction_states import OPEN, STICK, Status
 from contactqp.iteration import iterated
 from contactqp.metering import Meter
 from contactqp.methods import find

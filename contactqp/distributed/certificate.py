@@ -39,10 +39,12 @@ from contactqp.failures import (
     said_of_law,
     said_of_part,
 )
+from contactqp.state_answer import basis_without_friction
 from contactqp.uniqueness import UNKNOWN
 from contactqp.violations import FIGURES, Violations
 
 NOT_ASKED = "no solver was given that could bound it"
+NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"
 NOT_FACTORISED = "uniqueness was not examined: bodies that are dealt out to ranks are not condensed onto their contacts"
 
 
@@ -97,7 +99,7 @@ def certify_distributed(
         *_failed_force_bound(problem, answer, known, error_tolerance),
     ]
     grazing, names = _grazing(problem, answer, found, known, tolerance)
-    examined = ((UNKNOWN,), (NOT_FACTORISED,)) if frictional else ((), ())
+    examined = ((UNKNOWN,), (NOT_FACTORISED, NOT_COMPARED)) if frictional else ((), ())
     return Certificate(
         **figures,
         natural_map=natural_map,
@@ -114,6 +116,7 @@ def certify_distributed(
         error_tolerance=error_tolerance,
         passed=not failures,
         proven=known.proven,
+        basis=basis_without_friction(known),
         violations=found,
     )
 

@@ -19,8 +19,8 @@ from contactqp.factorization import Array
 from contactqp.friction.contact_operator import contact_operator
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_form import LocalForm
-from contactqp.friction.rows import FrictionalRows
-from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer

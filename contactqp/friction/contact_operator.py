@@ -15,7 +15,7 @@ import numpy as np
 from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.errors import NoEquilibrium
 from contactqp.factorization import Array
-from contactqp.friction.rows import FrictionalRows, compliance_of
+from contactqp.frictional_rows import FrictionalRows, compliance_of
 from contactqp.problem import ContactProblem, Vector
 
 # Tie rows of unit length that leave more than this of their values open conflict.

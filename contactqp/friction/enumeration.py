@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from contactqp.condensation import Condensation
 from contactqp.errors import Unsupported
 from contactqp.friction.combinations import Combinations, refuse_many
-from contactqp.friction.rows import FrictionalRows
-from contactqp.friction.states import Status, answer_in, holds
+from contactqp.friction_states import Status, answer_in, holds
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer
 

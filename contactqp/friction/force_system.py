@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.factorization import Array
-from contactqp.friction.rows import FrictionalRows
-from contactqp.friction.states import OPEN, SINGULAR, SLIP_ON, STICK, Status
+from contactqp.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, Status
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
 from contactqp.violations import Answer
 

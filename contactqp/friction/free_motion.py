@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.factorization import Array
-from contactqp.friction.states import holds
+from contactqp.friction_states import holds
 from contactqp.problem import ContactProblem
 from contactqp.violations import Answer, force_measure, forces_that_meet
 

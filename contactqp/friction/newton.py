@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from contactqp.condensation import Condensation
 from contactqp.errors import NotConverged
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.problem import ContactProblem, Vector
 from contactqp.solution import Candidate, Solution
 from contactqp.violations import Answer, lengths_that_meet, ratio

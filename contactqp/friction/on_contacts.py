@@ -14,8 +14,8 @@ from contactqp.friction.existence_test import refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, run_algorithm, run_any
 from contactqp.friction.local_form import LocalForm
-from contactqp.friction.rows import FrictionalRows
-from contactqp.friction.states import holds
+from contactqp.friction_states import holds
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem
 from contactqp.violations import Answer

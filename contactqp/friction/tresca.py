@@ -23,8 +23,8 @@ from contactqp.condensation import Condensation, condense
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.existence import refuse_driven_motion
 from contactqp.factorization import Array, RigidMotions
-from contactqp.friction.rows import FrictionalRows
-from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem, Vector
 from contactqp.scaling import nondimensional

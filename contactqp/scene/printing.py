@@ -15,6 +15,7 @@ from rich.text import Text
 
 from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
+from contactqp.certificate import Certificate
 from contactqp.pictures.in_text import ROUNDING, bars
 from contactqp.scene.building import NodeModel
 from contactqp.scene.expectations import Comparison
@@ -26,6 +27,7 @@ from contactqp.scene.summaries import motions_in_words, summaries, summary_data
 from contactqp.scene.tables import Drawn, print_table, shown, written
 from contactqp.scene.unknowns import is_rotation
 from contactqp.solution import Solution
+from contactqp.state_answer import FIGURES_ALONE, STATE
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
@@ -127,8 +129,16 @@ def _energies(judgement: Judgement) -> dict[str, float]:
 def _verdict(judgement: Judgement) -> str:
     certificate = judgement.solution.certificate
     if certificate.passed:
-        return "[green]certificate passed[/green]" + (", error bounds proven" if certificate.proven else "")
+        rest = ", error bounds proven" if certificate.proven else _unproven(certificate)
+        return f"[green]certificate passed[/green]{rest}"
     return f"[yellow]certificate refuses[/yellow] {escape('; '.join(certificate.failures))}"
+
+
+def _unproven(certificate: Certificate) -> str:
+    """What a verdict rests on that is not proven."""
+    if certificate.basis == STATE:
+        return ", compared with the answer of its own combination of open, stick and slip"
+    return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
 def _print_comparisons(console: Console, judgements: Sequence[Judgement], before: list[str]) -> None:
@@ -191,6 +201,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         "certificate": {
             "passed": bool(certificate.passed),
             "proven": bool(certificate.proven),
+            "basis": certificate.basis,
             "failures": [str(failure) for failure in certificate.failures],
         },
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),

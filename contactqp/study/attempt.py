@@ -225,6 +225,7 @@ def _of_certificate(certificate: Certificate) -> dict[str, Any]:
     return dict(
         certificate_passed=certificate.passed,
         certificate_proven=certificate.proven,
+        certificate_basis=certificate.basis,
         certificate_worst=_finite(getattr(certificate, worst)),
         certificate_figure=worst,
         bound_displacement=_finite(certificate.energy_error),

@@ -181,6 +181,7 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
             "statuses": outcome.statuses,
             "certificate": {
                 "passed": bool(certificate.passed),
+                "basis": certificate.basis,
                 "failures": list(certificate.failures),
                 **{name: finite(value) for name, value in figures(certificate).items()},
             },

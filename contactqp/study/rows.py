@@ -79,6 +79,7 @@ class Row:
     raw_error_force: float | None = column("error_force before polish, where the answer was polished")
     certificate_passed: bool | None = column("verdict of the certificate")
     certificate_proven: bool | None = column("whether the certificate could bound the errors")
+    certificate_basis: str = column("what the verdict rests on: bounds, state or figures", "")
     certificate_worst: float | None = column("largest of the certificate's figures of violation")
     certificate_figure: str = column("which figure that is", "")
     bound_displacement: float | None = column("the certificate's bound on the relative error in u, energy norm")

@@ -68,6 +68,7 @@ class Verdict:
 def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
     return {
         "proven": certificate.proven,
+        "basis": certificate.basis,
         "diagnosis": as_options(certificate.diagnosis),
         "findings": [{"kind": one.kind, "text": one.text, "cause": one.cause} for one in certificate.findings],
         "recovered": list(certificate.recovered),

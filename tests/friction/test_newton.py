@@ -8,7 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.condensation import condense
 from contactqp.friction.force_system import ForceSystem
-from contactqp.friction.states import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK
 from tests.friction.problems import one_contact, pad, random_problem, rough_truss, two_masses
 
 

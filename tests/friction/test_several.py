@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.friction.states import holds
+from contactqp.friction_states import holds
 from contactqp.violations import Answer
 from tests.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 

@@ -12,15 +12,18 @@ inverse: residuals are formed on the full problem in twice double precision, as 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from contactqp.condensation import Condensation, unknown_scale
+from contactqp.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.coulomb_cone import directions as directions_of
 from contactqp.coulomb_cone import lengths
 from contactqp.extended import Extended, extend, extended_rows, two_product
 from contactqp.factorization import Array
-from contactqp.friction.rows import FrictionalRows
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
+from contactqp.saddle import independent_rows
 from contactqp.statuses import OPEN as OPEN
 from contactqp.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.statuses import SLIP_ON as SLIP_ON
@@ -36,6 +39,8 @@ TURNS = 5
 WELL_TURNED = 0.1
 # Directions are doubles: corrections of this part of the answer may be all that their rounding leaves.
 ROUNDED = 1e-15
+# Refinement whose last correction is larger than this part of the answer went nowhere.
+SETTLED = 1e-12
 # A slip of this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
 # Of the largest part, what refinement leaves of zero.
@@ -57,6 +62,16 @@ class StateSystem:
         Of slip, of unit length; zero where a contact does not slip.
     turning : (m,) array
         mu l_N / |s| in scaled forces and lengths, zero in the plane.
+    independent : bool
+        Whether rows that depend on others get no correction and motions that no row resists stay at rest: what the
+        start says of both is kept, and the system is not taken for singular because its stiffness is slender.
+
+    Attributes
+    ----------
+    regular : bool
+        Whether the matrix has an inverse; without one, the least correction that fits best is taken.
+    redundant : bool
+        Whether rows depend on others (where `independent` was asked for).
     """
 
     def __init__(
@@ -67,6 +82,7 @@ class StateSystem:
         status: Status,
         directions: Array,
         turning: Vector | None = None,
+        independent: bool = False,
     ) -> None:
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._way, self._rows = condensation, rows
@@ -77,17 +93,26 @@ class StateSystem:
         held = np.vstack([normal, stuck, rows.tie])
         pushed = np.vstack([normal + dragged, stuck, rows.tie])
         stiffness = rows.S if turning is None else rows.S + _turned(tangent, directions, turning)
+        self._kept, self._count = np.arange(len(held)), len(held)
+        if independent:
+            self._kept = np.flatnonzero(np.any(held != 0, axis=1))
+            self._kept = self._kept[independent_rows(_of_unit_length(held[self._kept]))]
+            free = _unresisted(rows.motions, held)
+            stiffness = stiffness + free @ free.T
+        self.redundant = len(self._kept) < len(held)
+        held, pushed = held[self._kept], pushed[self._kept]
         self._matrix = np.block([[stiffness, pushed.T], [held, np.zeros((len(held), len(held)))]])
         self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
-        self._factorise()
+        self._factorise(0.0 if independent else SINGULAR)
 
-    def _factorise(self) -> None:
+    def _factorise(self, singular: float) -> None:
         from scipy.linalg.lapack import dgecon, dgetrf
 
         self._inverse: Array | None = None
         factor, pivots, info = dgetrf(self._matrix)
-        condition = dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 else 0.0
-        if condition < SINGULAR:  # the least correction that fits best
+        condition = dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 and singular else float(info == 0)
+        self.regular = condition >= singular and info == 0
+        if not self.regular:  # the least correction that fits best
             self._inverse = np.linalg.pinv(self._matrix, rcond=SINGULAR)
         self._factor = (factor, pivots)
 
@@ -99,14 +124,29 @@ class StateSystem:
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
-        right = np.concatenate([reduced * rows.scale, *lengths])
-        y = lu_solve(self._factor, right) if self._inverse is None else self._inverse @ right
+        right = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
+        found = lu_solve(self._factor, right) if self._inverse is None else self._inverse @ right
+        y = np.zeros(p + self._count)
+        y[:p], y[p + self._kept] = found[:p], found[p:]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
         normal_force[c] = y[p : p + len(c)] / rows.normal_length[c]
         sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
         friction_force[b] = sticking / rows.tangent_length[b, None]
         tie_force = y[len(y) - self._ties :] / rows.tie_length
         return self._way.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
+
+
+def _unresisted(motions: Array, held: Array) -> Array:
+    """Of orthonormal motions (p, q), those that no row resists."""
+    if not motions.shape[1] or not len(held):
+        return motions
+    _, values, rotation = np.linalg.svd(_of_unit_length(held) @ motions)
+    return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+
+def _of_unit_length(rows: Array) -> Array:
+    length = np.linalg.norm(rows, axis=1)
+    return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
 
 
 def _turned(tangent: Array, directions: Array, turning: Vector) -> Array:
@@ -119,25 +159,50 @@ def _turned(tangent: Array, directions: Array, turning: Vector) -> Array:
     return np.asarray(flat.T @ flat)
 
 
-def answer_in(
-    problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
-) -> Answer:
-    """The answer of one combination, refined from `start`; where it leaves something free, near the start.
+@dataclass(frozen=True, eq=False)
+class RefinedState:
+    """The answer of one combination in extended precision; nothing is said of whether its signs hold."""
 
-    In space slip directions are those of the start to begin with. Nothing is said of whether signs hold: see `holds`.
+    displacement: Extended  # (n,)
+    normal_force: Extended  # (m,)
+    friction_force: Extended  # (m (d-1),)
+    tie_force: Extended  # (k,)
+    directions: Array  # (m, d-1) of slip
+    last: Answer  # the last correction
+    regular: bool  # whether every system on the way had an inverse
+    redundant: bool  # whether forces of contacts or ties that depend on others were kept as they were
+
+    def answer(self, width: int) -> Answer:
+        """In double precision."""
+        friction = self.friction_force.double().reshape(-1, width)
+        return Answer(self.displacement.double(), self.normal_force.double(), friction, self.tie_force.double())
+
+
+def refined_in(
+    problem: ContactProblem,
+    condensation: Condensation,
+    rows: FrictionalRows,
+    status: Status,
+    start: Answer,
+    independent: bool = False,
+) -> RefinedState:
+    """The answer of one combination, refined from `start`; `independent` as in `StateSystem`.
+
+    In space slip directions are those of the start to begin with.
     """
     exact = extended_rows(problem)
     u, tie = extend(start.displacement), extend(start.tie_force)
     force = extend(np.where(status != OPEN, start.normal_force, 0.0))
     stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
     origin = extend(_origin(problem))
-    system, size, last = None, np.inf, np.inf
+    system, size, last, regular = None, np.inf, np.inf, True
     for sweep in range(MAX_SWEEPS):
         slip = (exact.slip(u) - origin).double()
         directions, turning = _directions(rows, status, slip, force.double())
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
-            system = StateSystem(problem, condensation, rows, status, directions, turning)
+            system = StateSystem(problem, condensation, rows, status, directions, turning, independent)
+            regular = regular and system.regular
         last = size
         left = residuals_of(exact, problem, u, force, tie, stick + _bound(problem, force, directions))
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
@@ -151,8 +216,30 @@ def answer_in(
     if rows.width > 1:
         directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
     friction = stick + _bound(problem, force, directions)
-    answer = Answer(u.double(), force.double(), friction.double().reshape(-1, rows.width), tie.double())
-    return _without_noise(problem, rows, answer, start)
+    redundant = system is not None and system.redundant
+    return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
+
+
+def answer_in(
+    problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
+) -> Answer:
+    """The answer of one combination, refined from `start`; where it leaves something free, near the start.
+
+    Nothing is said of whether signs hold: see `holds`.
+    """
+    refined = refined_in(problem, condensation, rows, status, start)
+    if not refined.regular:
+        # A slender stiffness looks singular to working precision: what the least correction leaves out of its soft
+        # motions shows where no row depends on others.
+        near = refined.answer(rows.width)
+        slender = refined_in(problem, condensation, rows, status, near, independent=True)
+        refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
+    return _without_noise(problem, rows, refined.answer(rows.width), start)
+
+
+def _settled(refined: RefinedState) -> bool:
+    """Whether the last correction of the displacement is no more than what directions in doubles leave of it."""
+    return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
 def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
