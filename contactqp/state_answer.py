@@ -20,6 +20,7 @@ u and l_N of an equilibrium minimise 1/2 u'Ku - (f - E_T'l_T)'u over E_N u <= g,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,13 +33,14 @@ from contactqp.energy_norm import energy_norm, force_size, rigid_rounding
 from contactqp.extended import extend, extended_rows
 from contactqp.factorization import Array, inverse_root
 from contactqp.failures import failed_errors
-from contactqp.friction_states import RefinedState, refined_in
-from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import row_sizes
 from contactqp.saddle import saddle_point
 from contactqp.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.violations import Answer, Violations, residuals
+
+if TYPE_CHECKING:
+    from contactqp.friction_states import RefinedState
 
 # What a verdict rests on.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
@@ -168,6 +170,8 @@ class _Comparison:
     """One answer beside the answers of combinations of states."""
 
     def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation) -> None:
+        from contactqp.frictional_rows import FrictionalRows
+
         self._problem, self._answer, self._found = problem, answer, found
         self._condensation = condensation
         self._rows = FrictionalRows(problem, condensation)
@@ -181,6 +185,8 @@ class _Comparison:
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
         """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
+        from contactqp.friction_states import refined_in
+
         status, seen = self._believed(), set()
         for _ in range(COMBINATIONS):
             seen.add(status.tobytes())

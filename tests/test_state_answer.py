@@ -13,10 +13,6 @@ from contactqp.violations import FIGURES
 from tests.friction.space import several
 
 
-def _certified(problem: cq.ContactProblem, *answer: np.ndarray) -> cq.Certificate:
-    return cq.certify(problem, *answer)
-
-
 def _worst_figure(certificate: cq.Certificate) -> float:
     return max(float(getattr(certificate, name)) for name in FIGURES)
 
@@ -24,7 +20,7 @@ def _worst_figure(certificate: cq.Certificate) -> float:
 @pytest.mark.parametrize(("family", "seed"), [("tip 2D", 0), ("stops 2D", 1), ("tip 3D", 8), ("stops 3D", 2)])
 def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) -> None:
     problem, part = rough_stops(family, seed), 2e-4
-    certificate = _certified(problem, *forged(problem, cq.solve(problem), part))
+    certificate = cq.certify(problem, *forged(problem, cq.solve(problem), part))
     assert _worst_figure(certificate) <= certificate.tolerance
     assert not certificate.passed
     assert certificate.basis == "state"
@@ -58,17 +54,17 @@ def test_what_a_verdict_rests_on_without_friction() -> None:
     smooth = cq.ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0]], gap=[0.5])
     certificate = cq.solve(smooth).certificate
     assert (certificate.basis, certificate.distance) == ("bounds", None)
-    assert _certified(smooth, np.array([np.nan]), np.array([2.0])).basis == "figures"
+    assert cq.certify(smooth, np.array([np.nan]), np.array([2.0])).basis == "figures"
 
 
 def test_redundant_forces_may_be_shared_in_any_way_that_adds_up() -> None:
     problem = _bar(1e-3, 11.0, contacts=2)
     shared = np.array([0.001, 0.0]), np.array([3.0, 7.0]), np.array([0.9, 2.1])
-    certificate = _certified(problem, *shared)
+    certificate = cq.certify(problem, *shared)
     assert certificate.passed
     assert certificate.basis == "state"
     assert "redundant contacts: forces are compared as far as the bodies feel them" in certificate.notes
-    wrong = _certified(problem, shared[0], np.array([3.0, 7.0 + 1e-5]), shared[2])
+    wrong = cq.certify(problem, shared[0], np.array([3.0, 7.0 + 1e-5]), shared[2])
     assert not wrong.passed
 
 
@@ -86,10 +82,10 @@ def test_where_nothing_settles_friction_is_held_and_the_minimum_judges(monkeypat
     problem = rough_stops("tip 2D", 0)
     solution = cq.solve(problem)
     monkeypatch.setattr(state_answer._Comparison, "_last_correction", lambda *_: np.inf)
-    right = _certified(problem, solution.displacement, solution.normal_force, solution.friction_force)
+    right = cq.certify(problem, solution.displacement, solution.normal_force, solution.friction_force)
     assert right.passed
     assert right.basis == "figures"
-    wrong = _certified(problem, *forged(problem, solution, 2e-4))
+    wrong = cq.certify(problem, *forged(problem, solution, 2e-4))
     assert _worst_figure(wrong) <= wrong.tolerance
     assert any(failure.startswith("with friction held, ") for failure in wrong.failures)
 
@@ -99,15 +95,15 @@ def test_where_nothing_settles_friction_is_held_and_the_minimum_judges(monkeypat
 def test_a_contact_that_just_touches_may_be_taken_in_either_state(load: float, friction: float) -> None:
     problem = _bar(1e-3, load, friction)
     for force in (0.0, 1e-14):
-        certificate = _certified(problem, np.array([1e-3, 6e-3]), np.array([force]), np.array([friction * force]))
+        certificate = cq.certify(problem, np.array([1e-3, 6e-3]), np.array([force]), np.array([friction * force]))
         assert certificate.passed, str(certificate)
 
 
 def test_at_the_end_of_sticking_either_state_is_right() -> None:
     problem = _bar(1e-3, 11.0, friction=0.3)  # a force of 10 whose friction bound is the load along the floor
-    assert _certified(problem, np.array([1e-3, 0.0]), np.array([10.0]), np.array([3.0])).passed
-    assert _certified(problem, np.array([1e-3, 1e-18]), np.array([10.0]), np.array([3.0])).passed
-    assert not _certified(problem, np.array([1e-3, 1e-6]), np.array([10.0]), np.array([3.0])).passed
+    assert cq.certify(problem, np.array([1e-3, 0.0]), np.array([10.0]), np.array([3.0])).passed
+    assert cq.certify(problem, np.array([1e-3, 1e-18]), np.array([10.0]), np.array([3.0])).passed
+    assert not cq.certify(problem, np.array([1e-3, 1e-6]), np.array([10.0]), np.array([3.0])).passed
 
 
 def test_a_strain_that_is_wrong_behind_a_large_gap_is_refused() -> None:
@@ -126,7 +122,7 @@ def test_a_strain_that_is_wrong_behind_a_large_gap_is_refused() -> None:
     assert solution.certificate.passed, str(solution.certificate)
     force = solution.normal_force + 0.05 * 0.5
     tie = solution.tie_force - 0.05 * 0.5
-    certificate = _certified(problem, solution.displacement, force, solution.friction_force, tie)
+    certificate = cq.certify(problem, solution.displacement, force, solution.friction_force, tie)
     assert not certificate.passed
 
 
@@ -143,7 +139,7 @@ def test_right_answers_pass_and_a_force_that_is_off_does_not(family: str, seed: 
     if not np.any(solution.normal_force):
         return
     force = solution.normal_force * (1 + 1e-4)
-    assert not _certified(problem, solution.displacement, force, solution.friction_force, solution.tie_force).passed
+    assert not cq.certify(problem, solution.displacement, force, solution.friction_force, solution.tie_force).passed
 
 
 def test_contacts_that_slip_in_space_are_compared_along_their_slip() -> None:
@@ -151,4 +147,4 @@ def test_contacts_that_slip_in_space_are_compared_along_their_slip() -> None:
     solution = cq.solve(known.problem)
     assert solution.certificate.basis == "state"
     turned = solution.friction_force + 1e-5 * solution.friction_force[:, ::-1]
-    assert not _certified(known.problem, solution.displacement, solution.normal_force, turned).passed
+    assert not cq.certify(known.problem, solution.displacement, solution.normal_force, turned).passed

@@ -137,7 +137,7 @@ def _verdict(judgement: Judgement) -> str:
 def _unproven(certificate: Certificate) -> str:
     """What a verdict rests on that is not proven."""
     if certificate.basis == STATE:
-        return ", compared with the answer of its own combination of open, stick and slip"
+        return ", compared with the answer of its own states"
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
