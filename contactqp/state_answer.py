@@ -29,10 +29,11 @@ from contactqp.condensation import Condensation
 from contactqp.contact_compliance import contact_compliance
 from contactqp.coulomb_cone import directions as directions_of
 from contactqp.coulomb_cone import lengths
-from contactqp.energy_norm import energy_norm, force_size, rigid_rounding
+from contactqp.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.extended import extend, extended_rows
 from contactqp.factorization import Array, inverse_root
 from contactqp.failures import failed_errors
+from contactqp.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import row_sizes
 from contactqp.saddle import saddle_point
@@ -81,11 +82,19 @@ class _Distance:
     contact: tuple[float, float]
     worst: int  # the contact whose force is farthest away
     failing: float  # what signs that fail may change
+    forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
 
     def relative(self, nothing: float) -> dict[str, float]:
-        """Each of the three over its measure, signs that fail included; 0 where it is nothing."""
-        pairs = {"displacement": self.displacement, "contact forces": self.force, "contact": self.contact}
-        return {name: _part(size + self.failing, scale, nothing) for name, (size, scale) in pairs.items()}
+        """Each of the three over its measure, signs that fail included; where that is nothing, so is what is as small.
+
+        What doubles cannot hold better is forgiven.
+        """
+        moved, pushed = self.forgiven
+        return {
+            "displacement": _part(self.displacement[0] - moved + self.failing, self.displacement[1], nothing),
+            "contact forces": _part(self.force[0] - pushed + self.failing, self.force[1], nothing),
+            "contact": _part(self.contact[0] + self.failing, self.contact[1], nothing),
+        }
 
 
 def basis_without_friction(known: Bounds) -> str:
@@ -112,7 +121,7 @@ def state_verdict(
     tolerance, part = tolerances
     if condensation is None:
         return _figures_alone("the bodies are not factorised as a whole")
-    nothing = part * found.intrinsic_size + rigid_rounding(problem, condensation, answer.displacement)
+    nothing = part * found.intrinsic_size
     if (reason := _too_large(problem, condensation, answer)) is not None:
         return _figures_alone(reason)
     compared = _Comparison(problem, answer, found, condensation)
@@ -282,7 +291,14 @@ class _Comparison:
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,
+            (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._condensation.rigid.count else 0.0),
         )
+
+    def _rounding(self) -> float:
+        """The energy norm that rounding the displacement to doubles has."""
+        size = abs(self._answer.displacement)
+        held = HELD_BY_DOUBLES * np.sqrt(size @ (stiffness_sizes(self._problem) @ size))
+        return max(float(held), rigid_rounding(self._problem, self._condensation, self._answer.displacement))
 
     def _rubbing_size(self, friction: Array) -> float:
         assert self._problem.tangent is not None
@@ -334,9 +350,9 @@ def _over_root(length: Vector, compliance: Vector) -> Vector:
 
 
 def _part(size: float, scale: float, nothing: float) -> float:
-    if size <= nothing:
-        return 0.0
-    return size / scale if scale > 0 else float("inf")
+    if scale > nothing:
+        return max(size, 0.0) / scale
+    return 0.0 if size <= nothing else float("inf")
 
 
 def _failures(
