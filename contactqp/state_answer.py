@@ -228,7 +228,7 @@ class _Comparison:
         room = self.coefficient * np.maximum(force, 0.0) - lengths(friction)
         # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
         moved = np.where(lengths(slip) > self.still(), lengths(slip), 0.0)
-        sticks = self._across * room >= moved
+        sticks = (moved == 0) | (self._across * room > moved)
         status = np.where(sticks & self._rubs, STICK, self._sliding(slip, friction))
         return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
 

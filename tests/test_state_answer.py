@@ -148,3 +148,11 @@ def test_contacts_that_slip_in_space_are_compared_along_their_slip() -> None:
     assert solution.certificate.basis == "state"
     turned = solution.friction_force + 1e-5 * solution.friction_force[:, ::-1]
     assert not cq.certify(known.problem, solution.displacement, solution.normal_force, turned).passed
+
+
+def test_in_space_a_redundant_contact_at_its_bound_that_does_not_slip_sticks() -> None:
+    """Its slip is zero and has no direction; its twin sticks well within its bound."""
+    problem = contact_problem("redundant 3D", 92).problem
+    certificate = cq.solve(problem, algorithm="nsgs").certificate
+    assert certificate.passed
+    assert certificate.basis == "state"
