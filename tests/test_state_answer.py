@@ -7,7 +7,7 @@ import pytest
 
 import contactqp as cq
 from benchmarks.friction_families import contact_problem
-from benchmarks.friction_forgeries import FAMILIES, forged, rough_stops
+from benchmarks.friction_forgeries import FAMILIES, beam, forged, rough_stops
 from contactqp import state_answer
 from contactqp.violations import FIGURES
 from tests.friction.space import several
@@ -156,3 +156,30 @@ def test_in_space_a_redundant_contact_at_its_bound_that_does_not_slip_sticks() -
     certificate = cq.solve(problem, algorithm="nsgs").certificate
     assert certificate.passed
     assert certificate.basis == "state"
+
+
+def test_a_slender_body_in_space_is_solved_to_the_last_digits() -> None:
+    """Its system looks singular to working precision; the least correction that fits was 4e-6 off."""
+    certificate = cq.solve(rough_stops("tip 3D", 75)).certificate
+    assert certificate.distance is not None
+    assert certificate.distance < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_contacts_far_from_the_load_of_a_bedded_rail_are_no_reason_to_deny_its_equilibrium(seed: int) -> None:
+    """Displacements decay to rounding along a rail on springs; one contact, under the load, plainly slips."""
+    elements, length = 400, 100.0
+    h = length / elements
+    K = beam(elements, 1, 30.0).toarray() * 10.0 ** (3 + seed)
+    deflection = np.arange(1, len(K), 3)
+    K[deflection, deflection] += 1e8 * h
+    K[deflection - 1, deflection - 1] += 5e7 * h
+    nodes = np.array([20, 200, 390])
+    normal, tangent, load = np.zeros((3, len(K))), np.zeros((3, len(K))), np.zeros(len(K))
+    normal[np.arange(3), 3 * nodes + 1], tangent[np.arange(3), 3 * nodes] = 1.0, 1.0
+    load[3 * nodes[0] : 3 * nodes[0] + 2] = 9e4, 1e5
+    solution = cq.solve(
+        cq.ContactProblem(stiffness=K, load=load, normal=normal, gap=np.zeros(3), tangent=tangent, friction=0.3)
+    )
+    assert solution.certificate.passed
+    assert solution.contact_status[0] == "slip"
