@@ -83,7 +83,18 @@ class Membrane:
         return np.ones((self.size, 1))
 
     def areas(self) -> NDArray[np.float64]:
-        """What belongs to each node, (N,) [length^2]: the contact force over it is the contact pressure.
+        """What belongs to each node, (N,) [length^2].
+
+        Raises
+        ------
+        InvalidProblem
+            Elements of several kinds.
+        """
+        return tributary_areas(self.surface)
+
+    @property
+    def surface(self) -> Surface:
+        """Its elements as facets in space; their nodes' only unknowns, along z, stand apart.
 
         Raises
         ------
@@ -94,4 +105,4 @@ class Membrane:
             kinds = ", ".join(block.kind.name for block in self.mesh.blocks)
             raise InvalidProblem(f"{self.name}: expected elements of one kind in a membrane, got {kinds}")
         facets = self.mesh.blocks[0].nodes
-        return tributary_areas(Surface(self.points, facets, np.arange(3 * self.size).reshape(-1, 3), name=self.name))
+        return Surface(self.points, facets, np.arange(3 * self.size).reshape(-1, 3), name=self.name)

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.facet import diameters, kind_of, middle_normals
+from contactqp.elements.faceting import faceting_notes
 from contactqp.elements.mortar_integrals import Integrals, integrate, joined
 from contactqp.elements.mortar_segments import segments
+from contactqp.elements.nodal_pressure import from_areas
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.surface import Surface
@@ -179,9 +181,9 @@ def _assemble(slave: Surface, master: Surface, covers: _Covers, n: int) -> Pairi
     tangents = _turned(tangent_frames(direction)[contact], direction[contact], normals)
     E_N, E_T = contact_rows(contact, weight / area[contact], unknowns, normals, tangents, (len(nodes), n))
     unpaired = np.setdiff1d(slave.nodes, nodes)
-    return Pairing(
-        E_N, total[nodes, 1] / area, E_T, nodes, slave.points[nodes], direction, unpaired, area * slave.thickness
-    )
+    gap, area = total[nodes, 1] / area, area * slave.thickness
+    points, projection, notes = slave.points[nodes], from_areas(area), faceting_notes(slave, master, gap)
+    return Pairing(E_N, gap, E_T, nodes, points, direction, unpaired, area, projection, notes)
 
 
 def _summed(nodes: Places, values: Array, body: Surface) -> Array:

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
-from contactqp.elements.facet import diameters, kind_of
+from contactqp.elements.facet import diameters, kind_of, middle_normals
+from contactqp.elements.faceting import faceting_notes
 from contactqp.elements.nearest_facet import Partners, nearest_facets
+from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.surface import Surface
@@ -17,6 +19,8 @@ from contactqp.errors import InvalidProblem
 
 # Polygons of two round bodies that fit, a shaft in its bore, overlap by h^2 / (8 R): 5 % of h as long as h < 0.4 R.
 OVERLAP = 0.05
+# Gauss points per direction on a facet that stands over the end of the master surface: its part is known to a tenth.
+POINTS = 8
 
 
 def pair_node_to_segment(
@@ -95,8 +99,34 @@ def pair_node_to_segment(
         (len(held), n),
     )
     unpaired = np.setdiff1d(nodes, nodes[held])
-    area = tributary_areas(slave)[held]
-    return Pairing(E_N, partners.gap[held], E_T, nodes[held], points[held], normals, unpaired, area)
+    return Pairing(
+        E_N,
+        partners.gap[held],
+        E_T,
+        nodes[held],
+        points[held],
+        normals,
+        unpaired,
+        tributary_areas(slave)[held],
+        nodal_pressure(slave, nodes[held], covered=_covered(slave, master, nodes[held], reach), linear=True),
+        faceting_notes(slave, master, partners.gap[held]),
+    )
+
+
+def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: float | None) -> NDArray[np.float64]:
+    """The part of each slave facet that stands over the master; asked of those that only some paired nodes have."""
+    with_partner = np.isin(slave.facets, paired)
+    covered = with_partner.any(axis=1).astype(float)
+    ends = np.flatnonzero(with_partner.any(axis=1) & ~with_partner.all(axis=1))
+    if len(ends):
+        kind = kind_of(slave)
+        xi, weight = kind.quadrature(POINTS)
+        at = np.einsum("qk,pkd->pqd", kind.shape(xi), slave.points[slave.facets[ends]]).reshape(-1, slave.dimension)
+        normals = np.repeat(middle_normals(slave)[ends], len(xi), axis=0)
+        partners = nearest_facets(at, normals, master, reach)
+        over = (partners.found & ~partners.beyond).reshape(len(ends), len(xi))
+        covered[ends] = (over @ weight) / weight.sum()
+    return covered
 
 
 def _refuse_overlap(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
+from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
@@ -41,6 +42,11 @@ class Pairing:
         Nodes that have no contact of their own, ascending.
     area : (p,) array, optional
         What belongs to each contact of the surface, its thickness or full circle included [area]; None for bare points.
+        A weight, positive for every kind of facet; pressures come from `pressure`.
+    projection : NodalPressure, optional
+        How forces become pressures; None for bare points.
+    notes : tuple of str
+        What the pressures of this pairing cannot be trusted for: facets too coarse for the gap between curved sides.
     """
 
     normal: Any
@@ -51,12 +57,17 @@ class Pairing:
     direction: NDArray[np.float64]
     unpaired: NDArray[np.int64]
     area: NDArray[np.float64] | None = None
+    projection: NodalPressure | None = None
+    notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.normal, self.gap, self.tangent))
 
     def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
-        """p_i = lambda_i / area_i, positive in compression, (p,) [force / area].
+        """The contact pressure at each node, positive in compression, (p,) [force / area].
+
+        It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), and of a
+        mortar the pressure field that it integrates. Where no force pulls, no pressure does. NaN forces are unknown.
 
         Raises
         ------
@@ -64,12 +75,23 @@ class Pairing:
             Bare points have no area; not one force for each contact.
         """
         force = np.asarray(normal_force, dtype=float)
-        if self.area is None:
+        pressure = self.per_area(force)
+        return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
+
+    def per_area(self, force: ArrayLike) -> NDArray[np.float64]:
+        """The same projection of one component of nodal forces, of either sign, such as friction, (p,) [force / area].
+
+        Raises
+        ------
+        InvalidProblem
+            Bare points have no area; not one force for each contact.
+        """
+        given = np.asarray(force, dtype=float)
+        if self.projection is None:
             raise InvalidProblem("pressure: points have no area: expected a pairing of a Surface")
-        if force.shape != self.gap.shape:
-            raise InvalidProblem(f"normal_force: expected shape {self.gap.shape}, got {force.shape}")
-        pressure: NDArray[np.float64] = force / self.area
-        return pressure
+        if given.shape != self.gap.shape:
+            raise InvalidProblem(f"normal_force: expected shape {self.gap.shape}, got {given.shape}")
+        return self.projection.of(given)
 
 
 def pair(
@@ -123,7 +145,7 @@ def pair(
     if columns.min(initial=0) < 0:
         raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(columns.min())}")
     n = count_unknowns(int(columns.max(initial=-1)), dimension)
-    return _pair_points(x, columns.astype(np.int64), obstacle, n, np.arange(len(x)), None)
+    return _pair_points(x, columns.astype(np.int64), obstacle, n, np.arange(len(x)))
 
 
 def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | None, dimension: int | None) -> Pairing:
@@ -133,7 +155,8 @@ def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | No
     nodes = surface.nodes
     x = _points(surface.points[nodes], obstacle.dimension)
     n = count_unknowns(int(surface.unknowns.max()), dimension)
-    return _pair_points(x, surface.unknowns[nodes], obstacle, n, nodes, tributary_areas(surface))
+    found = _pair_points(x, surface.unknowns[nodes], obstacle, n, nodes)
+    return replace(found, area=tributary_areas(surface), projection=nodal_pressure(surface, nodes))
 
 
 def _pair_points(
@@ -142,13 +165,12 @@ def _pair_points(
     obstacle: Obstacle,
     n: int,
     nodes: NDArray[np.int64],
-    area: NDArray[np.float64] | None,
 ) -> Pairing:
     outward = np.asarray(obstacle.normals(x), dtype=float)
     contact = np.arange(len(x))
     E_N, E_T = contact_rows(contact, np.ones(len(x)), columns, outward, tangent_frames(outward), (len(x), n))
     gap = np.asarray(obstacle.distance(x), dtype=float)
-    return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64), area)
+    return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64))
 
 
 def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:

@@ -21,12 +21,11 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
     In 2D the integral is over the thickness, a_i = t integral of N_i ds, so that with t = 1 areas and forces are both
     per unit thickness; on a revolved surface over full circles, a_i = integral of 2 pi r N_i ds.
 
-    Under a constant pressure p the force on node i is p a_i, so that force / area returns p. That cannot be had from
-    six-node triangles and eight-node quadrilaterals: their consistent forces are zero (tri6) or tensile (quad8, -1/12
-    of the facet's) at the corners, where no positive area turns them into p, and where one-sided contact lets go. For
-    these the areas are a_i = A_f int N_i^2 / sum_j int N_j^2 on each facet (Hinton, Rock & Zienkiewicz 1976): positive
-    and of the right sum; the pressure they give is too low at corners and too high at middles, right in the mean. So
-    are those of revolved quadratic facets, whose consistent force is zero at a node on the axis.
+    The integrals of six-node triangles and eight-node quadrilaterals are zero (tri6) or negative (quad8, -1/12 of the
+    facet's area) at the corners, that of revolved quadratic facets is zero at a node on the axis. For these the areas
+    are a_i = A_f int N_i^2 / sum_j int N_j^2 on each facet (Hinton, Rock & Zienkiewicz 1976): positive and of the right
+    sum. Such an area is a weight of its node; no pressure comes from dividing by it, but from
+    contactqp.elements.nodal_pressure.
 
     Raises
     ------
@@ -34,19 +33,13 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
         An area that is not positive: a middle node far off the middle of its facet.
     """
     kind = kind_of(surface)
-    xi, weights = kind.quadrature(GAUSS_POINTS)
-    shape = kind.shape(xi)
-    elements = np.linalg.norm(_normals_at(surface, xi), axis=2) * weights  # (p, q)
-    elements = elements * surface.thickness
-    if surface.revolved:
-        elements = elements * 2 * np.pi * (surface.points[surface.facets][:, :, 0] @ shape.T)
+    shape, elements = _surface_elements(surface)
     if kind.name in NOT_POSITIVE or (surface.revolved and kind.quadratic):
         squares = elements @ shape**2
         parts = squares * (elements.sum(axis=1) / squares.sum(axis=1))[:, np.newaxis]
     else:
         parts = elements @ shape
-    total = np.bincount(surface.facets.ravel(), parts.ravel(), minlength=len(surface.points))
-    areas = total[surface.nodes].astype(np.float64)
+    areas = _summed(surface, parts)
     if areas.min() <= 0:
         node = int(surface.nodes[np.argmin(areas)])
         raise InvalidProblem(
@@ -54,6 +47,12 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
             "its facets are too distorted"
         )
     return areas
+
+
+def shape_integrals(surface: Surface) -> NDArray[np.float64]:
+    """int N_i dA over each facet, (p, k), of either sign: the nodal forces of a unit pressure [area]."""
+    shape, elements = _surface_elements(surface)
+    return elements @ shape
 
 
 def node_normals(surface: Surface) -> NDArray[np.float64]:
@@ -67,6 +66,30 @@ def node_normals(surface: Surface) -> NDArray[np.float64]:
     total = total[surface.nodes]
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
+
+
+def facet_normals(surface: Surface) -> NDArray[np.float64]:
+    """The outward unit normal of each facet at each of its nodes, (p, k, d)."""
+    normals = _normals_at(surface, kind_of(surface).nodes)
+    unit: NDArray[np.float64] = normals / np.linalg.norm(normals, axis=2, keepdims=True)
+    return unit
+
+
+def _surface_elements(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """N_i at the Gauss points, (q, k), and dA of each facet there with its thickness or circle, (p, q) [area]."""
+    kind = kind_of(surface)
+    xi, weights = kind.quadrature(GAUSS_POINTS)
+    shape = kind.shape(xi)
+    elements = np.linalg.norm(_normals_at(surface, xi), axis=2) * weights * surface.thickness
+    if surface.revolved:
+        elements = elements * 2 * np.pi * (surface.points[surface.facets][:, :, 0] @ shape.T)
+    return shape, elements
+
+
+def _summed(surface: Surface, parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The parts of facets (p, k) added up at each of `surface.nodes`."""
+    total = np.bincount(surface.facets.ravel(), parts.ravel(), minlength=len(surface.points))
+    return total[surface.nodes].astype(np.float64)
 
 
 def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -75,9 +75,8 @@ class PairingFields:
         lambda_N, positive in compression [force]: in 2D for the body's thickness, in axial symmetry for the full
         circle. NaN where `status` is "held".
     pressure : (p,) array or None
-        lambda_N per area [force / length^2], the full circle's in axial symmetry; None for a pairing of bare points,
-        which have no area. NaN where `status` is "held", and where the area vanishes: on the axis of symmetry with
-        quadratic facets.
+        `Pairing.pressure` of the forces [force / length^2]; None for a pairing of bare points, which have no area. NaN
+        where `status` is "held".
     gap : (p,) array
         Under the load, positive when open [length].
     initial_gap : (p,) array
@@ -208,7 +207,7 @@ def _pairing_fields(
         displacement=displacement,
         direction=pairing.direction,
         force=force,
-        pressure=None if pairing.area is None else force / pairing.area,
+        pressure=None if pairing.projection is None else pairing.pressure(force),
         gap=np.asarray(pairing.gap - pairing.normal @ u),
         initial_gap=pairing.gap,
         status=status,

@@ -97,8 +97,8 @@ def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
 
 
 def _friction_traction(claim: Claim, answer: BodyAnswer) -> float:
-    place = answer.contact_node(claim)
-    return float(_friction(claim, answer)[place] / answer.contact(claim).area[place])
+    tractions = answer.contact(claim).pairing.per_area(_friction(claim, answer))
+    return float(tractions[answer.contact_node(claim)])
 
 
 def _energy(_: Claim, answer: BodyAnswer) -> float:

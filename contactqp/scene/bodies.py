@@ -17,6 +17,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
+from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.pairing import Pairing, pair
 from contactqp.elements.scalar_pairing import pair_scalar
@@ -228,7 +229,7 @@ def paired_contact(scene: Scene, whole: Surfaces, contact: Contact) -> PairedCon
         raise InvalidProblem(
             f"expected sides that may touch, got no node of {surfaces[0].name} with a partner in reach"
         )
-    return PairedContact(contact.name, ends[0][0], found, np.asarray(found.area), contact.friction or Fraction(0))
+    return PairedContact(contact.name, ends[0][0], found, contact.friction or Fraction(0))
 
 
 def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
@@ -254,5 +255,11 @@ def _membrane_contact(scene: Scene, whole: Structure, contact: Contact, name: st
     unknowns = whole.first(name) + np.arange(membrane.size)
     found = pair_scalar(membrane.mesh.points, heights, unknowns=unknowns, dimension=whole.size)
     up = np.tile([0.0, 0.0, 1.0], (len(found.nodes), 1))
-    found = replace(found, points=membrane.points[found.nodes], direction=up)
-    return PairedContact(contact.name, name, found, membrane.areas()[found.nodes], Fraction(0))
+    found = replace(
+        found,
+        points=membrane.points[found.nodes],
+        direction=up,
+        area=membrane.areas()[found.nodes],
+        projection=nodal_pressure(membrane.surface, found.nodes),
+    )
+    return PairedContact(contact.name, name, found, Fraction(0))

@@ -42,16 +42,12 @@ class PairedContact:
     body : str
         The body or membrane that touches; of two bodies the slave.
     pairing : Pairing
-    area : (p,) array
-        What the force of each is divided by to be a pressure [length^2]: with the thickness, and in axial symmetry of
-        the full circle.
     friction : Fraction
     """
 
     name: str
     body: str
     pairing: Pairing
-    area: Vector
     friction: Fraction
 
 
@@ -74,8 +70,14 @@ class ContactEntries(ABC):
     @property
     def row_friction(self) -> Vector | None:
         """The coefficient of each row of all pairings; None where nothing rubs."""
-        friction = np.concatenate([np.zeros(0), *[np.full(len(c.area), float(c.friction)) for c in self.contacts]])
+        each = [np.full(len(contact.pairing.gap), float(contact.friction)) for contact in self.contacts]
+        friction = np.concatenate([np.zeros(0), *each])
         return friction if friction.any() else None
+
+    @property
+    def notes(self) -> list[str]:
+        """What the pairings say of themselves, entry by entry."""
+        return [f"{contact.name}: {note}" for contact in self.contacts for note in contact.pairing.notes]
 
     def place(self, name: str) -> int:
         """The place of an entry of the scene's contacts among them."""
@@ -86,8 +88,12 @@ class ContactEntries(ABC):
         return self.of_entry(name, solution.normal_force, 0.0)
 
     def pressures(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda / area of each paired node of one entry, (p,) [force / length^2], positive in compression."""
-        return self.normal_forces(name, solution) / self.contacts[self.place(name)].area
+        """At each paired node of one entry, (p,) [force / length^2], positive in compression; `Pairing.pressure`.
+
+        0 where only supported nodes meet, whose forces nobody knows.
+        """
+        known = self.of_entry(name, solution.normal_force, np.nan)
+        return np.nan_to_num(self.contacts[self.place(name)].pairing.pressure(known))
 
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
         """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
@@ -114,12 +120,12 @@ class ContactEntries(ABC):
         """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:
-            return np.zeros((len(self.contacts[self.place(name)].area), width))
+            return np.zeros((len(self.contacts[self.place(name)].pairing.gap), width))
         return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
 
     def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
         """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
-        sizes = [len(contact.area) for contact in self.contacts]
+        sizes = [len(contact.pairing.gap) for contact in self.contacts]
         every = np.full(sum(sizes), otherwise)
         every[self.kept] = values
         start = sum(sizes[: self.place(name)])

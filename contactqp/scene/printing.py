@@ -59,6 +59,8 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
     if not isinstance(judgement.model, NodeModel):
         for header, table in summaries(judgement.model, solution):
             print_table(console, header, [[c if isinstance(c, str) else written(c) for c in row] for row in table])
+        for note in judgement.model.notes:
+            console.print(f"[yellow]{escape(note)}[/yellow]")
     else:
         header, shown = _unknowns(judgement)
         print_table(console, header, [row for row, _ in shown], [_drawn(2, [value for _, value in shown])])

@@ -197,7 +197,7 @@ QUANTITIES = {
         friction=True,
     ),
     "friction traction": _of_bodies(
-        "lambda_T over area of the contact's node at `near`, along an axis",
+        "lambda_T per area at the contact's node at `near`, along an axis; projected as pressures are",
         "pressure",
         at="contact",
         along="axis",
@@ -213,10 +213,15 @@ QUANTITIES = {
     ),
     "sticking contacts": _of_bodies("number of nodes of a contact that stick", "number", at="contact", friction=True),
     "peak pressure": _of_bodies(
-        "largest normal force over area among the nodes of a contact", "pressure", at="contact"
+        "largest pressure at the nodes of a contact: forces projected onto its side",
+        "pressure",
+        at="contact",
     ),
     "contact pressure": _of_bodies(
-        "normal force over area of the contact's node at `near`", "pressure", at="contact", near=True
+        "pressure at the contact's node at `near`: forces projected onto its side",
+        "pressure",
+        at="contact",
+        near=True,
     ),
     "contact half-width": _of_bodies(
         "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True

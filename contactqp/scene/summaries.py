@@ -81,7 +81,11 @@ def _motion_in_words(model: BodyModel | DistributedBodyModel, motion: NDArray[np
 
 def summary_data(model: BodyModel | DistributedBodyModel, solution: Any) -> dict[str, Any]:
     """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
-    return {"contacts": _contacts(model, solution), "free_motions": motions_in_words(model, solution)}
+    return {
+        "contacts": _contacts(model, solution),
+        "contact_notes": model.notes,
+        "free_motions": motions_in_words(model, solution),
+    }
 
 
 def _contacts(model: BodyModel | DistributedBodyModel, solution: Any) -> list[dict[str, str | float]]:
@@ -92,7 +96,7 @@ def _contacts(model: BodyModel | DistributedBodyModel, solution: Any) -> list[di
         rows.append(
             {
                 "contact": contact.name,
-                "nodes": len(contact.area),
+                "nodes": len(contact.pairing.gap),
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(model.pressures(contact.name, solution).max()),

@@ -1,0 +1,72 @@
+"""Whether the facets of two curved sides are too coarse for the gap between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from contactqp.elements.facet import kind_of
+from contactqp.elements.surface import Surface
+from contactqp.elements.tributary import facet_normals, node_normals
+
+Array = NDArray[np.float64]
+# A pressure follows the interference: an error of this part of it is worth a word.
+TOLD = 0.1
+# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
+EDGE = np.cos(np.pi / 6)
+# Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
+MATCHING = 0.05
+# Facets that bend less against each other are flat [radians].
+FLAT = 1e-9
+
+
+def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ...]:
+    """A sentence, where both sides are curved, do not match, and their facets' error is a tenth of the gaps or more.
+
+    The error is that of the chord, L theta / 8 on linear facets of length L whose ends' normals differ by theta: the
+    sagitta L^2 / (8 R) of a circle. Quadratic facets are off by what is left of the kinks between them (`deviation`).
+    """
+    errors = deviation(slave), deviation(master)
+    largest = float(np.max(np.abs(gap), initial=0.0))
+    if min(errors) == 0 or sum(errors) < TOLD * largest or _matching(slave, master):
+        return ()
+    return (
+        f"{slave.name} on {master.name}: both sides are curved and their facets do not match: they are off by up to "
+        f"{errors[0]:.3g} and {errors[1]:.3g} [length] where gap or interference is at most {largest:.3g}, so that the "
+        "facets decide the pressures; finer or quadratic elements, or facets that match, are needed",
+    )
+
+
+def deviation(surface: Surface) -> float:
+    """The largest distance between the facets and the smooth surface through their nodes, estimated [length].
+
+    Along the line s L t between two corners of a facet the smooth surface leaves it at the slopes k.t, with the kinks
+    k = n - n_f of the smooth normal against the facet's: by k.t L s (1 - s) at most, L (|k_i.t| + |k_j.t|) / 8 in the
+    middle. On quadratic facets, which have a node there, by k.t L s (1 - s) (1 - 2 s)^2, a quarter of that. Edges of
+    more than 30 degrees are no curvature.
+    """
+    kind = kind_of(surface)
+    corners = kind.corners
+    smooth = np.zeros(surface.points.shape)
+    smooth[surface.nodes] = node_normals(surface)
+    own = facet_normals(surface)[:, :corners]
+    kink = smooth[surface.facets[:, :corners]] - own
+    kink[(kink**2).sum(axis=2) > 2 * (1 - EDGE)] = 0.0
+    worst = 0.0
+    for i, j in zip(*np.triu_indices(corners, 1), strict=True):
+        line = surface.points[surface.facets[:, j]] - surface.points[surface.facets[:, i]]
+        length = np.linalg.norm(line, axis=1)
+        bend = np.abs((kink[:, i] * line).sum(axis=1)) + np.abs((kink[:, j] * line).sum(axis=1))
+        worst = max(worst, float(np.max(np.where(bend > FLAT * length, bend, 0.0))))
+    return worst / (32 if kind.quadratic else 8)
+
+
+def _matching(slave: Surface, master: Surface) -> bool:
+    """Whether each slave node stands over a master node as far as the master goes: offsets along the side vanish."""
+    points, others, normals = slave.points[slave.nodes], master.points[master.nodes], node_normals(slave)
+    _, nearest = cKDTree(others).query(points)
+    apart = others[nearest] - points
+    along = apart - (apart * normals).sum(axis=1, keepdims=True) * normals
+    spacing = cKDTree(points).query(points, k=2)[0][:, 1]
+    return bool((np.linalg.norm(along, axis=1) <= MATCHING * spacing).all())
