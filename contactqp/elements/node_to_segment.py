@@ -114,7 +114,10 @@ def pair_node_to_segment(
 
 
 def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: float | None) -> NDArray[np.float64]:
-    """The part of each slave facet that stands over the master; asked of those that only some paired nodes have."""
+    """The part of each slave facet that stands over the master; asked of those that only some paired nodes have.
+
+    Where no point of any facet of a paired node does, a master narrower than a facet, its facets count whole.
+    """
     with_partner = np.isin(slave.facets, paired)
     covered = with_partner.any(axis=1).astype(float)
     ends = np.flatnonzero(with_partner.any(axis=1) & ~with_partner.all(axis=1))
@@ -126,6 +129,9 @@ def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: 
         partners = nearest_facets(at, normals, master, reach)
         over = (partners.found & ~partners.beyond).reshape(len(ends), len(xi))
         covered[ends] = (over @ weight) / weight.sum()
+        area = np.zeros(len(slave.points))
+        np.add.at(area, slave.facets, covered[:, np.newaxis])
+        covered[(with_partner & (area[slave.facets] == 0)).any(axis=1)] = 1.0
     return covered
 
 

@@ -250,3 +250,13 @@ def test_what_stands_over_the_end_has_no_part_in_the_pressure(part):
     else:
         force[-1] /= 2
     np.testing.assert_allclose(pairing.pressure(force), 1.0, rtol=0.1 if part == 0.25 else 1e-12)
+
+
+def test_a_master_narrower_than_a_facet_leaves_no_node_without_pressure():
+    """Only one slave node stands over it, and no Gauss point beside: the node's own facets are its area."""
+    lower = Body(rectangle(0.002, 1.0, (1, 4), corner=(0.499, -1.0)), MATERIAL, "plane-strain", name="lower")
+    upper = Body(rectangle(1.0, 1.0, (4, 4)), MATERIAL, "plane-strain", name="upper")
+    structure = Structure([upper, lower])
+    pairing = cq.pair_node_to_segment(structure.surface("upper", "bottom"), structure.surface("lower", "top"))
+    assert len(pairing.gap) == 1
+    np.testing.assert_allclose(pairing.pressure([1.0]), 2.0)
