@@ -11,6 +11,7 @@ from benchmarks import (
     families_of_contacts,
     families_of_floating_bodies,
     families_of_scales,
+    families_of_stacks,
     families_of_stiffness,
 )
 from benchmarks.family_register import FAMILIES, Family, family
@@ -22,6 +23,7 @@ __all__ = [
     "families_of_contacts",
     "families_of_floating_bodies",
     "families_of_scales",
+    "families_of_stacks",
     "families_of_stiffness",
     "family",
 ]

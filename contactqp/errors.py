@@ -26,7 +26,14 @@ class SceneError(ContactQPError, ValueError):
 
 
 class NoEquilibrium(ContactQPError):
-    """No displacement satisfies the constraints, or the load drives a motion that nothing holds back."""
+    """No displacement satisfies the constraints, or the load drives a motion that nothing holds back.
+
+    `proof` is what proves it, where that is one vector: a `contactqp.existence.Conflict` or `DrivenMotion`.
+    """
+
+    def __init__(self, message: str, proof: Any = None) -> None:
+        super().__init__(message)
+        self.proof = proof
 
 
 class SeveralEquilibria(ContactQPError):

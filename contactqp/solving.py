@@ -18,6 +18,7 @@ from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
 from contactqp.local_problem import LocalProblem
 from contactqp.methods import Method, Settings, find
+from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem
 from contactqp.solution import Candidate, Final, Raw, Solution, Work
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
@@ -240,6 +241,9 @@ class Begun:
             self.attempt.refuse_conflict()
             failures = "; ".join(solution.certificate.failures)
             raise NotCertified(f"{name}: the certificate refuses the answer: {failures}", solution)
+        certificate = solution.certificate
+        if self.method.exact and max(certificate.penetration, certificate.tie) > WITHIN_ROUNDING:
+            self.attempt.refuse_conflict()  # what is beneath the tolerance may be a conflict of constraints
         return solution
 
     def _certified(self, started: float) -> tuple[Solution, bool]:

@@ -18,7 +18,7 @@ from contactqp.oracle.exact.lemke import lemke
 from contactqp.oracle.exact.rational import NoSolution, floats, matrix, null_space, number
 
 SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]
-FREE = ("floating", "lattice_free", "lattice_in", "lifted", "summed")
+FREE = ("floating", "lattice_free", "lattice_in", "lifted", "stack", "summed")
 FLOATING = [name for name in FAMILIES if name.startswith(FREE)]
 
 

@@ -1,0 +1,122 @@
+"""Absence is proven: a claim that nothing is an equilibrium carries what shows it, and that is true in exact sums."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.existence import Conflict, DrivenMotion
+
+METHODS = ("active-set", "lemke", "daqp", "clarabel", "lagrange-multiplier")
+BAR = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+def assert_conflict(problem: cq.ContactProblem, proof: Conflict) -> None:
+    """E'y + A'n = 0, to rounding where it is said to be only that, and g'y + b'n < 0, all of it in rational numbers."""
+    rows = [*problem.normal.toarray(), *problem.tie.toarray()]
+    weights = [Fraction(float(x)) for x in (*proof.normal, *proof.tie)]
+    limit = [Fraction(float(x)) for x in (*problem.gap, *problem.tie_value)]
+    assert np.all(proof.normal >= 0)
+    assert sum(w * g for w, g in zip(weights, limit, strict=True)) < 0
+    for j in range(problem.dimension):
+        terms = [w * Fraction(float(row[j])) for w, row in zip(weights, rows, strict=True)]
+        assert abs(sum(terms)) <= Fraction(1, 2**48) * sum(abs(x) for x in terms)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
+def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 0.0], [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - part])
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1") as caught:
+        cq.solve(problem, method)
+    assert caught.value.proof.exact
+    assert_conflict(problem, caught.value.proof)
+    assert caught.value.proof.excess == pytest.approx(part, rel=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
+def test_ties_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
+    ties = dict(tie=[[1.0, 0.0], [2.0, 0.0]], tie_value=[1e-3, 2e-3 * (1 + part)])
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 0.0], [[0.0, 1.0]], [1.0], **ties)
+    with pytest.raises(cq.NoEquilibrium, match="tie 0, tie 1") as caught:
+        cq.solve(problem, method)
+    assert_conflict(problem, caught.value.proof)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
+    ties = dict(tie=[[1.0, 0.0], [1.0, 0.0]], tie_value=[0.3, 0.1 + 0.2])
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 100.0], [[0.0, 1.0]], [1e-4], **ties)
+    solution = cq.solve(problem, method)
+    assert solution.certificate.passed
+    assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    E = rng.integers(-4, 5, (6, 4)).astype(float)
+    u, weight = rng.integers(-3, 4, 4).astype(float), rng.integers(1, 4, 6).astype(float)
+    E = np.vstack([E, -(weight @ E)])  # weight'E + last = 0
+    met = E @ u
+    apart = met + np.append(np.zeros(6), -(10.0 ** -rng.integers(3, 9)))
+    K = np.eye(4) * 1e4
+    assert cq.solve(cq.ContactProblem(K, np.ones(4), E, met)).certificate.passed
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(cq.ContactProblem(K, np.ones(4), E, apart))
+    assert_conflict(cq.ContactProblem(K, np.ones(4), E, apart), caught.value.proof)
+
+
+def test_a_proof_travels_with_its_exception() -> None:
+    problem = cq.ContactProblem(np.eye(1), [0.0], [[1.0], [-1.0]], [1.0, -2.0])
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(problem)
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert str(copy) == str(caught.value)
+    assert copy.proof.normal.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rounding_of_a_load_drives_nothing(method: str) -> None:
+    """F sin(pi) = 4e-14 on an unknown that nothing holds, beside F: whatever comes of it, it is no absence."""
+    load = 300 * np.array([math.cos(math.pi), math.sin(math.pi)])
+    for rows, gaps in (([[-1.0, 0.0]], [1e-3]), ([[-1.0, 0.0], [0.0, -1.0]], [1e-3, 1.0])):
+        problem = cq.ContactProblem(np.diag([157500.0, 0.0]), load, rows, gaps)
+        try:
+            cq.solve(problem, method)
+        except cq.NoEquilibrium:
+            pytest.fail("4e-14 beside 300 was taken for a load that drives a motion")
+        except cq.ContactQPError:
+            pass
+
+
+@pytest.mark.parametrize("load", [1e-6, 1.0])
+def test_a_load_that_drives_a_motion_is_named_with_the_motion(load: float) -> None:
+    problem = cq.ContactProblem(np.diag([157500.0, 0.0]), [300.0, load], [[1.0, 0.0]], [1e-3])
+    with pytest.raises(cq.NoEquilibrium, match=r"unknown 1 by \+1") as caught:
+        cq.solve(problem)
+    proof = caught.value.proof
+    assert isinstance(proof, DrivenMotion)
+    z = [Fraction(float(x)) for x in proof.motion]
+    assert all(sum(Fraction(float(k)) * x for k, x in zip(row, z, strict=True)) == 0 for row in problem.stiffness)
+    assert all(
+        sum(Fraction(float(e)) * x for e, x in zip(row, z, strict=True)) <= 0 for row in problem.normal.toarray()
+    )
+    assert sum(Fraction(float(f)) * x for f, x in zip(problem.load, z, strict=True)) > 0
+
+
+def test_loads_that_balance_to_seven_digits_name_motion_and_imbalance_and_the_way_out() -> None:
+    load = np.array([100.0, -100.00001])
+    problem = cq.ContactProblem(BAR, load, [[1.0, -1.0]], [1e-3])
+    with pytest.raises(cq.NoEquilibrium, match=r"balance but for 1e-05 .*project them") as caught:
+        cq.solve(problem)
+    assert caught.value.proof.work == pytest.approx(1e-5, rel=1e-6)
+    Z = np.ones((2, 1))
+    balanced = load - Z @ np.linalg.solve(Z.T @ Z, Z.T @ load)
+    assert cq.solve(problem.replace(load=balanced)).certificate.passed
