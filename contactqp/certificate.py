@@ -16,6 +16,7 @@ from contactqp.coulomb_residual import IMPLIED, coulomb_residual
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
+from contactqp.idle_rows import acting_rows
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import read_array
@@ -154,6 +155,10 @@ def certify(
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with stage(CERTIFY):
+        if (rows := acting_rows(problem)) is not None:
+            judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
+            whole: Certificate = rows.certificate(judged, answer)
+            return whole
         return _judged(problem, answer, tolerance, error_tolerance, factorization)
 
 

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.elimination import eliminate
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.factorization import (
     SUSPICIOUS_PIVOT,
     Array,
@@ -309,6 +309,11 @@ def unknown_scale(problem: ContactProblem) -> Array:
 def condense(problem: ContactProblem) -> Condensation:
     """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
     shared: dict[str, Any] = problem._shared
+    if any(np.any(idle) for idle in problem.idle_rows()):
+        raise Unsupported(
+            "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "
+            "solve, certify and equilibria leave them out; here, leave them out yourself"
+        )
     if "condensation" not in shared:
         with stage(CONDENSE):
             shared["condensation"] = Condensation(problem)

@@ -8,6 +8,7 @@ from typing import overload
 
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.friction_attempt import found_by_enumeration
+from contactqp.idle_rows import acting_rows
 from contactqp.local_problem import LocalProblem
 from contactqp.local_solution import LocalSolution
 from contactqp.local_solving import local_equilibria
@@ -68,6 +69,9 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
         raise InvalidProblem(
             "equilibria: expected a problem with friction; without it the minimum is what solve returns"
         )
+    if (rows := acting_rows(problem)) is not None:
+        rows.refuse_conflict()
+        return tuple(rows.solution(one) for one in equilibria(rows.problem))
     started = time.perf_counter()
     with problem.lock:
         found = found_by_enumeration(problem)

@@ -19,22 +19,25 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.problem_data import Matrix as Matrix
 from contactqp.problem_data import Vector as Vector
 from contactqp.problem_data import (
     read_friction,
+    read_gap,
     read_motions,
     read_names,
     read_rows,
     read_stiffness,
     read_vector,
+    refuse_extreme_rows,
     refuse_lost_compliances,
-    refuse_zero_rows,
 )
 
 # What is kept of a stiffness alone, whatever the contacts.
 OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
+# Where a problem with some of the ties of another keeps their numbers there.
+TIE_NUMBERS = "tie_numbers"
 
 
 @dataclass(frozen=True)
@@ -57,9 +60,10 @@ class ContactProblem:
     load : (n,) array
         f [force].
     normal : (m, n) array or sparse matrix
-        E_N; row i maps displacements to the approach of contact i [-].
+        E_N; row i maps displacements to the approach of contact i [-]. A row of zeros, of a node that is fixed,
+        constrains nothing where g_i >= 0 and proves that there is no equilibrium where g_i < 0; likewise a tie.
     gap : (m,) array
-        g, the initial gaps [length]; negative means that the contact starts in overlap.
+        g, the initial gaps [length]; negative means that the contact starts in overlap, infinity that it never closes.
     tangent : ((d-1) m, n) array or sparse matrix, optional
         E_T, contact-major: in 3D the rows 2i and 2i+1 belong to contact i.
     friction : float or (m,) array, optional
@@ -80,7 +84,7 @@ class ContactProblem:
     Raises
     ------
     InvalidProblem
-        On wrong shapes, values that are not finite, an asymmetric or indefinite K, a zero row, negative friction.
+        On wrong shapes, values that are not finite, an asymmetric or indefinite K, negative friction.
 
     Examples
     --------
@@ -134,7 +138,7 @@ class ContactProblem:
             asymmetry=asymmetry,
             load=read_vector("load", load, n),
             normal=E_N,
-            gap=read_vector("gap", gap, m),
+            gap=read_gap(gap, m),
             tangent=E_T,
             friction=friction_,
             slip_origin=origin,
@@ -149,8 +153,8 @@ class ContactProblem:
             object.__setattr__(self, name, value)
         # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
         object.__setattr__(self, "_shared", {})
-        refuse_zero_rows("normal", E_N, self.contact_name)
-        refuse_zero_rows("tie", A, self.tie_name)
+        refuse_extreme_rows("normal", E_N, self.contact_name)
+        refuse_extreme_rows("tie", A, self.tie_name)
         for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
             refuse_lost_compliances(kind, rows, self.diagonal, called)
 
@@ -241,9 +245,11 @@ class ContactProblem:
             return ContactProblem(**{name: getattr(self, name) for name in known} | changes)
         n, m, k = self.dimension, self.contacts, self.ties
         checked: dict[str, Any] = {name: getattr(self, name) for name in known} | {"asymmetry": self.asymmetry}
-        for name, size in (("load", n), ("gap", m), ("tie_value", k)):
+        for name, size in (("load", n), ("tie_value", k)):
             if name in changes:
                 checked[name] = read_vector(name, changes[name], size)
+        if "gap" in changes:
+            checked["gap"] = read_gap(changes["gap"], m)
         if set(changes) & {"friction", "slip_origin"}:
             origin = changes.get("slip_origin", self.slip_origin)
             friction = changes.get("friction", self.friction)
@@ -271,8 +277,36 @@ class ContactProblem:
             friction, origin = self.friction[contacts], self.slip_origin[contacts]
             kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
-        shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
+        shared = {name: value for name, value in self._shared.items() if name in (*OF_STIFFNESS, TIE_NUMBERS)}
         return ContactProblem._of_checked(kept, shared)
+
+    def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
+        if "zero_rows" not in self._shared:
+            self._shared["zero_rows"] = tuple(np.diff(rows.indptr) == 0 for rows in (self.normal, self.tie))
+        contacts, ties = self._shared["zero_rows"]
+        return contacts | (self.gap == np.inf), ties
+
+    @property
+    def finite_gap(self) -> Vector:
+        """(m,) the gaps, for what has no number for infinity.
+
+        Raises
+        ------
+        Unsupported
+            One is infinite.
+        """
+        if np.any(self.gap == np.inf):
+            i = int(np.argmax(self.gap == np.inf))
+            raise Unsupported(f"{self.contact_name(i)} never closes: infinity is no rational number, leave it out")
+        return self.gap
+
+    def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
+        """The same problem with some of its ties only, which keep their names."""
+        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
+        kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
+        shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
+        return ContactProblem._of_checked(kept, shared | {TIE_NUMBERS: ties})
 
     @property
     def lock(self) -> Any:
@@ -295,7 +329,8 @@ class ContactProblem:
         return self.dof_names[j] if self.dof_names else f"unknown {j}"
 
     def tie_name(self, i: int) -> str:
-        return f"tie {i}"
+        numbers = self._shared.get(TIE_NUMBERS)
+        return f"tie {i if numbers is None else numbers[i]}"
 
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""

@@ -81,15 +81,26 @@ def read_rows(name: str, value: Any, n: int) -> Any:
     return rows
 
 
-def refuse_zero_rows(name: str, rows: Any, called: Callable[[int], str]) -> None:
-    empty = np.flatnonzero(np.diff(rows.indptr) == 0)
-    if empty.size:
-        raise InvalidProblem(f"{name}: the row of {called(int(empty[0]))} is zero; it constrains nothing")
-    largest = np.maximum.reduceat(abs(rows.data), rows.indptr[:-1]) if rows.shape[0] else np.ones(1)
+def read_gap(value: ArrayLike, size: int) -> Vector:
+    """Initial gaps; infinity is that of a contact that never closes."""
+    gap = read_array("gap", value)
+    if gap.shape == (size,) and np.any(gap == np.inf):
+        read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
+        return _frozen(gap)
+    return read_vector("gap", gap, size)
+
+
+def refuse_extreme_rows(name: str, rows: Any, called: Callable[[int], str]) -> None:
+    """Raise where the largest entry of a row has a square that is no double; a row of zeros constrains nothing."""
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    largest = np.maximum.reduceat(abs(rows.data), rows.indptr[filled]) if filled.size else np.ones(0)
     extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
     if extreme.size:
         i = int(extreme[0])
-        raise InvalidProblem(f"{name}: the row of {called(i)} has the size {largest[i]:.3g}; its square is no double")
+        size = f"{largest[i]:.3g}"
+        raise InvalidProblem(
+            f"{name}: the row of {called(int(filled[i]))} has the size {size}; its square is no double"
+        )
 
 
 def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Callable[[int], str]) -> None:
@@ -101,7 +112,7 @@ def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Call
         squares.data **= 2
         elastic = np.where(diagonal > 0, diagonal, np.inf)
         compliance = np.asarray(squares @ (1.0 / elastic))
-    on_elastic = np.asarray(squares @ np.isinf(elastic).astype(float)) == 0
+    on_elastic = (np.asarray(squares @ np.isinf(elastic).astype(float)) == 0) & (np.diff(rows.indptr) > 0)
     lost = np.flatnonzero((on_elastic & (compliance < LEAST_COMPLIANCE)) | (compliance > 1 / LEAST_COMPLIANCE))
     if lost.size:
         i = int(lost[0])

@@ -46,6 +46,7 @@ class Work:
     polish_corrections: int = 0  # changes of the method's contact set while polishing
     solver: str = ""  # "dense", "superlu", "pardiso", or "pyamg" where nothing is factorised
     krylov_iterations: int = 0  # of conjugate gradients, the certificate's included
+    routes: tuple[str, ...] = ()  # where the first answer was refused: what was tried, one after another, and what came
 
     def after(self, earlier: Work) -> Work:
         """This work and what was spent on it before."""

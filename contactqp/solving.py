@@ -13,7 +13,8 @@ from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
 from contactqp.engines import SERIAL, refuse_unknown_engine
-from contactqp.errors import NotCertified, NotConverged, Unsupported, refuse_other
+from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported, refuse_other
+from contactqp.idle_rows import ActingRows, acting_rows
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
 from contactqp.local_problem import LocalProblem
@@ -27,6 +28,12 @@ from contactqp.widening import solve_among
 
 if TYPE_CHECKING:
     from contactqp.local_solution import LocalSolution
+
+
+DEFAULT_METHOD = "active-set"
+# Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
+# anchors for bodies that float, textbook systems in the numbers of the problem, and an interior point.
+ROUTES = ("lemke", "lagrange-multiplier", "clarabel")
 
 
 @overload
@@ -101,7 +108,9 @@ def solve(
     NotConverged, BackendFailed
         The method gave up; a last iterate, if any, is in `solution`.
     NotCertified
-        The method promises the exact answer and the certificate refuses what it returned.
+        The method promises the exact answer and the certificate refuses what it returned. Where that is the default
+        method, unless `polish`, `max_iter` or `time_limit` speak against it, Lemke's, the Lagrange multipliers' and
+        Clarabel's answers were tried before: the first that is certified is returned, and `work.routes` says so.
     BackendMissing, Unsupported, InvalidProblem
         The method is not installed, cannot do this, or an argument is wrong.
 
@@ -125,6 +134,8 @@ def solve(
         return solve_local(problem, method, warm_start=warm_start, **same)
     refuse_other("solve", problem, ContactProblem, LocalProblem)
     same["condense"] = condense
+    if (rows := acting_rows(problem)) is not None:
+        return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = warm_candidate(problem, warm_start)
     if engine != SERIAL:
         from contactqp.distributed.whole import solve_whole
@@ -135,7 +146,52 @@ def solve(
             return solve_among(
                 problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)
             )
-    return begin(problem, method, start, **same).finish()
+    try:
+        return begin(problem, method, start, **same).finish()
+    except (NotCertified, NotConverged) as error:
+        if problem.frictional or method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
+            raise
+        return _by_another_route(problem, error, same)
+
+
+def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
+    """The answer of the first of the other exact `ROUTES` that is certified; `Work.routes` says what was tried.
+
+    Raises
+    ------
+    NoEquilibrium
+        Another route has proven that there is none.
+    NotCertified, NotConverged
+        The error of the default method, with what the others came to: none is certified.
+    """
+    first = error.solution
+    spent = first.work if isinstance(first, Solution) else Work()
+    tried = [str(error)]
+    seconds = first.seconds if isinstance(first, Solution) else 0.0
+    for route in ROUTES:
+        try:
+            found = begin(problem, route, **same).finish()
+        except (NotCertified, NotConverged, BackendFailed, BackendMissing, Unsupported) as other:
+            tried.append(str(other))
+            continue
+        work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
+        return replace(found, method=DEFAULT_METHOD, seconds=seconds + found.seconds, work=work)
+    error.args = (f"{error}; {', '.join(ROUTES)} were tried too, and no answer is certified",)
+    raise error
+
+
+def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: Any) -> Solution:
+    """The solution of a problem by that of the problem without the rows that constrain nothing."""
+    rows.refuse_conflict()
+    warm_candidate(rows.whole, warm_start)
+    start = None if warm_start is None else rows.start(warm_start)
+    try:
+        found: Solution = rows.solution(solve(rows.problem, method, warm_start=start, **same))
+    except (NotConverged, NotCertified) as error:
+        if isinstance(error.solution, Solution):
+            error.solution = rows.solution(error.solution)
+        raise
+    return found
 
 
 class Attempt(Protocol):

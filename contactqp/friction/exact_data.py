@@ -51,7 +51,8 @@ class ExactData:
         return [flat[i * width : (i + 1) * width] for i in range(len(floats))]
 
     def _vector(self, name: str) -> Row:
-        return self._numbers(name, np.asarray(getattr(self._problem, name)))
+        known = self._problem.finite_gap if name == "gap" else getattr(self._problem, name)
+        return self._numbers(name, np.asarray(known))
 
     def _numbers(self, name: str, floats: np.ndarray[Any, Any]) -> Row:
         if name not in self._exact:

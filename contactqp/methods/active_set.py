@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import Condensation, condense
+from contactqp.condensation import UNRESISTED, Condensation, condense
 from contactqp.delassus import OPERATOR_ROUNDING, Delassus, delassus
 from contactqp.errors import NotConverged
 from contactqp.methods.method import Method, Settings
@@ -191,9 +191,9 @@ def _equilibrium_on(
     )
     if np.any(push < -tension):
         return None
-    # Where nothing floats, the anchored set is the set; where motions stay free, polishing moves them within the gaps.
-    if condensation.rigid.count and not saddle.free.shape[1]:
-        penetrated = _penetrated(condensation, problem, x)
+    # Where nothing floats, the anchored set is the set. What free motions open, polishing opens by moving them.
+    if condensation.rigid.count:
+        penetrated = _penetrated(condensation, problem, x) & ~_moved(condensation, operator, saddle.free)
         penetrated[closed] = False
         if np.any(penetrated):
             return None
@@ -204,6 +204,13 @@ def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) 
     """(m,) contacts that a displacement of the contact unknowns penetrates by more than rounding."""
     length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
     return np.asarray(condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length)
+
+
+def _moved(condensation: Condensation, operator: Delassus, free: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(m,) contacts that feel motions (p, q), orthonormal and scaled, which the set leaves free."""
+    rows = operator.rows[: len(condensation.normal)]
+    felt = np.linalg.norm(rows @ free, axis=1)
+    return np.asarray(felt > UNRESISTED * np.linalg.norm(rows, axis=1))
 
 
 METHODS = (

@@ -70,7 +70,7 @@ def of_floats(problem: ContactProblem) -> RationalProblem:
         K=matrix(problem.stiffness),
         f=column(problem.load),
         E=matrix(problem.normal),
-        g=column(problem.gap),
+        g=column(problem.finite_gap),
         A=matrix(problem.tie),
         b=column(problem.tie_value),
         T=T,

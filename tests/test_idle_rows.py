@@ -1,0 +1,110 @@
+"""Contacts that never close and rows of zeros constrain nothing, whoever solves, and a force on them is refused."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+K = 157500.0 * np.eye(2)
+LOAD = np.array([300.0, 200.0])
+NORMAL = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]
+GAP = [0.0, 1e-3, np.inf, 5e-4]
+TIES = dict(tie=[[0.0, 0.0], [0.0, 1.0]], tie_value=[0.0, 1e-3])
+PROBLEM = cq.ContactProblem(K, LOAD, NORMAL, GAP, **TIES)
+EXACT = [method.name for method in cq.methods() if method.installed and method.exact]
+
+
+@pytest.mark.parametrize("method", EXACT)
+def test_every_method_leaves_them_out(method: str) -> None:
+    solution = cq.solve(PROBLEM, method)
+    assert solution.certificate.passed
+    assert solution.normal_force == pytest.approx([0.0, 0.0, 0.0, 300 - 157500 * 5e-4])
+    assert solution.tie_force == pytest.approx([0.0, 200 - 157.5])
+    assert solution.contact_status.tolist() == ["open", "open", "open", "closed"]
+    assert solution.gap.tolist()[2] == np.inf
+    assert solution.certificate.force_bound.shape == (4,)
+
+
+def test_the_answer_is_that_without_them() -> None:
+    few = cq.ContactProblem(K, LOAD, [NORMAL[1], NORMAL[3]], [GAP[1], GAP[3]], tie=[TIES["tie"][1]], tie_value=[1e-3])
+    solution, alone = cq.solve(PROBLEM), cq.solve(few)
+    assert solution.displacement.tolist() == alone.displacement.tolist()
+    assert solution.certificate.proven
+    assert solution.certificate.energy_error == alone.certificate.energy_error
+
+
+def test_nothing_but_idle_rows_is_a_linear_system() -> None:
+    solution = cq.solve(cq.ContactProblem(K, LOAD, [[0.0, 0.0], [1.0, 0.0]], [np.inf, np.inf]))
+    assert solution.displacement == pytest.approx(LOAD / 157500.0, rel=1e-15)
+
+
+@pytest.mark.parametrize(("contact", "words"), [(0, "contact 0 constrains"), (2, "contact 2 constrains")])
+@pytest.mark.parametrize("force", [1e-3, -1e-3])
+def test_a_force_on_them_is_refused(contact: int, words: str, force: float) -> None:
+    solution = cq.solve(PROBLEM)
+    forged = solution.normal_force.copy()
+    forged[contact] = force
+    certificate = cq.certify(PROBLEM, solution.displacement, forged, tie_force=solution.tie_force)
+    assert not certificate.passed
+    assert any(words in failure for failure in certificate.failures)
+
+
+def test_a_force_on_a_tie_of_zeros_is_refused() -> None:
+    solution = cq.solve(PROBLEM)
+    certificate = cq.certify(PROBLEM, solution.displacement, solution.normal_force, tie_force=[1.0, 42.5])
+    assert any("tie 0" in failure for failure in certificate.failures)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(dict(gap=[-1e-300, 1.0, np.inf, 1.0]), "contact 0"), (dict(tie_value=[1e-9, 1e-3]), "tie 0")],
+)
+def test_a_row_of_zeros_that_is_not_met_proves_that_there_is_none(change: dict, words: str) -> None:
+    problem = PROBLEM.replace(**change)
+    for method in ("active-set", "lemke", "clarabel"):
+        with pytest.raises(cq.NoEquilibrium, match=words) as caught:
+            cq.solve(problem, method)
+    proof = caught.value.proof
+    sides = [*zip(proof.normal, problem.gap, strict=True), *zip(proof.tie, problem.tie_value, strict=True)]
+    assert sum(Fraction(float(y)) * Fraction(float(g)) for y, g in sides if y) < 0
+    answer = cq.solve(PROBLEM)
+    assert not cq.certify(problem, answer.displacement, answer.normal_force, tie_force=answer.tie_force).passed
+
+
+@pytest.mark.parametrize("algorithm", [None, "tresca", "newton", "nsgs", "enumeration", "aclm"])
+def test_with_friction_they_neither_push_nor_rub(algorithm: str | None) -> None:
+    rubbing = dict(tangent=[[0.0, 1.0], [0.0, 1.0], [1.0, 0.0]], friction=0.3)
+    problem = cq.ContactProblem(K, LOAD, NORMAL[:3], GAP[:3], **rubbing)
+    solution = cq.solve(problem, algorithm=algorithm)
+    assert solution.certificate.passed
+    assert solution.normal_force == pytest.approx([0.0, 142.5, 0.0])
+    assert solution.friction_force.ravel() == pytest.approx([0.0, 42.75, 0.0])
+    forged = solution.friction_force.copy()
+    forged[2] = 1e-3
+    assert not cq.certify(problem, solution.displacement, solution.normal_force, forged).passed
+    assert [one.normal_force.shape for one in cq.equilibria(problem)] == [(3,)]
+
+
+def test_a_tie_keeps_its_number_in_messages() -> None:
+    problem = cq.ContactProblem(
+        K, LOAD, [[1.0, 0.0]], [1.0], tie=[[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], tie_value=[0.0, 0.0, 1.0]
+    )
+    with pytest.raises(cq.NoEquilibrium, match="tie 1, tie 2"):
+        cq.solve(problem)
+
+
+def test_a_solution_with_them_is_a_place_to_start_from() -> None:
+    first = cq.solve(PROBLEM)
+    again = cq.solve(PROBLEM.replace(load=LOAD * 1.01), warm_start=first)
+    assert again.certificate.passed
+
+
+def test_what_has_no_number_for_infinity_says_so() -> None:
+    with pytest.raises(cq.Unsupported, match="contact 2 never closes"):
+        cq.exact(PROBLEM)
+    with pytest.raises(cq.InvalidProblem, match="gap"):
+        PROBLEM.replace(gap=[0.0, -np.inf, 1.0, 1.0])
