@@ -103,13 +103,14 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
 
 def _proven_drive(problem: ContactProblem, condensation: Condensation, z: Vector) -> DrivenMotion | None:
     """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
-    uncertainty = condensation.rigid.uncertainty
+    uncertainty, scale = condensation.rigid.uncertainty, unknown_scale(problem)
+    still = scale * float(np.max(abs(z) / scale))  # rounding of z is no more than a part of this
     for rows, signed in ((problem.stiffness_rows, False), (problem.normal, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()
-        size = abs(rows) @ abs(z)
-        if np.any((felt if signed else abs(felt)) > max(BALANCED, uncertainty) * size):
+        rounding = max(BALANCED, uncertainty) * (abs(rows) @ abs(z)) + IDLE * (abs(rows) @ still)
+        if np.any((felt if signed else abs(felt)) > rounding):
             return None
-    scale, size = unknown_scale(problem), problem.load_size
+    size = problem.load_size
     work = extend(problem.load).dot(extend(z))
     rounding = max(
         max(BALANCED, uncertainty) * float(size @ abs(z)),

@@ -11,6 +11,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.existence import refuse_conflict
 from contactqp.friction.combinations import MOST_CONTACTS
 from contactqp.friction.enumeration import all_equilibria
+from contactqp.friction.exact_enumeration import MOST_UNKNOWNS, exact_equilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.free_motion import at_rest, free_motions, without_noise
 from contactqp.friction.newton import refined, solve_newton
@@ -28,6 +29,8 @@ ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", "enumeration", 
 # Algorithms of convex steps.
 CONVEX = ("tresca", "aclm")
 DEFAULT_METHOD = "active-set"
+# Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
+MOST_PROVEN = 4
 
 
 class FrictionAttempt(WholeAttempt, MeteredAttempt):
@@ -184,7 +187,10 @@ def _only(problem: ContactProblem) -> FrictionAttempt:
     found = found_by_enumeration(problem)
     if not found:
         refuse_conflict(problem, condense(problem))
-        raise NoEquilibrium("enumeration: no combination of open, stick and slip is an equilibrium")
+        _refuse_unproven(problem)
+        raise NoEquilibrium(
+            "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
+        )
     if len(found) > 1:
         listed = "; ".join(_described(problem, one) for one in found)
         raise SeveralEquilibria(
@@ -192,6 +198,18 @@ def _only(problem: ContactProblem) -> FrictionAttempt:
             "contactqp.equilibria(problem) returns them all"
         )
     return found[0]
+
+
+def _refuse_unproven(problem: ContactProblem) -> None:
+    """Raise NotConverged unless no combination is an equilibrium in rational numbers either."""
+    none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
+    if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
+        raise NotConverged(
+            f"{none}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts and "
+            f"{MOST_UNKNOWNS} unknowns"
+        )
+    if exact_equilibria(problem):
+        raise NotConverged(f"{none}, and in rational numbers there is one: contactqp.exact_equilibria lists them")
 
 
 def _described(problem: ContactProblem, attempt: FrictionAttempt) -> str:

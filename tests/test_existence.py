@@ -120,3 +120,28 @@ def test_loads_that_balance_to_seven_digits_name_motion_and_imbalance_and_the_wa
     Z = np.ones((2, 1))
     balanced = load - Z @ np.linalg.solve(Z.T @ Z, Z.T @ load)
     assert cq.solve(problem.replace(load=balanced)).certificate.passed
+
+
+def _pad(pull: float, count: int = 1) -> cq.ContactProblem:
+    """Pads of 10 N each, all on springs of their own, all but the first of them at rest."""
+    unit = np.eye(2 * count)
+    load = np.zeros(2 * count)
+    load[0], load[1::2] = pull, -10.0
+    spring = np.diag(np.tile([1.0, 0.0], count))
+    return cq.ContactProblem(spring, load, -unit[1::2], np.zeros(count), tangent=unit[::2], friction=0.3)
+
+
+def test_with_friction_absence_is_proven_in_rational_numbers() -> None:
+    sliding = _pad(5.0).replace(stiffness=np.zeros((2, 2)))
+    with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
+        cq.solve(sliding, algorithm="enumeration")
+    assert cq.exact_equilibria(sliding) == ()
+
+
+def test_what_floats_did_not_find_is_not_denied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Floats overlook the equilibrium: where rationals find it, or cannot look, nothing is denied."""
+    monkeypatch.setattr("contactqp.friction_attempt.all_equilibria", lambda *_: ())
+    with pytest.raises(cq.NotConverged, match="in rational numbers there is one"):
+        cq.solve(_pad(5.0), algorithm="enumeration")
+    with pytest.raises(cq.NotConverged, match="up to 4 contacts"):
+        cq.solve(_pad(5.0, count=6), algorithm="enumeration")

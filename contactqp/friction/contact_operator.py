@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.condensation import UNRESISTED, Condensation
-from contactqp.errors import NoEquilibrium
+from contactqp.errors import NotConverged
 from contactqp.factorization import Array
 from contactqp.frictional_rows import FrictionalRows, compliance_of
 from contactqp.problem import ContactProblem, Vector
@@ -62,14 +62,14 @@ class ContactOperator:
 
         Raises
         ------
-        NoEquilibrium
-            No displacement gives the ties their values.
+        NotConverged
+            No displacement was found that gives the ties their values: whether they conflict is proven elsewhere.
         """
         if not self._tied.size:
             return np.zeros(len(self.basis))
         start = np.asarray(self._tied @ value)
         if np.max(abs(self._rows.tie @ start - value), initial=0.0) > CONFLICT * np.max(abs(value), initial=0.0):
-            raise NoEquilibrium("friction: the ties contradict each other")
+            raise NotConverged("friction: the ties contradict each other, as far as floats can tell")
         return start
 
     def free(self, load: Vector, start: Vector) -> Vector:

@@ -166,7 +166,7 @@ def test_random_problems_against_the_law_and_against_each_other(count: int, with
         assert all(_breaks_coulomb(state) < 1e-11 for state in known)
         if not known:
             counts["none"] += 1
-            with pytest.raises(cq.NoEquilibrium):
+            with pytest.raises((cq.NoEquilibrium, cq.NotConverged)):  # rounding may hold the bodies, 1e15 away
                 cq.solve(problem)
             continue
         counts["several" if len(known) > 1 else "one"] += 1
