@@ -11,7 +11,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, Severa
 from contactqp.existence import refuse_conflict
 from contactqp.friction.combinations import MOST_CONTACTS
 from contactqp.friction.enumeration import all_equilibria
-from contactqp.friction.exact_enumeration import MOST_UNKNOWNS, exact_equilibria
+from contactqp.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.friction.free_motion import at_rest, free_motions, without_noise
 from contactqp.friction.newton import refined, solve_newton
@@ -29,8 +29,6 @@ ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", "enumeration", 
 # Algorithms of convex steps.
 CONVEX = ("tresca", "aclm")
 DEFAULT_METHOD = "active-set"
-# Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
-MOST_PROVEN = 4
 
 
 class FrictionAttempt(WholeAttempt, MeteredAttempt):

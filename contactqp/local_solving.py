@@ -9,6 +9,8 @@ import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.friction.exact_enumeration import MOST_PROVEN
+from contactqp.friction.exact_local import has_local_equilibrium
 from contactqp.friction.existence_test import refuse_unbalanced
 from contactqp.friction.iterate import Iterate
 from contactqp.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
@@ -127,7 +129,14 @@ def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSol
     """The only answer, or the first of them where nobody asked for enumeration."""
     found = local_equilibria(problem, tolerance)
     if not found:
-        raise NoEquilibrium("enumeration: no combination of open, stick and slip is an equilibrium")
+        none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
+        if problem.contacts > MOST_PROVEN:
+            raise NotConverged(f"{none}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts")
+        if has_local_equilibrium(problem):
+            raise NotConverged(f"{none}, and in rational numbers there is one")
+        raise NoEquilibrium(
+            "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
+        )
     if only and len(found) > 1:
         listed = "; ".join(", ".join(f"r_N = {force:.6g}" for force in one.force[:, 0].tolist()) for one in found)
         raise SeveralEquilibria(

@@ -24,7 +24,7 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.rows import Rows
-from contactqp.errors import NoEquilibrium
+from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.polishing import shift_within_gaps
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ BALANCED = 1e-10
 IDLE = 1e-9
 # SciPy's words for the end of a linear program.
 _INFEASIBLE, _UNBOUNDED = 2, 3
+_DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
 
 
 class Floating:
@@ -86,13 +87,15 @@ class Floating:
         ------
         NoEquilibrium
             The load drives a motion that nothing holds back.
+        NotConverged
+            The linear program found no resting place, and no such motion.
         """
         work = self._work(load)
         every = self._ranks.gathered(self.moved), self._ranks.gathered(limit)
         contact = self._ranks.gathered(np.arange(len(limit)) < self._contacts)
         a, force = self._ranks.comm.bcast(resting_place(work, *every, contact) if self._ranks.rank == 0 else None)
         if isinstance(a, str):
-            raise NoEquilibrium(a)
+            raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
         first = self._ranks.first(len(limit))
         push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
         pressed = push[first : first + self._contacts] > IDLE * np.max(abs(push), initial=0.0)
@@ -220,7 +223,7 @@ def resting_place(work: Vector, moved: Array, limit: Vector, contact: NDArray[np
         touching = np.where(contact, np.maximum(limit, 0.0), 0.0)
         found = _program(work, moved[acting] / size[acting, None], touching[acting] / size[acting], contact[acting])
     if found.status == _UNBOUNDED:
-        return "the load drives a rigid motion that no contact and no tie holds back", limit
+        return _DRIVEN, limit
     if found.x is None:
         return f"the resting place of the bodies that float was not found: {found.message}", limit
     force = np.zeros(len(limit))

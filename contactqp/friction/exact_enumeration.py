@@ -31,6 +31,8 @@ from contactqp.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
 # 4^6 systems of some ten rows take tens of seconds in rational numbers.
 MOST_CONTACTS = 6
 MOST_UNKNOWNS = 60
+# Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
+MOST_PROVEN = 4
 
 
 @dataclass(frozen=True, eq=False)
