@@ -150,16 +150,19 @@ def polish(
 
     A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
     that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
-    tension, where such forces exist, and contacts with none leave the set.
+    tension, where such forces exist, and contacts with none leave the set. A set that holds to rounding of doubles is
+    corrected by the signs in extended precision, as long as that leads to one that holds too.
     """
     seen: set[bytes] = set()
-    corrections = 0
+    corrections, holding = 0, None
     while True:
         answer = answer_on(problem, condensation, closed, start, left, caution)
+        if holding is not None and not _regular(answer):
+            return holding
         proposal = None
         if answer.saddle.redundant:
             if not _ties_are_met(problem, answer):
-                return answer, corrections, False
+                return holding or (answer, corrections, False)
             proposal = _exchanged(problem, answer)
             if proposal is None:
                 lean = _without_tension(condensation, answer)
@@ -172,12 +175,16 @@ def polish(
             tension, penetrated = _wrong(problem, answer, closed)
             reached, driven = _reached_by_drive(problem, condensation, answer)
             if not (tension.size or penetrated.size or driven):
-                return answer, corrections, True
+                holding = answer, corrections, True
+                proposal = _decided(condensation, answer, closed)
+                if proposal is None or np.array_equal(proposal, closed):
+                    return holding
+        if proposal is None:
             penetrated = np.union1d(penetrated, reached)
             proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         seen.add(closed.tobytes())
         if corrections >= max_corrections or proposal.tobytes() in seen:
-            return answer, corrections, False
+            return holding or (answer, corrections, False)
         closed = proposal
         corrections += 1
 
@@ -216,6 +223,23 @@ def _wrong(
         doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
         tension = np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING)
     return tension, np.setdiff1d(penetrated, closed)
+
+
+def _regular(answer: OnSet) -> bool:
+    """Whether no row of a set depends on others, or nearly so."""
+    return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
+
+
+def _decided(condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]) -> NDArray[np.intp] | None:
+    """The set that follows from signs in extended precision, beneath what doubles tell from zero; None where a set is
+    redundant or nearly so, or bodies float: there rounding of the data decides."""
+    if condensation.rigid.count or not _regular(answer):
+        return None
+    compliance = delassus(condensation).compliance[: len(answer.normal_force)]
+    noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
+    tension = np.flatnonzero(answer.normal_force.double() * compliance < -noise)
+    penetrated = np.flatnonzero(answer.gap.double() < -noise)
+    return np.union1d(np.setdiff1d(closed, tension), np.setdiff1d(penetrated, closed)).astype(np.intp)
 
 
 def _reached_by_drive(

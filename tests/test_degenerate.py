@@ -150,3 +150,27 @@ def test_what_condensation_leaves_of_a_floating_chain_is_no_stiffness(rows: list
     off = cq.certify(problem, solution.displacement, solution.normal_force * (1 + 1e-12))
     assert off.force_error is not None
     assert off.force_error > 0.9e-12
+
+
+@pytest.mark.parametrize("seed", [11, 76, 81, 114, 186])
+def test_grazing_of_two_chains_is_decided_beneath_the_rounding_of_doubles(seed: int) -> None:
+    """The gap is the approach rounded: rationals say whether the chains touch, with forces of 1e-12 beside 1e3."""
+    pytest.importorskip("flint")
+    rng = np.random.default_rng(seed)
+    first, second = rng.integers(1, 12, 2)
+    K = np.zeros((first + second, first + second))
+    for start, size in ((0, first), (first, second)):
+        for i, spring in enumerate(10 ** rng.uniform(0, 6, size)):
+            at = start + i
+            K[at, at] += spring
+            if i:
+                K[at - 1, at - 1] += spring
+                K[at, at - 1] = K[at - 1, at] = -spring
+    load = np.zeros(first + second)
+    load[rng.integers(0, first + second, 3)] = rng.normal(size=3) * 10 ** rng.uniform(-2, 4, 3)
+    row = np.zeros(first + second)
+    row[[first - 1, -1]] = 1.0, -1.0
+    problem = cq.ContactProblem(K, load, [row], [row @ np.linalg.solve(K, load)])
+    solution, exact = cq.solve(problem), cq.exact(problem)
+    assert solution.certificate.passed
+    assert solution.normal_force[0] == pytest.approx(float(exact.normal_force[0]), rel=1e-9, abs=0)
