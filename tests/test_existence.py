@@ -145,3 +145,20 @@ def test_what_floats_did_not_find_is_not_denied(monkeypatch: pytest.MonkeyPatch)
         cq.solve(_pad(5.0), algorithm="enumeration")
     with pytest.raises(cq.NotConverged, match="up to 4 contacts"):
         cq.solve(_pad(5.0, count=6), algorithm="enumeration")
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rigid_bodies_that_overlap_are_moved_apart(seed: int) -> None:
+    """K = 0: the energy sees nothing; what is feasible by construction is found, with forces that balance the load."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 7))
+    E = np.zeros((m, n))
+    for row in E:
+        touched = rng.choice(n, min(n, int(rng.integers(1, 3))), replace=False)
+        row[touched] = rng.choice([-1.0, 1.0, 0.5, 2.0], len(touched))
+    gap = E @ rng.normal(size=n) + rng.uniform(0, 1, m) * (rng.random(m) < 0.7)
+    load = E.T @ (rng.uniform(0, 1, m) * (rng.random(m) < 0.5)) if rng.random() < 0.6 else np.zeros(n)
+    solution = cq.solve(cq.ContactProblem(np.zeros((n, n)), load, E, gap))
+    assert solution.certificate.passed
+    assert np.all(solution.gap >= -1e-12)
+    assert E.T @ solution.normal_force == pytest.approx(load, abs=1e-12)
