@@ -300,7 +300,7 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
 
 
 def _spread(matrix: Any, motion: Array) -> Array:
-    """A rigid motion whose forces K z, the rounding of all of K that elimination gathers at few unknowns, are spread."""
+    """A rigid motion whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again."""
     from scipy.sparse.linalg import cg
 
     diagonal = matrix.diagonal()

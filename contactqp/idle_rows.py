@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium
 from contactqp.existence import Conflict
+from contactqp.intrinsic_size import Nothing
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import contact_entries
 from contactqp.violations import Answer, Violations, force_measure, forces_that_meet, vector_measure
@@ -133,9 +134,21 @@ class ActingRows:
         others |= dict(gap_measure=np.where(whole.gap == 0, 0.0, 1.0))
         others["tension"] = np.where(answer.normal_force < 0, push, 0.0)
         others["complementarity"] = np.where(answer.normal_force > 0, push, 0.0)
-        spread = {name: self._contacts(getattr(found, name), others[name]) for name in _OF_CONTACTS}
+        spread: dict[str, Any] = {n: self._contacts(getattr(found, n), others[n]) for n in _OF_CONTACTS}
         unmet = np.where((whole.tie_value != 0) | (answer.tie_force != 0), 1.0, 0.0)
-        return replace(found, tie=_spread(whole.ties, self.ties, found.tie, unmet), **spread)
+        tie = _spread(whole.ties, self.ties, found.tie, unmet)
+        return replace(replace(found, tie=tie, nothing=self._nothing(found.nothing)), **spread)
+
+    def _nothing(self, few: Nothing) -> Nothing:
+        """With rows that constrain nothing: there, nothing but zero is nothing."""
+        whole = self.whole
+        tangent = few.tangent
+        if whole.slip_origin is not None:
+            shape = whole.slip_origin.shape
+            across = np.zeros(shape)
+            across[self.contacts] = tangent.reshape(len(self.contacts), -1)
+            tangent = across.ravel()
+        return Nothing(few.force, self._contacts(few.normal), tangent, _spread(whole.ties, self.ties, few.tie))
 
     def _failures(self, found: Violations, answer: Answer, tolerance: float) -> Iterator[str]:
         whole, idle = self.whole, _others(self.whole.contacts, self.contacts)
@@ -192,4 +205,4 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
     if answer.friction_force is None or problem.tangent is None:
         return push, np.zeros(m)
-    return push, vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F)
+    return push, vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))

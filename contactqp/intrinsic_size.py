@@ -10,7 +10,8 @@ the largest of
 length_i being |g_i| where the answer closes that gap (|b_i| of a tie, |slip_origin_i| where contact i sticks there) and
 at most ten times |E_i||u_e| elsewhere; a problem without load and ties to impose lengths has its smallest gap. A force
 at unknown j is nothing up to t S / D_j, a length of row i up to t S |E_i D|, t being a thousandth of the tolerance,
-1e-12 by default. So is what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid part.
+1e-12 by default. So is what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid part, and
+the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
 
 Forces combine to their resultant before they are measured: forces that redundant ties exert on each other give no size.
 Parts of a problem that no stiffness, contact or tie connects have sizes of their own, of which none is taken to be less
@@ -27,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.factorization import RigidMotions
+from contactqp.factorization import RIGID_FORCE, RigidMotions
 from contactqp.problem import ContactProblem, Vector
 from contactqp.row_sizes import row_sizes
 
@@ -97,12 +98,17 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     return np.asarray(np.maximum(size, BESIDE_OTHERS * whole)[part])
 
 
-def nothing(problem: ContactProblem, answer: Any, size: Vector, part: float) -> Nothing:
-    """What is nothing beside intrinsic sizes (n,): this part of them, or what no doubles could hold better."""
+def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:
+    """What is nothing beside intrinsic sizes (n,): this part of them, or what no doubles could hold better.
+
+    `elastic` (n,) is the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most.
+    """
     u = abs(answer.displacement)
     D = scale_of_unknowns(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
     force = np.maximum(force, HELD_BY_DOUBLES * (stiffness_sizes(problem) @ u))
+    if elastic is not answer.displacement:
+        force = np.maximum(force, RIGID_FORCE * (stiffness_sizes(problem) @ abs(answer.displacement - elastic)))
     bare = _untouched(problem)
     if np.any(bare):
         force[bare] = ROUNDING_OF_LOADS * np.max(problem.load_size, initial=0.0)

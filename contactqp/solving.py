@@ -21,6 +21,7 @@ from contactqp.local_problem import LocalProblem
 from contactqp.methods import Method, Settings, find
 from contactqp.polishing import WITHIN_ROUNDING
 from contactqp.problem import ContactProblem
+from contactqp.row_sizes import row_sizes
 from contactqp.solution import Candidate, Final, Raw, Solution, Work
 from contactqp.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
 from contactqp.stages import METHOD, POLISH, stage
@@ -194,6 +195,17 @@ def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: A
     return found
 
 
+def _unmet(problem: ContactProblem, solution: Solution) -> bool:
+    """Whether an answer leaves gaps closed or ties unmet by more than rounding of the lengths that meet."""
+    u = solution.displacement
+    for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
+        beyond = rows @ u - limit
+        meeting = row_sizes(problem, rows).size @ abs(u) + abs(limit)
+        if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):
+            return True
+    return False
+
+
 class Attempt(Protocol):
     """What a method made of a problem, whichever way it was shown it."""
 
@@ -297,8 +309,7 @@ class Begun:
             self.attempt.refuse_conflict()
             failures = "; ".join(solution.certificate.failures)
             raise NotCertified(f"{name}: the certificate refuses the answer: {failures}", solution)
-        certificate = solution.certificate
-        if self.method.exact and max(certificate.penetration, certificate.tie) > WITHIN_ROUNDING:
+        if self.method.exact and _unmet(self.problem, solution):
             self.attempt.refuse_conflict()  # what is beneath the tolerance may be a conflict of constraints
         return solution
 

@@ -128,7 +128,7 @@ def violations(
     """
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
-    none = nothing(problem, answer, size, rounding)
+    none = nothing(problem, answer, elastic, size, rounding)
     F = np.asarray(stiffness_sizes(problem) @ abs(elastic) + outer_forces(problem, answer))
     return figures(
         answer,

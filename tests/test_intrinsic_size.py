@@ -179,7 +179,7 @@ def test_a_claimed_force_on_an_open_contact_gives_no_size() -> None:
     answer = Answer(np.array([0.0, 1e-12]), np.array([1e-300, 1e-6 - 1e-9]), None, np.zeros(0))
     size = intrinsic_size(problem, answer, answer.displacement)
     assert np.max(size) < 1e-7
-    assert np.max(nothing(problem, answer, size, 1e-12).force) < 1e-11
+    assert np.max(nothing(problem, answer, answer.displacement, size, 1e-12).force) < 1e-11
 
 
 def test_parts_that_nothing_connects_have_their_own_size() -> None:
@@ -194,7 +194,7 @@ def test_parts_that_nothing_connects_have_their_own_size() -> None:
 def test_unknowns_without_stiffness_get_their_scale_from_their_rows() -> None:
     problem = cq.ContactProblem(np.diag([4.0, 0.0, 0.0]), [8.0, 0.0, 0.0], [[1.0, -2.0, 0.0]], [0.0])
     answer = Answer(np.array([2.0, 1.0, 0.0]), np.zeros(1), None, np.zeros(0))
-    least = nothing(problem, answer, np.full(3, 4.0), 1e-12).force
+    least = nothing(problem, answer, answer.displacement, np.full(3, 4.0), 1e-12).force
     assert least[:2] == pytest.approx([8e-12, 16e-12])
     assert least[2] == pytest.approx(64 * np.finfo(float).eps * 8.0)
 

@@ -80,7 +80,9 @@ def test_steel_on_what_is_softer_by_ten_decades(seed: int) -> None:
     assert solution.free_motions
     weight = -np.sum(problem.load)
     floor = np.flatnonzero(np.count_nonzero(problem.normal.toarray(), axis=1) == 1)
-    assert np.sum(solution.normal_force[floor]) == pytest.approx(weight, rel=1e-9)
+    # K z of the rigid motion of a stiff block is rounding of K, which the forces balance as well.
+    rounding = np.finfo(float).eps * np.max(abs(problem.stiffness) @ abs(solution.displacement))
+    assert np.sum(solution.normal_force[floor]) == pytest.approx(weight, rel=1e-9, abs=rounding)
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -17,7 +17,7 @@ from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rigid_motions import without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
-from contactqp.factorization import Array
+from contactqp.factorization import RIGID_FORCE, Array
 from contactqp.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
 from contactqp.row_sizes import RowSizes, entries_of, sizes_of
 from contactqp.violations import (
@@ -38,7 +38,7 @@ def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: B
     elastic = without_rigid_part(problem, bodies, u)
     F = stiffness_sizes(problem, abs(elastic)) + outer_forces(problem, answer)
     size = intrinsic_size(problem, answer, elastic)
-    none = _nothing(problem, u, size, rounding)
+    none = _nothing(problem, u, elastic, size, rounding)
     residual = outer_resultant(problem, answer) - problem.product(u)
     near = problem.normal.near(F)
     sizes = Sizes(
@@ -77,9 +77,11 @@ def _rows(problem: DistributedProblem) -> list[tuple[Rows, Vector]]:
     return rows
 
 
-def _nothing(problem: DistributedProblem, u: Vector, size: float, part: float) -> Nothing:
+def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
     """`contactqp.intrinsic_size.nothing` of this rank's unknowns and rows. Collective."""
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * stiffness_sizes(problem, abs(u)))
+    if problem.ranks.any(elastic is not u):
+        force = np.maximum(force, RIGID_FORCE * stiffness_sizes(problem, abs(u - elastic)))
 
     def least(rows: Rows) -> Vector:
         of_row, whole = row_sizes(problem, rows), abs(rows.entries) @ rows.near(abs(u))
