@@ -16,10 +16,11 @@ from contactqp.coulomb_residual import IMPLIED, coulomb_residual
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.factorization import RigidMotions
 from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
+from contactqp.floating_point import own_floating_point
 from contactqp.idle_rows import acting_rows
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import read_array
+from contactqp.problem_data import ReadOnly, read_array
 from contactqp.stages import CERTIFY, stage
 from contactqp.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
 from contactqp.uniqueness import UNKNOWN, uniqueness
@@ -41,7 +42,7 @@ ROUNDING_OF_ANSWERS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate:
+class Certificate(ReadOnly):
     """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
 
     `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
@@ -102,6 +103,7 @@ class Certificate:
         return "\n".join(lines)
 
 
+@own_floating_point
 def certify(
     problem: ContactProblem,
     displacement: ArrayLike,

@@ -14,7 +14,16 @@ if TYPE_CHECKING:
 
 
 class ContactQPError(Exception):
-    """Every error that contactqp raises on purpose."""
+    """Every error that contactqp raises on purpose; pickled and copied with all that it carries."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[ContactQPError], arguments: tuple[Any, ...], carried: dict[str, Any]) -> ContactQPError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(carried)
+    return error
 
 
 class InvalidProblem(ContactQPError, ValueError):

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from contactqp.factorization import RIGID_FORCE, RigidMotions
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 from contactqp.row_sizes import row_sizes
 
 # A gap that an answer leaves smaller than this part of its lengths is one that it closes.
@@ -47,7 +48,7 @@ ROUNDING_OF_LOADS = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Nothing:
+class Nothing(ReadOnly):
     """The forces and lengths up to which an answer has none at an unknown or in a row."""
 
     force: Vector  # (n,) at unknowns [force]

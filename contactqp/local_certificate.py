@@ -20,9 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.coulomb_cone import directions, lengths, natural_map
 from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.local_uniqueness import local_uniqueness
-from contactqp.problem_data import Vector, read_array
+from contactqp.problem_data import ReadOnly, Vector, read_array
 from contactqp.published_errors import siconos_local_error
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
@@ -32,7 +33,7 @@ FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction"
 
 
 @dataclass(frozen=True, eq=False)
-class LocalCertificate:
+class LocalCertificate(ReadOnly):
     """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
 
     natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
@@ -65,6 +66,7 @@ class LocalCertificate:
         )
 
 
+@own_floating_point
 def certify_local(
     problem: LocalProblem,
     force: ArrayLike,

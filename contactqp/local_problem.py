@@ -21,7 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.extended import SparseRows, extend
-from contactqp.problem_data import Matrix, Vector, read_coefficient, read_matrix, read_names, read_vector
+from contactqp.floating_point import own_floating_point
+from contactqp.problem_data import (
+    Matrix,
+    ReadOnly,
+    Vector,
+    read_coefficient,
+    read_matrix,
+    read_names,
+    read_only,
+    read_vector,
+    refuse_masked,
+)
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -30,7 +41,7 @@ DEFINITENESS_CHECK_SIZE = 300
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class LocalProblem:
+class LocalProblem(ReadOnly):
     """One frictional contact problem in local form.
 
     Parameters
@@ -75,6 +86,7 @@ class LocalProblem:
     contact_names: tuple[str, ...] | None
     asymmetry: float
 
+    @own_floating_point
     def __init__(
         self,
         delassus: Any,
@@ -109,6 +121,7 @@ class LocalProblem:
         if R.shape != (joints, joints):
             raise InvalidProblem(f"bilateral_delassus: expected shape ({joints}, {joints}), got {R.shape}")
         names = read_names("contact_names", contact_names, m)
+        refuse_masked("offset", offset)
         offset_ = np.asarray(offset).reshape(-1) if np.shape(offset) == (m, dimension) else offset
         values = dict(
             delassus=W,
@@ -124,7 +137,7 @@ class LocalProblem:
             asymmetry=_asymmetry(W),
         )
         for name, value in values.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, read_only(value))
         self._refuse_indefinite()
 
     def _refuse_indefinite(self) -> None:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from contactqp.local_certificate import LocalCertificate
 from contactqp.local_problem import LocalProblem
-from contactqp.problem_data import Vector
+from contactqp.problem_data import ReadOnly, Vector
 
 
 @dataclass(frozen=True, eq=False)
-class LocalSolution:
+class LocalSolution(ReadOnly):
     """Forces and velocities of one LocalProblem, with the certificate that judged them."""
 
     problem: LocalProblem = field(repr=False)

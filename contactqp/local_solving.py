@@ -9,6 +9,7 @@ import numpy as np
 
 from contactqp.blas_threads import THREADS_PAY, on_one_thread
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.floating_point import own_floating_point
 from contactqp.friction.exact_enumeration import MOST_PROVEN
 from contactqp.friction.exact_local import has_local_equilibrium
 from contactqp.friction.existence_test import refuse_unbalanced
@@ -32,6 +33,7 @@ WORTH_JUDGING = 1e-6
 NEAR = 1e-6
 
 
+@own_floating_point
 def solve_local(
     problem: LocalProblem,
     method: str = DEFAULT_METHOD,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import overload
 
 from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.friction_attempt import found_by_enumeration
 from contactqp.idle_rows import acting_rows
 from contactqp.local_problem import LocalProblem
@@ -26,6 +27,7 @@ def equilibria(problem: ContactProblem) -> tuple[Solution, ...]: ...
 def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
 
 
+@own_floating_point
 def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
     """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
 

@@ -10,6 +10,7 @@ FORCE, positive in compression. With friction, |l_T| <= mu l_N and l_T points al
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -20,6 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.problem_data import Matrix as Matrix
 from contactqp.problem_data import Vector as Vector
 from contactqp.problem_data import (
@@ -27,6 +29,7 @@ from contactqp.problem_data import (
     read_gap,
     read_motions,
     read_names,
+    read_only,
     read_rows,
     read_stiffness,
     read_vector,
@@ -109,6 +112,7 @@ class ContactProblem:
     asymmetry: float
     _shared: dict[str, Any]
 
+    @own_floating_point
     def __init__(
         self,
         stiffness: Any,
@@ -150,7 +154,7 @@ class ContactProblem:
             near_null_space=read_motions("near_null_space", near_null_space, n),
         )
         for name, value in values.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, read_only(value))
         # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
         object.__setattr__(self, "_shared", {})
         refuse_extreme_rows("normal", E_N, self.contact_name)
@@ -163,7 +167,7 @@ class ContactProblem:
         """A problem of values that need no further check, with what it shares with the problem they come from."""
         problem = object.__new__(cls)
         for name, value in values.items():
-            object.__setattr__(problem, name, value)
+            object.__setattr__(problem, name, read_only(value))
         object.__setattr__(problem, "_shared", shared)
         return problem
 
@@ -197,7 +201,7 @@ class ContactProblem:
     def diagonal(self) -> Vector:
         """(n,) the K_jj, looked up once for a stiffness."""
         if "diagonal" not in self._shared:
-            self._shared["diagonal"] = np.asarray(self.stiffness.diagonal(), dtype=float)
+            self._shared["diagonal"] = read_only(np.array(self.stiffness.diagonal(), dtype=float))
         return np.asarray(self._shared["diagonal"])
 
     @property
@@ -207,7 +211,7 @@ class ContactProblem:
             K = self.stiffness
             columns = sp.issparse(K) and K.format == "csc"
             arrays = (K.data, K.indices, K.indptr) if columns else K
-            self._shared["stiffness_rows"] = sp.csr_matrix(arrays, shape=K.shape)
+            self._shared["stiffness_rows"] = read_only(sp.csr_matrix(arrays, shape=K.shape))
         return self._shared["stiffness_rows"]
 
     @property
@@ -223,7 +227,7 @@ class ContactProblem:
     @property
     def load_size(self) -> Vector:
         """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
-        return np.asarray(self._shared.get("load_size", abs(self.load)))
+        return np.asarray(read_only(self._shared.get("load_size", abs(self.load))))
 
     @property
     def frictional(self) -> bool:
@@ -310,12 +314,19 @@ class ContactProblem:
 
     @property
     def lock(self) -> Any:
-        """A lock, held while something is computed that problems with the same stiffness and rows share."""
-        return self._shared.setdefault("lock", threading.RLock())
+        """A lock, held while something is computed that problems with the same stiffness and rows share.
+
+        Every process has its own: one that is forked while another thread holds it would wait for ever.
+        """
+        return self._shared.setdefault(f"lock of {os.getpid()}", threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: the problem, without what was computed from it."""
         return self.__dict__ | {"_shared": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value))
 
     def energy(self, displacement: ArrayLike) -> float:
         """1/2 u'Ku - f'u."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,15 +24,52 @@ LEAST_COMPLIANCE = 1e-250
 DEFINITENESS_CHECK_SIZE = 200
 
 
+T = TypeVar("T")
+
+
+def read_only(value: T) -> T:
+    """The value itself; an array, or a sparse matrix with the arrays that it is made of, can no longer be changed."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    elif sp.issparse(value):
+        for part in ("data", "indices", "indptr"):
+            if hasattr(value, part):
+                getattr(value, part).setflags(write=False)
+    return value
+
+
+class ReadOnly:
+    """A frozen dataclass whose arrays are frozen with it, unpickled and copied ones too."""
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            read_only(value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value))
+
+
 def read_array(name: str, value: Any) -> NDArray[np.float64]:
     """Real numbers of any shape, NaN included."""
+    refuse_masked(name, value)
     try:
         raw = np.asarray(value)
         if np.iscomplexobj(raw):
             raise TypeError("complex numbers")
+        entries = raw.flat if raw.dtype.kind == "O" else ()
+        if raw.dtype.kind in "SU" or any(isinstance(entry, (str, bytes)) for entry in entries):
+            raise TypeError("words are no numbers")
         return np.array(raw, dtype=float)
     except (TypeError, ValueError) as error:
         raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
+
+
+def refuse_masked(name: str, value: Any) -> None:
+    """Raise InvalidProblem where entries of an array are masked, or may be."""
+    parts = value if isinstance(value, (list, tuple)) else (value,)
+    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+        raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
 
 
 def _finite(name: str, values: NDArray[np.float64]) -> None:
@@ -42,17 +79,12 @@ def _finite(name: str, values: NDArray[np.float64]) -> None:
         raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(where)]} at [{at}]")
 
 
-def _frozen(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    values.setflags(write=False)
-    return values
-
-
 def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
     vector = read_array(name, value)
     if vector.shape != (size,):
         raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
     _finite(name, vector)
-    return _frozen(vector)
+    return read_only(vector)
 
 
 def _sparse(name: str, value: Any) -> Any:
@@ -86,7 +118,7 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
     gap = read_array("gap", value)
     if gap.shape == (size,) and np.any(gap == np.inf):
         read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
-        return _frozen(gap)
+        return read_only(gap)
     return read_vector("gap", gap, size)
 
 
@@ -158,7 +190,7 @@ def read_stiffness(value: Any) -> tuple[Matrix, float]:
     if n <= DEFINITENESS_CHECK_SIZE:
         _refuse_indefinite(K.toarray())
     if dense:
-        return _frozen(K.toarray()), asymmetry
+        return read_only(K.toarray()), asymmetry
     return sp.csc_array(K), asymmetry
 
 
@@ -205,7 +237,7 @@ def read_friction(
             f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
         )
     _finite("slip_origin", origin)
-    return E_T, coefficient, _frozen(origin.reshape(m, per_contact))
+    return E_T, coefficient, read_only(origin.reshape(m, per_contact))
 
 
 def read_coefficient(friction: ArrayLike, m: int) -> Vector:
@@ -234,7 +266,7 @@ def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float
     if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
         raise InvalidProblem(f"{name}: expected shape ({n}, q), one motion a column, got {motions.shape}")
     _finite(name, motions)
-    return _frozen(motions)
+    return read_only(motions)
 
 
 def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly, read_only
 
 if TYPE_CHECKING:
     from contactqp.certificate import Certificate
@@ -57,7 +58,7 @@ class Work:
 
 
 @dataclass(frozen=True, eq=False)
-class Raw:
+class Raw(ReadOnly):
     """A method's answer before polish, and what the certificate says of it."""
 
     displacement: Vector
@@ -69,7 +70,7 @@ class Raw:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeMotion:
+class FreeMotion(ReadOnly):
     """A rigid motion that no load drives and no contact or tie resists."""
 
     direction: Vector  # (n,), largest component 1
@@ -94,7 +95,7 @@ class Final:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ReadOnly):
     """Displacement and forces of one ContactProblem, with the certificate that judged them.
 
     Forces are positive in compression (`normal_force` is l_N of K u + E_N' l_N + E_T' l_T + A' nu = f); gaps are
@@ -119,7 +120,7 @@ class Solution:
     @property
     def gap(self) -> Vector:
         """g - E_N u, positive when open [length]."""
-        return np.asarray(self.problem.gap - self.problem.normal @ self.displacement)
+        return read_only(np.asarray(self.problem.gap - self.problem.normal @ self.displacement))
 
     @property
     def slip(self) -> NDArray[np.float64] | None:
@@ -127,9 +128,8 @@ class Solution:
         problem = self.problem
         if problem.tangent is None or problem.slip_origin is None:
             return None
-        return np.asarray(
-            (problem.tangent @ self.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-        )
+        slipped = (problem.tangent @ self.displacement).reshape(problem.slip_origin.shape)
+        return read_only(np.asarray(slipped - problem.slip_origin))
 
     @property
     def energy(self) -> float:

@@ -14,6 +14,7 @@ from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
 from contactqp.engines import SERIAL, refuse_unknown_engine
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.idle_rows import ActingRows, acting_rows
 from contactqp.iterated_attempt import IteratedAttempt
 from contactqp.iteration import iterated
@@ -45,6 +46,7 @@ def solve(problem: ContactProblem, method: str = "active-set", **arguments: Any)
 def solve(problem: LocalProblem, method: str = "active-set", **arguments: Any) -> LocalSolution: ...
 
 
+@own_floating_point
 def solve(
     problem: ContactProblem | LocalProblem,
     method: str = "active-set",
@@ -232,6 +234,7 @@ class Attempt(Protocol):
         """Raise NoEquilibrium if the constraints conflict."""
 
 
+@own_floating_point
 def begin(
     problem: ContactProblem,
     method: str = "active-set",
@@ -285,6 +288,7 @@ class Begun:
     polish: bool
     seconds: float  # so far
 
+    @own_floating_point
     def finish(self) -> Solution:
         """Polish and certify.
 

@@ -22,6 +22,7 @@ from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
 from contactqp.intrinsic_size import Nothing, bodies, intrinsic_size, nothing, stiffness_sizes, without_rigid_part
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 from contactqp.row_sizes import ContactEntries, contact_entries, row_sizes
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
@@ -45,7 +46,7 @@ class Answer:
 
 
 @dataclass(frozen=True, eq=False)
-class Violations:
+class Violations(ReadOnly):
     """Every figure for every unknown, contact, tie, so that the worst can be named; all at least 0."""
 
     equilibrium: Vector  # (n,) |residual_j| / F_j (Oettli and Prager 1964)

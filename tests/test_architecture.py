@@ -15,6 +15,7 @@ PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
 LAYERS = (
     "errors",
     "engines",
+    "floating_point",
     "whole_file",
     "stages",
     "problem_data",

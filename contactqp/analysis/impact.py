@@ -15,6 +15,7 @@ from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
 from contactqp.analysis.motion.schemes.scheme import Body
 from contactqp.certificate import refuse_not_positive
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import read_vector
@@ -23,6 +24,7 @@ from contactqp.problem_data import read_vector
 ROUNDING = 1e-9
 
 
+@own_floating_point
 def impact(
     problem: ContactProblem,
     mass: Any,

@@ -17,6 +17,7 @@ from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.iteration import iterated
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -26,6 +27,7 @@ from contactqp.solving import begin, solve
 DEFAULT_STEPS = 100
 
 
+@own_floating_point
 def follow_path(
     problem: ContactProblem,
     loads: Sequence[ArrayLike],

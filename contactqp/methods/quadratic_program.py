@@ -66,13 +66,18 @@ def _program(backend: Backend, problem: ContactProblem) -> Any:
     from qpsolvers import Problem
 
     # Copies: some backends scale in place, and refuse the problem's own read-only arrays.
-    form = _dense if backend.dense and not (backend.sparse and sp.issparse(problem.stiffness)) else sp.csc_matrix
+    form = _dense if backend.dense and not (backend.sparse and sp.issparse(problem.stiffness)) else _sparse
     G, h = problem.normal, problem.gap.copy()
     if problem.contacts == 0 and backend.needs_inequality:
         G, h = sp.csr_array((1, problem.dimension)), np.ones(1)  # 0'u <= 1 holds always and does nothing
     rows = [form(G), h] if h.size else [None, None]
     ties = [form(problem.tie), problem.tie_value.copy()] if problem.ties else [None, None]
     return Problem(form(problem.stiffness), -problem.load, *rows, *ties)
+
+
+def _sparse(matrix: Any) -> Any:
+    """A copy: some backends want matrices that they could write to."""
+    return sp.csc_matrix(matrix, copy=True)
 
 
 def _dense(matrix: Any) -> Any:

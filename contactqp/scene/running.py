@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from contactqp.analysis.history import History
 from contactqp.engines import SERIAL, refuse_unknown_engine
 from contactqp.errors import Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from contactqp.scene.models import Model
 
 
+@own_floating_point
 def run(
     scene: Scene,
     method: str = "active-set",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import own_floating_point
 from contactqp.problem import ContactProblem
 from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
@@ -39,6 +40,7 @@ class Comparison:
         return to_csv(self.rows)
 
 
+@own_floating_point
 def compare(
     problem: ContactProblem,
     methods: Sequence[str] | None = None,

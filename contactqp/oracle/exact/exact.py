@@ -8,6 +8,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.exact.exact_solution import ExactSolution
 from contactqp.problem import ContactProblem
@@ -27,6 +28,7 @@ RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
 MOST_OF_A_CASE = 1500
 
 
+@own_floating_point
 def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
     """The exact answer to a contact problem.
 

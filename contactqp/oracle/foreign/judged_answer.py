@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from contactqp.certificate import Certificate
 from contactqp.condensation import Condensation
 from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.finding import Finding
@@ -89,6 +90,7 @@ class JudgedAnswer(Certificate):
         return text if self.passed else f"{text}\n  what went wrong, in words: .diagnosis; contact by contact: .table()"
 
 
+@own_floating_point
 def certify(
     problem: ContactProblem,
     displacement: ArrayLike | None = None,
