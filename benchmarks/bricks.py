@@ -123,14 +123,44 @@ def lattice(rng: Generator, wide: int, high: int, contrast: float) -> Array:
 
 def in_units(problem: ContactProblem, length: float, force: float) -> ContactProblem:
     """The same problem with its lengths and forces in other units."""
+    K = np.asarray(problem.stiffness.toarray() if hasattr(problem.stiffness, "toarray") else problem.stiffness)
     return ContactProblem(
-        stiffness=np.asarray(problem.stiffness) * (force / length),
+        stiffness=K * (force / length),
         load=problem.load * force,
         normal=problem.normal,
         gap=problem.gap * length,
         tie=problem.tie,
         tie_value=problem.tie_value * length,
     )
+
+
+def in_other_words(rng: Generator, problem: ContactProblem, ten: bool) -> ContactProblem:
+    """The same problem with its unknowns in another order, with other signs and, in part, in other units.
+
+    Powers of ten round the data and so pose another problem, for stiffnesses that are regular; powers of two do not.
+    """
+    n, m = problem.dimension, problem.contacts
+    base, decade = (10.0, 1.0) if ten else (2.0, np.log2(10))
+
+    def powers(largest: int, size: int) -> Array:
+        chosen = base ** np.round(decade * rng.integers(-largest, largest + 1, size))
+        return np.where(rng.random() < 0.3, chosen, 1.0)
+
+    order, D, r = rng.permutation(n), powers(4, n) * rng.choice([-1.0, 1.0], n), powers(4, m)
+    length, force = (
+        base ** np.round(decade * rng.choice([0, 0, 3, -3])),
+        base ** np.round(decade * rng.choice([0, 3, -3])),
+    )
+    K = np.asarray(problem.stiffness.toarray() if hasattr(problem.stiffness, "toarray") else problem.stiffness)
+    other = ContactProblem(
+        stiffness=(K * np.outer(D, D))[np.ix_(order, order)],
+        load=(problem.load * D)[order],
+        normal=(problem.normal.toarray() * np.outer(r, D))[:, order],
+        gap=problem.gap * r,
+        tie=(problem.tie.toarray() * D)[:, order],
+        tie_value=problem.tie_value,
+    )
+    return in_units(other, length, force)
 
 
 def with_rows(problem: ContactProblem, rows: Array, gaps: Array) -> ContactProblem:

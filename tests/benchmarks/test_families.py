@@ -18,7 +18,7 @@ from contactqp.oracle.exact.lemke import lemke
 from contactqp.oracle.exact.rational import NoSolution, floats, matrix, null_space, number
 
 SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]
-FREE = ("floating", "lattice_free", "lattice_in", "lifted", "stack", "summed")
+FREE = ("floating", "lattice_free", "lattice_in", "lifted", "stack", "summed", "pushed", "unstrained", "interference")
 FLOATING = [name for name in FAMILIES if name.startswith(FREE)]
 
 
@@ -50,6 +50,21 @@ def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int
 @pytest.mark.parametrize("name", FLOATING)
 def test_floating_bodies_float_exactly_and_not_to_rounding(name: str) -> None:
     assert null_space(matrix(family(name, 0).stiffness)).ncols() > 0
+
+
+@pytest.mark.parametrize("name", ["bedded", "decaying_path"])
+def test_displacements_decay_over_twenty_orders(name: str) -> None:
+    truths = [floats(find_truth(problem).displacement) for problem in (family(name, seed) for seed in range(10))]
+    moved = [abs(u[u != 0]) for u in truths if np.any(u)]
+    assert min(np.min(u) / np.max(u) for u in moved) < 1e-20
+
+
+@pytest.mark.parametrize("name", ["pushed_rigidly", "unstrained", "interference_removed"])
+def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str) -> None:
+    for problem in (family(name, seed) for seed in range(5)):
+        u = floats(find_truth(problem).displacement)
+        energy, terms = u @ (problem.stiffness @ u), abs(u) @ (abs(problem.stiffness) @ abs(u))
+        assert energy <= 1e-5 * terms
 
 
 def test_the_families_are_as_different_as_the_issue_asks() -> None:
