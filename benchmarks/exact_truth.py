@@ -15,7 +15,7 @@ from typing import Any
 
 import flint
 import numpy as np
-from flint import arb_mat, fmpq_mat
+from flint import arb, arb_mat, fmpq_mat
 
 from contactqp.oracle.exact.complementarity import Reduced, reduce_problem
 from contactqp.oracle.exact.exact_problem import of_floats
@@ -126,6 +126,8 @@ def _norm(metric: fmpq_mat, vector: fmpq_mat) -> float:
     with flint.ctx.workprec(PRECISION):
         x = arb_mat(vector)
         square = (x.transpose() * (arb_mat(metric) * x))[0, 0]
+        if square.contains(0):  # nothing, or less than the bits tell from nothing: decided in rational numbers
+            square = arb((vector.transpose() * (metric * vector))[0, 0])
         return float(abs(square).sqrt().mid())
 
 

@@ -154,6 +154,14 @@ def test_the_condition_number_leaves_scale_and_rigid_motions_out() -> None:
     assert condition(free, 1) == pytest.approx(1.0)
 
 
+def test_the_energy_of_a_rigid_motion_is_nothing_exactly() -> None:
+    truths = [find_truth(family("interference_removed", seed)) for seed in range(20)]
+    nothing = [truth for truth in truths if truth.size == 0]
+    assert nothing
+    assert all(np.isfinite(truth.size) for truth in truths)
+    assert all(truth.force_size == 1.0 and truth.representable < 1e-12 for truth in nothing)
+
+
 def test_spoiled_answers_are_spoiled() -> None:
     truth = find_truth(wall())
     errors = {name: truth.errors(u, force).worst for name, u, force in judging.spoiled(truth, np.random.default_rng(0))}
