@@ -240,7 +240,8 @@ def _force_error(
     """
     change = extend(answer.normal_force) - pair.force
     both = pair.exact and problem.ties > 0 and not condensation.rigid.count
-    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, known.force_rounding, 2 * pair.undecided)
+    nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
+    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
     errors, scales = [], []
     for tied in (True, False) if both else (True,):
         scale, uncertain = force_norm(problem, condensation, pair.force, tied)

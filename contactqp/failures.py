@@ -118,8 +118,10 @@ def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[s
     if known.suspicious is not None:
         yield f"unproven: {known.suspicious}"
     # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
-    # of a displacement without strain against what its rounding, and what is nothing beside all sizes, strains.
-    strain, pushed = max(known.rigid_rounding, nothing), max(tolerance * known.energy_scale, nothing)
+    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none,
+    # unless the contact forces say how little that is.
+    beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
+    strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
     pairs = (
         ("energy_error", "displacement", known.energy_scale, strain, known.free_distance),
         ("force_error", "contact forces", known.force_scale, pushed, known.force_rounding),

@@ -15,7 +15,7 @@ the few roundings of |K||z| that K, being rounded itself, leaves of a rigid moti
 
 Forces combine to their resultant before they are measured: forces that redundant ties exert on each other give no size.
 Parts of a problem that no stiffness, contact or tie connects have sizes of their own, of which none is taken to be less
-than a tolerance (1e-9) of the largest: a heavy neighbour hides nothing.
+than a tolerance (1e-9) of the largest: a heavy neighbour hides nothing. A part that nothing moves has the largest.
 What is excused is in the residuals that the bounds are made of, so it hides no error above theirs.
 """
 
@@ -96,7 +96,18 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
         least = float(np.min(gaps[np.isfinite(gaps) & (gaps > 0)], initial=np.inf))
         whole = max(whole, least if np.isfinite(least) else 0.0)
         return np.full(len(part), whole)
-    return np.asarray(np.maximum(size, BESIDE_OTHERS * whole)[part])
+    return np.asarray(np.where(_driven(problem, part), np.maximum(size, BESIDE_OTHERS * whole), whole)[part])
+
+
+def _driven(problem: ContactProblem, part: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether anything moves each part: a load, an overlap, a tie's or a slip's length."""
+    driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
+    driven[part[problem.load_size > 0]] = True
+    for rows, limit in _rows(problem):
+        row, unknown = _first_unknowns(rows)
+        moving = limit[row] < 0 if rows is problem.normal else limit[row] != 0
+        driven[part[unknown[moving]]] = True
+    return driven
 
 
 def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:

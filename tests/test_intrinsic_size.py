@@ -191,6 +191,15 @@ def test_parts_that_nothing_connects_have_their_own_size() -> None:
     assert size[1] == size[2] == pytest.approx(1e6)
 
 
+def test_a_part_that_nothing_moves_is_measured_by_the_others() -> None:
+    """A second body on its own supports, unloaded: what a code rounds there is nothing beside the first."""
+    problem = cq.ContactProblem(np.diag([1e6, 2e6]), [50.0, 0.0], np.eye(2), [1e-3, 0.0])
+    right = cq.solve(problem)
+    for noise, passes in ((1e-22, True), (1e-10, False)):
+        moved = right.displacement + np.array([0.0, -noise])
+        assert cq.certify(problem, moved, right.normal_force).passed == passes
+
+
 def test_unknowns_without_stiffness_get_their_scale_from_their_rows() -> None:
     problem = cq.ContactProblem(np.diag([4.0, 0.0, 0.0]), [8.0, 0.0, 0.0], [[1.0, -2.0, 0.0]], [0.0])
     answer = Answer(np.array([2.0, 1.0, 0.0]), np.zeros(1), None, np.zeros(0))
