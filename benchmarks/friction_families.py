@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import contactqp as cq
+from benchmarks.friction_on_bodies import MAKERS
 
 COEFFICIENTS = (0.0, 0.125, 0.25, 0.75, 1.0, 1.5, 3.0, 5.0)
 
@@ -147,12 +148,16 @@ for _dimension in (2, 3):
         CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, False, False)
         LOCAL_FAMILIES[f"local {_kind} {_dimension}D"] = (_dimension, False, 0.0, True)
         FAMILIES += (f"{_kind} {_dimension}D", f"local {_kind} {_dimension}D")
+    for _kind in MAKERS:
+        CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, True, True)
+FAMILIES += tuple(name for name in CONTACT_FAMILIES if name.split()[0] in MAKERS)
 
 
 def contact_problem(name: str, seed: int) -> Posed:
     dimension, missing, redundant, around, bad = CONTACT_FAMILIES[name]
     rng = np.random.default_rng([seed, FAMILIES.index(name)])
-    plain = _contact(rng, dimension, missing, redundant, around)
+    made = MAKERS.get(name.split()[0])
+    plain = made(rng, dimension) if made else _contact(rng, dimension, missing, redundant, around)
     n, m = plain.dimension, plain.contacts
     units = Units(np.ones(n), np.ones(m), 1.0, 1.0)
     if bad:

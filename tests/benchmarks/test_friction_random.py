@@ -10,6 +10,7 @@ import pytest
 import contactqp as cq
 from benchmarks.friction_families import FAMILIES, contact_problem, local_problem
 from benchmarks.friction_law import broken, broken_locally
+from benchmarks.friction_on_bodies import MAKERS
 from benchmarks.friction_random import judge, table
 
 
@@ -31,6 +32,12 @@ def test_nothing_is_wrong_and_the_default_solves_what_has_an_answer(every: int, 
 )
 def test_what_the_campaign_found(family: str, seed: int) -> None:
     assert judge(family, seed).wrong == []
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> None:
+    for seed in range(3):
+        assert cq.exact_equilibria(contact_problem(f"{name} 2D", seed).plain)
 
 
 def test_the_law_written_out_refuses_what_is_spoiled() -> None:
