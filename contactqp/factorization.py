@@ -158,6 +158,13 @@ def refuse_negative(smallest_pivot: float) -> None:
         )
 
 
+def orthonormal(motions: Array) -> Array:
+    """Orthonormal combinations of independent motions (n, r), as accurate as these at unknowns of any unit."""
+    for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
+        motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
+    return motions
+
+
 @dataclass(frozen=True, eq=False)
 class RigidMotions:
     """The null space of K."""
@@ -177,8 +184,8 @@ class RigidMotions:
 
     @cached_property
     def basis(self) -> Array:
-        """An orthonormal basis (n, r)."""
-        return np.linalg.qr(self.motions)[0] if self.count else self.motions
+        """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
+        return orthonormal(self.motions)
 
 
 def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:

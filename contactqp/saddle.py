@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import UNRESISTED, Condensation
 from contactqp.delassus import delassus
-from contactqp.factorization import Array, DenseCholesky
+from contactqp.factorization import Array, DenseCholesky, orthonormal
 from contactqp.problem import Vector
 from contactqp.range_space import REGULAR, RangeSpace
 
@@ -148,7 +148,7 @@ def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
         return motions[:, :0]
     retained = condensation.scale[:, None] * saddle.free
     coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
-    return np.asarray(np.linalg.qr(motions @ coordinates)[0])
+    return orthonormal(motions @ coordinates)
 
 
 def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:

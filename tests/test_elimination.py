@@ -13,6 +13,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.elimination import BackSubstitution, LastBlock, eliminate
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.factorization import null_space
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.trailing_block import TrailingBlock
 
@@ -178,3 +179,18 @@ def test_supports_leave_combinations_of_the_stated_motions():
         twin = problem.replace(load=load[assembled.free], near_null_space=motions)
         assert condense(twin).rigid.count == 1
         assert cq.solve(twin).certificate.proven
+
+
+def test_an_orthonormal_basis_of_rigid_motions_is_accurate_at_unknowns_of_any_unit():
+    """A triangle of bars with one node in nanometres and one in gigametres: K z is rounding everywhere."""
+    at = np.array([[0.0, 0.0], [1.3, 0.1], [0.4, 0.9]])
+    K = np.zeros((6, 6))
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        d = np.concatenate([at[i] - at[j], at[j] - at[i]]) / np.linalg.norm(at[i] - at[j])
+        K[np.ix_([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], [2 * i, 2 * i + 1, 2 * j, 2 * j + 1])] += np.outer(d, d)
+    units = 2.0 ** np.array([0, 0, 30, 30, -30, -30])
+    K = K * np.outer(units, units)
+    basis = null_space(K).basis
+    assert basis.shape == (6, 3)
+    assert basis.T @ basis == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.all(abs(K @ basis) <= 64 * np.finfo(float).eps * (abs(K) @ abs(basis)))
