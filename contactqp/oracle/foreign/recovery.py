@@ -33,7 +33,7 @@ from contactqp.iteration import iterated
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.lawful_share import lawful_share
-from contactqp.polishing import answer_on
+from contactqp.polishing import answer_on, shift_to_least_norm
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import free_motions, saddle_point
 from contactqp.violations import Answer, lengths_that_meet
@@ -171,6 +171,11 @@ def _displaced(problem: ContactProblem, given: GivenAnswer, missing: tuple[str, 
         u, forces = _held(problem, rubbed.double(), held, values)
         tie = forces[: problem.ties]
         yield _completed(known, u, tie, missing), "the bodies' response, the pushing contacts held closed"
+    if not problem.frictional:
+        shift, free = shift_to_least_norm(problem, condense(problem), Answer(u, known.normal_force, None, tie))
+        if free.shape[1]:
+            how = "the bodies' response, moved within the gaps along what no contact resists"
+            yield _completed(known, u + shift, tie, missing), how
 
 
 def _completed(known: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) -> Answer:
