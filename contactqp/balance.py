@@ -18,6 +18,9 @@ from contactqp.violations import Answer, outer_forces
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
 NOTHING_BUT_ROUNDING = 0.1
+# What K's rounding makes of a rigid motion is forgiven up to this part of the forces: beyond, a resultant is wrong,
+# whoever carries the rest.
+FORGIVEN = 1e-6
 # Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
 SAME_MOTION = 1e-10
 # Forces that do this part of the work of the others on a motion act on it.
@@ -92,8 +95,9 @@ class Resultants:
     def worst(self, forces: Vector) -> float:
         """The figure of the worst coordinate."""
         seen = self.seen(forces)
+        whole = abs(self.work)[seen] / forces[seen]
         net = np.maximum(abs(self.work) - self.stray, 0.0)[seen] / forces[seen]
-        return float(np.max(net, initial=0.0))
+        return float(np.max(np.where(whole > FORGIVEN, whole, net), initial=0.0))
 
     def net(self, direction: Vector) -> float:
         """What is left of the work on a motion (p,) in these coordinates."""

@@ -140,3 +140,11 @@ def test_a_body_whose_stiffness_is_singular_to_rounding_only_may_move_without_st
     strained = u + np.array([0.0, 0.0, 0.0, 0.0, 1e-6 * max(abs(gap), force / stiffness), 0.0])
     assert not cq.certify(problem, strained, push).passed
     assert not cq.certify(problem, u, push * [1.0, 1 + 1e-5]).passed
+
+
+def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refused():
+    """Moved by 0.83 m, bars of 7.7e10 leave 1e-5 N of rounding, and loads of 1e-3 N are carried to a percent only."""
+    problem = _floating_triangle(7.7e10, 0.83, 1e-3)
+    with pytest.raises(cq.NotCertified, match="balance: the forces on a body do not balance") as refused:
+        cq.solve(problem)
+    assert abs(np.sum(refused.value.solution.normal_force) - 1.7e-3) > 1e-6 * 1.7e-3

@@ -22,9 +22,11 @@ from contactqp.oracle.exact.fixed_point import FixedMatrix, fixed
 from contactqp.oracle.exact.refinement import refine
 from tests.examples import truss
 
-# Redundant rows, contacts that touch with no force, stiffnesses ten decades apart.
+# Redundant rows, contacts that touch with no force or with one of 1e-20 of the largest, stiffnesses ten decades apart.
 REFUSED = {
     "interference_removed",
+    "decaying_path",
+    "unstrained",
     "stack_free_to_slide",
     "held_by_ties",
     "summed_rows",
