@@ -15,6 +15,7 @@ from contactqp.elimination import LARGE
 from contactqp.errors import BackendFailed, NotConverged, Unsupported
 from contactqp.existence import describe_motion, refuse_conflict, refuse_driven_motion
 from contactqp.factorization import Array
+from contactqp.floating_point import own_floating_point
 from contactqp.metering import Meter, MeteredAttempt
 from contactqp.methods import Method, Settings
 from contactqp.polishing import closed_contacts, least_displacement, polish, shift_to_least_norm, without_noise
@@ -137,7 +138,7 @@ def _condensed(problem: ContactProblem) -> Condensation:
     if problem.dimension < LARGE:
         return condensation_of(problem)
     with ThreadPoolExecutor(1) as pool:
-        laid_out = pool.submit(lay_out, problem)
+        laid_out = pool.submit(own_floating_point(lay_out), problem)
         way = condensation_of(problem)
         laid_out.result()
     return way

@@ -25,6 +25,7 @@ from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.factorization import Array
 from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300
@@ -40,7 +41,7 @@ OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 
 
 @dataclass(frozen=True, eq=False)
-class CriticalFriction:
+class CriticalFriction(ReadOnly):
     """What the bodies' compliance says of friction, whatever the load."""
 
     single: Vector  # (m,) mu_c = W_NN / |W_NT|, each contact alone; infinite where normal and tangent are uncoupled

@@ -17,6 +17,7 @@ from contactqp.errors import NoEquilibrium
 from contactqp.extended import SparseRows, extend
 from contactqp.factorization import Array
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 from contactqp.saddle import BALANCED, IDLE
 
 LP_TOLERANCE = 1e-10
@@ -40,7 +41,7 @@ NAMES_IN_A_MESSAGE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Conflict:
+class Conflict(ReadOnly):
     """Farkas' proof that no displacement has E u <= g, A u = b: weights with E'y + A'n = 0, y >= 0, g'y + b'n < 0."""
 
     normal: Vector  # (m,) y, the largest weight one
@@ -51,7 +52,7 @@ class Conflict:
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenMotion:
+class DrivenMotion(ReadOnly):
     """A motion z with K z = 0, E z <= 0, A z = 0 and f'z > 0: along it the energy falls for ever."""
 
     motion: Vector  # (n,), the largest entry one

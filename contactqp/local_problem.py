@@ -26,12 +26,12 @@ from contactqp.problem_data import (
     Matrix,
     ReadOnly,
     Vector,
+    read_array,
     read_coefficient,
     read_matrix,
     read_names,
     read_only,
     read_vector,
-    refuse_masked,
 )
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
@@ -121,11 +121,10 @@ class LocalProblem(ReadOnly):
         if R.shape != (joints, joints):
             raise InvalidProblem(f"bilateral_delassus: expected shape ({joints}, {joints}), got {R.shape}")
         names = read_names("contact_names", contact_names, m)
-        refuse_masked("offset", offset)
-        offset_ = np.asarray(offset).reshape(-1) if np.shape(offset) == (m, dimension) else offset
+        q = read_array("offset", offset)
         values = dict(
             delassus=W,
-            offset=read_vector("offset", offset_, size),
+            offset=read_vector("offset", q.ravel() if q.shape == (m, dimension) else q, size),
             friction=read_coefficient(friction, m),
             dimension=dimension,
             bilateral=V,
@@ -183,13 +182,13 @@ class LocalProblem(ReadOnly):
             typical = float(np.median((scale * size)[known & felt])) if np.any(known & felt) else 1.0
             scale = np.where(felt & ~known, typical / np.where(felt, size, 1.0), scale)
             known = known | felt
-        return np.asarray(scale)
+        return read_only(np.asarray(scale))
 
     @cached_property
     def scaled_delassus(self) -> Any:
         """(d m, d m) CSR matrix s_i W_ij s_j, s the `contact_scale`."""
         scale = sp.diags(np.repeat(self.contact_scale, self.dimension))
-        return sp.csr_array(scale @ self.delassus @ scale)
+        return read_only(sp.csr_array(scale @ self.delassus @ scale))
 
     @cached_property
     def scaled_asymmetry(self) -> float:
@@ -201,7 +200,7 @@ class LocalProblem(ReadOnly):
         """(p,) factors by which the columns of V, scaled by `contact_scale`, have unit length."""
         scaled = self.bilateral.toarray() * np.repeat(self.contact_scale, self.dimension)[:, None]
         size = np.linalg.norm(scaled, axis=0)
-        return np.asarray(1.0 / np.where(size > 0, size, 1.0))
+        return read_only(np.asarray(1.0 / np.where(size > 0, size, 1.0)))
 
     @cached_property
     def drive(self) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Sequence
+from decimal import Decimal
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,6 +16,9 @@ from contactqp.errors import InvalidProblem
 Vector = NDArray[np.float64]
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 
+# Kinds of arrays that hold real numbers, Python's own (Fraction, Decimal) among them, and what others are called.
+KINDS = "biufO"
+OTHER_KINDS = {"c": "complex numbers", "U": "words", "S": "words", "T": "words", "M": "dates", "m": "durations"}
 # Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
 SYMMETRY_TOLERANCE = 1e-6
 # Rows are squared on the way.
@@ -28,22 +33,30 @@ T = TypeVar("T")
 
 
 def read_only(value: T) -> T:
-    """The value itself; an array, or a sparse matrix with the arrays that it is made of, can no longer be changed."""
-    if isinstance(value, np.ndarray):
-        value.setflags(write=False)
-    elif sp.issparse(value):
+    """Return the value; an array, a sparse matrix's arrays, and those in a tuple can no longer be changed.
+
+    Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
+    """
+    found: Any = value
+    if isinstance(found, np.ndarray):
+        if isinstance(found.base, np.ndarray) and found.base.flags.writeable:
+            found = found.copy()
+        found.setflags(write=False)
+    elif sp.issparse(found):
         for part in ("data", "indices", "indptr"):
-            if hasattr(value, part):
-                getattr(value, part).setflags(write=False)
-    return value
+            if hasattr(found, part):
+                getattr(found, part).setflags(write=False)
+    elif isinstance(found, tuple) and found and isinstance(found[0], np.ndarray):
+        found = tuple(read_only(part) for part in found)
+    kept: T = found
+    return kept
 
 
 class ReadOnly:
     """A frozen dataclass whose arrays are frozen with it, unpickled and copied ones too."""
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            read_only(value)
+        self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -51,25 +64,35 @@ class ReadOnly:
 
 
 def read_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Real numbers of any shape, NaN included."""
-    refuse_masked(name, value)
+    """Return a copy of real numbers of any shape, NaN included.
+
+    Raises
+    ------
+    InvalidProblem
+        Words, complex numbers, dates, objects that are no real numbers, masked arrays.
+    """
+    _refuse_masked(name, value)
     try:
         raw = np.asarray(value)
-        if np.iscomplexobj(raw):
-            raise TypeError("complex numbers")
-        entries = raw.flat if raw.dtype.kind == "O" else ()
-        if raw.dtype.kind in "SU" or any(isinstance(entry, (str, bytes)) for entry in entries):
-            raise TypeError("words are no numbers")
+        if raw.dtype.kind not in KINDS:
+            raise TypeError(f"{OTHER_KINDS.get(raw.dtype.kind, raw.dtype)} are no real numbers")
+        for entry in raw.flat if raw.dtype.kind == "O" else ():
+            if not isinstance(entry, (numbers.Real, Decimal)):
+                raise TypeError(f"one of type {type(entry).__name__}")
         return np.array(raw, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({error})") from None
+    except (TypeError, ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({reason})") from None
 
 
-def refuse_masked(name: str, value: Any) -> None:
+def _refuse_masked(name: str, value: Any) -> None:
     """Raise InvalidProblem where entries of an array are masked, or may be."""
-    parts = value if isinstance(value, (list, tuple)) else (value,)
-    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+    if isinstance(value, np.ma.MaskedArray):
         raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
+    if isinstance(value, (list, tuple)):
+        for part in value:
+            if isinstance(part, (list, tuple, np.ma.MaskedArray)):
+                _refuse_masked(name, part)
 
 
 def _finite(name: str, values: NDArray[np.float64]) -> None:
@@ -90,8 +113,8 @@ def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
 def _sparse(name: str, value: Any) -> Any:
     """A canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
     if sp.issparse(value):
-        if np.issubdtype(value.dtype, np.complexfloating):
-            raise InvalidProblem(f"{name}: expected real numbers, got complex numbers")
+        if isinstance(getattr(value, "data", None), np.ma.MaskedArray) or value.dtype.kind not in KINDS:
+            read_array(name, value.data)
         rows = sp.csr_array(value, dtype=float, copy=True)
     else:
         dense = read_array(name, value)
@@ -217,7 +240,7 @@ def read_friction(
     tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int
 ) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
     if tangent is None:
-        if friction is not None and np.any(np.asarray(friction) != 0):
+        if friction is not None and np.any(read_array("friction", friction) != 0):
             raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
         if slip_origin is not None:
             raise InvalidProblem("slip_origin was given without tangent, the directions of slip")

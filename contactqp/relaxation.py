@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
 
 @dataclass(frozen=True, eq=False)
-class AssociatedDifference:
+class AssociatedDifference(ReadOnly):
     """Both answers, and associated less Coulomb."""
 
     coulomb: Solution

@@ -32,7 +32,7 @@ ROUNDING_OF_LENGTH = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Answer(ReadOnly):
     """Somebody's displacement and forces, of the right shapes."""
 
     displacement: Vector  # (n,)

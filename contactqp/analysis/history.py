@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.problem import Vector
+from contactqp.problem_data import ReadOnly, read_only
 from contactqp.solution import Solution
 
 
@@ -46,7 +47,7 @@ class Event:
     name: str = ""
 
 
-class History(Sequence[Solution]):
+class History(ReadOnly, Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
     Solutions may be a sequence that expands each one, with its certificate, when it is looked at. With friction each
@@ -65,7 +66,7 @@ class History(Sequence[Solution]):
         notes: Callable[[], Iterable[str]] = tuple,
     ) -> None:
         self._solutions, self._linear = solutions, linear
-        self.times: Vector = np.asarray(times, dtype=float)
+        self.times: Vector = read_only(np.array(times, dtype=float))
         self._find_events, self._find_energies, self._find_notes = events, energies, notes
 
     @cached_property
@@ -122,19 +123,19 @@ class History(Sequence[Solution]):
     @property
     def displacements(self) -> NDArray[np.float64]:
         """(steps, n) [length]."""
-        return np.array([solution.displacement for solution in self])
+        return read_only(np.array([solution.displacement for solution in self]))
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
         """(steps, m) [force], positive in compression."""
-        return np.array([solution.normal_force for solution in self])
+        return read_only(np.array([solution.normal_force for solution in self]))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
         """(steps, m, d-1) [force], or None without tangential rows."""
         if any(solution.friction_force is None for solution in self):
             return None
-        return np.array([solution.friction_force for solution in self])
+        return read_only(np.array([solution.friction_force for solution in self]))
 
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: every solution looked at, events and notes found."""

@@ -16,12 +16,13 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly
 
 __all__ = ["Pairing", "Plane", "pair"]
 
 
 @dataclass(frozen=True, eq=False)
-class Pairing:
+class Pairing(ReadOnly):
     """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``; unpacks as ``E_N, g, E_T``.
 
     Parameters

@@ -17,7 +17,7 @@ from contactqp.certificate import Certificate
 from contactqp.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Units, Vector
-from contactqp.problem_data import read_stiffness, read_vector
+from contactqp.problem_data import ReadOnly, read_stiffness, read_vector
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
@@ -169,7 +169,7 @@ class ConstrainedEnergy:
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedMinimum:
+class ConstrainedMinimum(ReadOnly):
     """Where the energy is least, and what its parts carry there; `minimum["x"]` is an unknown."""
 
     of: ConstrainedEnergy

@@ -19,11 +19,21 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem
-from contactqp.problem_data import SYMMETRY_TOLERANCE, Matrix, Vector, read_coefficient, read_matrix, read_vector
+from contactqp.problem_data import (
+    SYMMETRY_TOLERANCE,
+    Matrix,
+    ReadOnly,
+    Vector,
+    read_array,
+    read_coefficient,
+    read_matrix,
+    read_only,
+    read_vector,
+)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class GlobalProblem:
+class GlobalProblem(ReadOnly):
     """What a file in FCLIB's global form says, nothing symmetrised.
 
     Parameters
@@ -94,7 +104,7 @@ class GlobalProblem:
             matrix=M,
             directions=H,
             load=read_vector("load", load, n),
-            offset=read_vector("offset", np.asarray(offset).reshape(-1), H.shape[1]),
+            offset=read_vector("offset", read_array("offset", offset).reshape(-1), H.shape[1]),
             friction=read_coefficient(friction, m),
             dimension=int(dimension),
             joints=G,
@@ -102,7 +112,7 @@ class GlobalProblem:
             asymmetry=_asymmetry(M),
         )
         for name, value in values.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, read_only(value))
 
     @classmethod
     def of(cls, problem: ContactProblem) -> GlobalProblem:

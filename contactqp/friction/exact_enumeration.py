@@ -26,6 +26,7 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.friction.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.friction.exact_data import ExactData
 from contactqp.problem import ContactProblem
+from contactqp.problem_data import ReadOnly
 from contactqp.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
 
 # 4^6 systems of some ten rows take tens of seconds in rational numbers.
@@ -36,7 +37,7 @@ MOST_PROVEN = 4
 
 
 @dataclass(frozen=True, eq=False)
-class ExactEquilibrium:
+class ExactEquilibrium(ReadOnly):
     """One equilibrium in rational numbers: arrays of Fractions, signs and shapes of `contactqp.Solution`."""
 
     displacement: NDArray[Any]  # (n,)

@@ -28,7 +28,7 @@ BALL: dict[str, Any] = dict(
     [
         (dict(problem=3), "impact: expected a ContactProblem, got int"),
         (dict(mass=[1.0, 2.0]), r"mass: expected a matrix \(1, 1\) or its diagonal \(1,\), got shape \(2,\)"),
-        (dict(mass="heavy"), "mass: expected a matrix"),
+        (dict(mass="heavy"), "mass: expected real numbers, got str"),
         (dict(mass=[-1.0]), "mass: expected no negative diagonal, got -1 at unknown 0"),
         (dict(mass=[np.nan]), "mass: expected finite numbers"),
         (dict(mass=[0.0]), "without any inertia or stiffness"),

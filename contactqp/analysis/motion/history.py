@@ -20,6 +20,7 @@ from contactqp.certificate import certify, contact_status
 from contactqp.errors import Unsupported
 from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import read_only
 from contactqp.solution import Solution
 
 
@@ -86,17 +87,17 @@ class MotionHistory(History):
     @property
     def displacements(self) -> NDArray[np.float64]:
         """(steps, n) [length]."""
-        return np.array([state.displacement for state in self.motion.states])
+        return read_only(np.array([state.displacement for state in self.motion.states]))
 
     @property
     def velocities(self) -> NDArray[np.float64]:
         """(steps, n) [length / time]; of central differences those half a step before, after the start's."""
-        return np.array([state.velocity for state in self.motion.states])
+        return read_only(np.array([state.velocity for state in self.motion.states]))
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
         """(steps, m) [force], positive in compression."""
-        return np.array([state.normal_force for state in self.motion.states])
+        return read_only(np.array([state.normal_force for state in self.motion.states]))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
@@ -105,12 +106,12 @@ class MotionHistory(History):
         if not problem.frictional or problem.slip_origin is None:
             return None
         shape = (len(self.motion.states), *problem.slip_origin.shape)
-        return np.array([state.friction_force for state in self.motion.states]).reshape(shape)
+        return read_only(np.array([state.friction_force for state in self.motion.states])).reshape(shape)
 
     @property
     def tie_forces(self) -> NDArray[np.float64]:
         """(steps, k) [force]."""
-        return np.array([state.tie_force for state in self.motion.states])
+        return read_only(np.array([state.tie_force for state in self.motion.states]))
 
 
 def _refuse_to_go_on(*_: Any) -> Any:

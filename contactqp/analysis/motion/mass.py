@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import factorise, null_space
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import read_array, read_matrix
 
 # Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
 ASYMMETRY = 1e-6
@@ -29,10 +30,10 @@ def read_mass(mass: Any, n: int) -> Any:
         Another shape, values that are not finite, an asymmetric or indefinite matrix, mass that couples to an
         unknown that has none.
     """
-    values = mass if sp.issparse(mass) else np.asarray(mass)
-    if not sp.issparse(values) and (values.dtype.kind not in "iuf" or values.ndim not in (1, 2)):
+    values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
+    if values.ndim not in (1, 2):
         raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {mass!r}")
-    M = sp.csr_matrix(sp.diags(values.astype(float)) if values.ndim == 1 else values, dtype=float)
+    M = sp.csr_matrix(sp.diags(values) if values.ndim == 1 else values)
     if M.shape != (n, n):
         raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got shape {values.shape}")
     if not np.all(np.isfinite(M.data)):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.problem import ContactProblem
+from contactqp.problem_data import ReadOnly
 from contactqp.solution import FreeMotion
 
 # Object arrays of Fractions.
@@ -41,7 +42,7 @@ class ExactEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class ExactSolution:
+class ExactSolution(ReadOnly):
     """The equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f in numbers that are proven; signs and shapes of `Solution`.
 
     Entries are Fractions: the exact values where `rational`, otherwise the midpoints of intervals mid +- radius, one an

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import read_array
+from contactqp.problem_data import ReadOnly, read_array
 from contactqp.violations import Answer
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
@@ -27,7 +27,7 @@ LISTED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class GivenAnswer:
+class GivenAnswer(ReadOnly):
     """The parts of an answer that were given, in the problem's own order, signs and units; None where one was not."""
 
     displacement: Vector | None  # (n,)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.certificate import Certificate
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly
 from contactqp.solution import Solution
 from contactqp.violations import Answer, lengths_that_meet
 
@@ -19,7 +20,7 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedContact:
+class JudgedContact(ReadOnly):
     """One contact of somebody's answer that is wrong, in the problem's units, forces positive in compression."""
 
     name: str

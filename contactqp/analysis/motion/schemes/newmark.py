@@ -42,8 +42,8 @@ class Trapezoidal(Scheme):
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
         """The contact forces of bodies that rest on each other; they count half in the first step."""
         state = super().first(displacement, velocity, load)
-        _, state.normal_force[:], state.friction_force[:] = self.body.starting(displacement, velocity, load)
-        return state
+        _, normal_force, friction_force = self.body.starting(displacement, velocity, load)
+        return replace(state, normal_force=normal_force, friction_force=friction_force)
 
     def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
         del answers

@@ -23,6 +23,7 @@ from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import ReadOnly, read_only
 from contactqp.solving import solve
 
 Block = NDArray[np.float64]  # one row a step
@@ -33,7 +34,7 @@ RESTING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(ReadOnly):
     """A motion at the end of a step, and what the next one needs of it."""
 
     displacement: Vector  # u (n,)
@@ -45,7 +46,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(ReadOnly):
     """What every scheme steps: the problem, its mass matrix, and the step."""
 
     problem: ContactProblem
@@ -64,7 +65,9 @@ class Body:
     @cached_property
     def tangent(self) -> Any:
         """E_T of contacts with friction; without, no rows."""
-        return self.problem.tangent if self.problem.frictional else sp.csr_matrix((0, self.problem.dimension))
+        return (
+            self.problem.tangent if self.problem.frictional else read_only(sp.csr_matrix((0, self.problem.dimension)))
+        )
 
     def slip_from(self, displacement: Vector) -> Vector:
         """E_T u, where the slip of a step starts."""
