@@ -23,6 +23,7 @@ from contactqp.condensation import Condensation, condense
 from contactqp.contact_compliance import ContactCompliance, contact_compliance
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.factorization import Array
+from contactqp.floating_point import own_floating_point
 from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly
@@ -63,6 +64,7 @@ class CriticalFriction(ReadOnly):
     _friction: Vector
 
 
+@own_floating_point
 def critical_friction(problem: ContactProblem) -> CriticalFriction:
     """The critical coefficients of the contacts, the estimate of Tresca's contraction, and whether answers are unique.
 

@@ -328,6 +328,7 @@ class ContactProblem:
         for name, value in state.items():
             object.__setattr__(self, name, read_only(value))
 
+    @own_floating_point
     def energy(self, displacement: ArrayLike) -> float:
         """1/2 u'Ku - f'u."""
         u = np.asarray(displacement, dtype=float)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.coulomb_cone import natural_map
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
 from contactqp.problem_data import Vector, read_array
@@ -23,6 +24,7 @@ LEAST_LOCAL_SCALE = float(np.finfo(float).eps)
 LEAST_GLOBAL_SCALE = float(np.sqrt(np.finfo(float).eps))
 
 
+@own_floating_point
 def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / max(|q|, |r|, |u|) with u = W r + q: Siconos's `fc3d_compute_error`, and its like in the plane.
 
@@ -50,6 +52,7 @@ def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: Ar
     return residual / scale if scale > LEAST_LOCAL_SCALE else residual
 
 
+@own_floating_point
 def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / |q|: the error of the comparison of solvers by Acary, Bremond and Huber (2018).
 
@@ -64,6 +67,7 @@ def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_for
     return _local(problem, force, joint_force)[1] / size
 
 
+@own_floating_point
 def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
     """|n| / (1 + sqrt(|q|)) + |V'r + R l + s| / (1 + |s|): FCLIB's `fclib_merit_local` with MERIT_1.
 
@@ -85,6 +89,7 @@ def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLik
     return float(merit + np.linalg.norm(left) / (1 + np.linalg.norm(problem.bilateral_offset)))
 
 
+@own_floating_point
 def siconos_global_error(
     problem: ContactProblem, displacement: ArrayLike, normal_force: ArrayLike, friction_force: ArrayLike
 ) -> float:

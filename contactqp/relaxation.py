@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import own_floating_point
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly
 from contactqp.solution import Solution
@@ -36,6 +37,7 @@ class AssociatedDifference(ReadOnly):
         )
 
 
+@own_floating_point
 def associated_difference(
     problem: ContactProblem, coulomb: Solution | None = None, method: str = "active-set", **options: Any
 ) -> AssociatedDifference:

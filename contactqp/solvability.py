@@ -6,6 +6,7 @@ import numpy as np
 
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.floating_point import own_floating_point
 from contactqp.friction.contact_form import ContactForm
 from contactqp.friction.existence_test import interior_margin
 from contactqp.friction.local_form import LocalForm
@@ -14,6 +15,7 @@ from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
 
 
+@own_floating_point
 def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     """The test of Acary, Cadoux, Lemarechal and Malick (2011): positive where a solution surely exists.
 

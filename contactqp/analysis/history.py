@@ -11,6 +11,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.floating_point import own_floating_point
 from contactqp.problem import Vector
 from contactqp.problem_data import ReadOnly, read_only
 from contactqp.solution import Solution
@@ -70,6 +71,7 @@ class History(ReadOnly, Sequence[Solution]):
         self._find_events, self._find_energies, self._find_notes = events, energies, notes
 
     @cached_property
+    @own_floating_point
     def events(self) -> tuple[Event, ...]:
         """The changes of contact state, in the order of their times.
 
@@ -79,6 +81,7 @@ class History(ReadOnly, Sequence[Solution]):
         return tuple(self._find_events())
 
     @cached_property
+    @own_floating_point
     def notes(self) -> tuple[str, ...]:
         """With friction in steps: where a step has jumped, and where it has taken one of several answers.
 
@@ -90,6 +93,7 @@ class History(ReadOnly, Sequence[Solution]):
         return tuple(self._find_notes())
 
     @cached_property
+    @own_floating_point
     def energies(self) -> tuple[Energies, ...]:
         """Of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
 

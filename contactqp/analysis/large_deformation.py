@@ -17,6 +17,7 @@ from contactqp.analysis.large.path_control import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable, Vector
 from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.methods import find
 from contactqp.problem_data import read_coefficient, read_rows, read_vector
 
@@ -28,6 +29,7 @@ CONTROLS: dict[str, tuple[str, ...]] = {
 }
 
 
+@own_floating_point
 def large_deformation(
     body: Deformable,
     loads: Sequence[ArrayLike],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Protocol, overload
 
+from contactqp.floating_point import own_floating_point
 from contactqp.solution import Solution
 
 
@@ -38,6 +39,7 @@ class LazySolutions(Sequence[Solution]):
     @overload
     def __getitem__(self, index: slice) -> Sequence[Solution]: ...
 
+    @own_floating_point
     def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]

@@ -19,6 +19,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import own_floating_point
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -29,6 +30,7 @@ OVERLAP = 0.05
 COVERED = 0.05
 
 
+@own_floating_point
 def pair_mortar(
     slave: Surface,
     master: Surface,

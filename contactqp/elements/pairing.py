@@ -16,6 +16,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import own_floating_point
 from contactqp.problem_data import ReadOnly
 
 __all__ = ["Pairing", "Plane", "pair"]
@@ -95,6 +96,7 @@ class Pairing(ReadOnly):
         return self.projection.of(given)
 
 
+@own_floating_point
 def pair(
     points: ArrayLike | Surface,
     obstacle: Obstacle,

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.pairing import Pairing
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import own_floating_point
 
 Side = Literal["above", "below"]
 
 
+@own_floating_point
 def pair_scalar(
     points: ArrayLike,
     obstacle_height: ArrayLike | Callable[[NDArray[np.float64]], Any],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.global_problem import GlobalProblem
+from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.problem import ContactProblem
 from contactqp.problem_data import Vector
@@ -25,6 +26,7 @@ class SingularMatrix(InvalidProblem):
     """M has no inverse, so there is no local form: bodies move without any force."""
 
 
+@own_floating_point
 def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> LocalProblem:
     """The local form of a problem with bodies, each contact's components in the order (N, T1, T2).
 

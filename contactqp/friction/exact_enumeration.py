@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.floating_point import own_floating_point
 from contactqp.friction.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.friction.exact_data import ExactData
 from contactqp.problem import ContactProblem
@@ -51,6 +52,7 @@ class ExactEquilibrium(ReadOnly):
     unique_forces: bool  # no other contact forces belong to this displacement
 
 
+@own_floating_point
 def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquilibrium, ...]:
     """All equilibria of a frictional problem in the plane in rational numbers, by all combinations of states.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.factorization import factorise, null_space
+from contactqp.floating_point import own_floating_point
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import read_array, read_matrix
 
@@ -81,6 +82,7 @@ def touched(problem: ContactProblem) -> NDArray[np.intp]:
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
 
 
+@own_floating_point
 def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     """A mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
 

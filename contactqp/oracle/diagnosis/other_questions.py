@@ -124,10 +124,12 @@ def _ties(problem: ContactProblem, found: Solution, skipped: int) -> NDArray[np.
 
 def _questions(evidence: Evidence) -> Iterator[Question]:
     problem, gap = evidence.problem, evidence.problem.gap
-    if np.any(gap != 0):
-        yield Question("gap-ignored", "it is the right answer without the initial gaps", problem.replace(gap=0 * gap))
+    closing = np.isfinite(gap)  # the others never close, whatever is done to their gaps
+    if np.any(gap[closing] != 0):
+        without = problem.replace(gap=np.where(closing, 0.0, gap))
+        yield Question("gap-ignored", "it is the right answer without the initial gaps", without)
         text = "it is the right answer with the initial gaps of the opposite sign"
-        yield Question("gap-sign", text, problem.replace(gap=-gap))
+        yield Question("gap-sign", text, problem.replace(gap=np.where(closing, -gap, gap)))
         found = evidence.certificate.violations
         pushes = found is not None and bool(np.any(found.force_measure > evidence.certificate.tolerance))
         # Without any force large gaps are no contact at all.
@@ -198,6 +200,7 @@ def _held(evidence: Evidence) -> Iterator[Question]:
     pulling = np.flatnonzero(found.tension > limit)
     tried: set[bytes] = set()
     for held in (np.arange(problem.contacts), acting, touching):
+        held = held[np.isfinite(problem.gap[held])]
         key = held.astype(np.intp).tobytes()
         if not held.size or key in tried:
             continue

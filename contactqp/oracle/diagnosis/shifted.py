@@ -34,7 +34,7 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
     if np.linalg.matrix_rank(rows) < CONTACTS:  # rows that say the same have one gap whatever is wrong
         return
     offset = float(np.median(found.gap[pushing]))
-    if np.max(abs(found.gap[pushing] - offset)) > LEFT * abs(offset):
+    if not np.isfinite(offset) or np.max(abs(found.gap[pushing] - offset)) > LEFT * abs(offset):
         return
     if evidence.passes(evidence.given, problem.replace(gap=problem.gap - offset)):
         size = f"{abs(offset):.4g}{unit_of(problem.units.length)}"

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import Certificate
@@ -43,6 +42,7 @@ class JudgedAnswer(Certificate):
     recovered: tuple[str, ...] = ()
 
     @cached_property
+    @own_floating_point
     def _found(self) -> tuple[Solution | None, str | None]:
         try:
             return right_answer(self.problem, self.answer), None
@@ -60,20 +60,20 @@ class JudgedAnswer(Certificate):
         return self._found[1]
 
     @cached_property
+    @own_floating_point
     def contacts(self) -> tuple[JudgedContact, ...]:
         """The wrong contacts, worst first, with the right values beside; empty where the answer passed."""
         if self.passed:
             return ()
-        with np.errstate(over="ignore", invalid="ignore"):
-            return judged_contacts(self.problem, self.answer, self, self.right)
+        return judged_contacts(self.problem, self.answer, self, self.right)
 
     @cached_property
+    @own_floating_point
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong, causes first; empty where the answer passed."""
         if self.passed:
             return ()
-        with np.errstate(over="ignore", invalid="ignore"):
-            return diagnose(self.problem, self.given, self.answer, self, self.right)
+        return diagnose(self.problem, self.given, self.answer, self, self.right)
 
     @property
     def diagnosis(self) -> str:
@@ -81,6 +81,7 @@ class JudgedAnswer(Certificate):
         worst = self.contacts[0] if self.contacts else None
         return paragraph(self, self.problem, self.findings, worst, None if self.passed else self.why_not)
 
+    @own_floating_point
     def table(self, limit: int = 20) -> str:
         """The wrong contacts as text."""
         return contacts_table(self.problem, self.contacts, limit)
