@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
+from contactqp.forking import renew_in_child
 from contactqp.problem import ContactProblem
 
 # Contacts from which a second thread pays.
@@ -45,6 +46,10 @@ class _Limit:
     def __init__(self) -> None:
         self._lock, self._count, self._limited = threading.Lock(), 0, ExitStack()
 
+    def renew(self) -> None:
+        """Take a new lock in a process that was forked; it keeps the limit of the process that it comes from."""
+        self._lock = threading.Lock()
+
     def enter(self, pools: Any) -> None:
         with self._lock:
             if not self._count:
@@ -59,6 +64,7 @@ class _Limit:
 
 
 _LIMIT = _Limit()
+renew_in_child(_LIMIT.renew)
 
 
 @cache

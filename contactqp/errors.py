@@ -17,13 +17,12 @@ class ContactQPError(Exception):
     """Every error that contactqp raises on purpose; pickled and copied with all that it carries."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self.args, self.__dict__)
+        """Return what pickle and copy make it of again: its class, its message and its attributes.
 
-
-def _restored(kind: type[ContactQPError], arguments: tuple[Any, ...], carried: dict[str, Any]) -> ContactQPError:
-    error = kind.__new__(kind, *arguments)
-    error.__dict__.update(carried)
-    return error
+        An exception's own way calls the class with the message alone, which fails in the process that reads it where
+        the class asks for more; a `multiprocessing.Pool` then waits for ever.
+        """
+        return _made_again, (type(self), self.args), *super().__reduce__()[2:]
 
 
 class InvalidProblem(ContactQPError, ValueError):
@@ -92,6 +91,14 @@ class Unsupported(ContactQPError):
 
 class TimeStepWarning(UserWarning):
     """The time step of a motion is too long for what happens in it; the message has both times."""
+
+
+def _made_again(kind: type[ContactQPError], args: tuple[Any, ...]) -> ContactQPError:
+    """Return an exception without its attributes, which follow."""
+    error = kind.__new__(kind, *args)
+    if isinstance(error, ImportError):  # which keeps its message apart from its arguments
+        ImportError.__init__(error, *args)
+    return error
 
 
 def refuse_other(who: str, value: object, *kinds: type) -> None:

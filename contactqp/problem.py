@@ -41,6 +41,8 @@ from contactqp.problem_data import (
 OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
 # Where a problem with some of the ties of another keeps their numbers there.
 TIE_NUMBERS = "tie_numbers"
+# What is kept beside the fields of a problem and is no result: a copy has it too.
+STATED = ("load_size", TIE_NUMBERS)
 
 
 @dataclass(frozen=True)
@@ -322,7 +324,8 @@ class ContactProblem:
 
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: the problem, without what was computed from it."""
-        return self.__dict__ | {"_shared": {}}
+        stated = {name: self._shared[name] for name in STATED if name in self._shared}
+        return self.__dict__ | {"_shared": stated}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():

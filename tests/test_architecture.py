@@ -18,6 +18,7 @@ LAYERS = (
     "floating_point",
     "whole_file",
     "stages",
+    "forking",
     "problem_data",
     "problem",
     "statuses",

@@ -11,6 +11,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.lazy_solutions import Refused, looked_at
+from contactqp.errors import ContactQPError
 from contactqp.floating_point import own_floating_point
 from contactqp.problem import Vector
 from contactqp.problem_data import ReadOnly, read_only
@@ -142,14 +144,22 @@ class History(ReadOnly, Sequence[Solution]):
         return read_only(np.array([solution.friction_force for solution in self]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: every solution looked at, events and notes found."""
-        found = dict(_solutions=list(self), _find_events=partial(tuple, self.events))
+        """What is copied or pickled: every solution looked at, events and notes found, or why they are not."""
+        found: dict[str, Any] = dict(_solutions=looked_at(self._solutions), _find_events=_found(lambda: self.events))
         if self._find_energies is not None:
-            found["_find_energies"] = partial(tuple, self.energies)
-        return self.__dict__ | found | dict(_find_notes=partial(tuple, self.notes))
+            found["_find_energies"] = _found(lambda: self.energies)
+        return self.__dict__ | found | dict(_find_notes=_found(lambda: self.notes))
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
+
+
+def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
+    """Return what finds it again without looking: it itself, or the error that looking ended in."""
+    try:
+        return partial(tuple, find())
+    except ContactQPError as error:
+        return Refused(error).finish
 
 
 def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:

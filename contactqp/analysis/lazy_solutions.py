@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Protocol, overload
+from dataclasses import dataclass
+from typing import NoReturn, Protocol, overload
 
+from contactqp.errors import ContactQPError
 from contactqp.floating_point import own_floating_point
 from contactqp.solution import Solution
 
@@ -14,6 +16,28 @@ class Unfinished(Protocol):
 
     def finish(self) -> Solution:
         """Refine, expand and certify it, unless that is done."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An answer that was refused when it was looked at, and is refused again."""
+
+    error: ContactQPError
+
+    def finish(self) -> NoReturn:
+        """Raise the error."""
+        raise self.error
+
+
+def looked_at(solutions: Sequence[Solution]) -> Sequence[Solution]:
+    """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
+    kept: list[Unfinished | Solution] = []
+    for k in range(len(solutions)):
+        try:
+            kept.append(solutions[k])
+        except ContactQPError as error:
+            kept.append(Refused(error))
+    return LazySolutions(kept)
 
 
 class LazySolutions(Sequence[Solution]):

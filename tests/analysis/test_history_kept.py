@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.analysis.lazy_solutions import LazySolutions
+from contactqp.analysis.load_path import changes
 
 LOADS = [[-1.0, -3.0], [-1.0, 3.0]]
 
@@ -43,6 +45,26 @@ def test_a_frictionless_history_survives_pickling() -> None:
         kept = pickle.loads(pickle.dumps(history))
         assert kept.events == history.events
         np.testing.assert_array_equal(kept.normal_forces, history.normal_forces)
+
+
+class Unfinished:
+    """A step that its certificate refuses when it is looked at."""
+
+    def finish(self) -> cq.Solution:
+        raise cq.NotCertified("step 2 is refused", cq.solve(klarbring()))
+
+
+def test_a_history_with_a_refused_step_can_be_sent_and_still_refuses_it() -> None:
+    path = cq.follow_path(klarbring(), loads=LOADS, steps=1)
+    steps = LazySolutions([path[0], path[1], Unfinished()])
+    history = cq.History(steps, path.times, lambda: changes(steps, path.times))
+    error = cq.NotConverged("stopped at step 2", history)
+    for kept in (pickle.loads(pickle.dumps(error)).history, copy.deepcopy(error).history, copy.copy(history)):
+        np.testing.assert_array_equal(kept[1].displacement, history[1].displacement)
+        for look in (lambda kept=kept: kept[2], lambda kept=kept: kept.events):
+            with pytest.raises(cq.NotCertified, match="step 2 is refused") as caught:
+                look()
+            assert caught.value.solution.certificate is not None
 
 
 def test_the_associated_relaxation_takes_no_path() -> None:

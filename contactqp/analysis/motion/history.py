@@ -71,18 +71,17 @@ class MotionHistory(History):
         return self._resume(self.motion.states, duration)
 
     def __copy__(self) -> MotionHistory:
-        """The same motion, which shares its states."""
-        return MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
+        """The same motion, which shares its states and the solutions that were looked at."""
+        twin = MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
+        twin._solutions = self._solutions
+        return twin
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MotionHistory:
         return self.__copy__()
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: every instant looked at, and the loads at all of them. It cannot go on from there."""
-        motion, times = self.motion, self.times.tolist()
-        known = Known(tuple(times), np.array([motion.load(instant) for instant in times]))
-        kept = replace(motion, load=known, work=partial(copy.copy, motion.work()))
-        return super().__getstate__() | dict(motion=kept, _resume=_refuse_to_go_on)
+        return super().__getstate__() | dict(_resume=_refuse_to_go_on)
 
     @property
     def displacements(self) -> NDArray[np.float64]:
@@ -140,6 +139,12 @@ class Motion:
     method: str
     seconds: list[float]  # of all steps, one number
     work: Callable[[], Any]  # Work so far
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or pickled: the states, and of the load its values at their times."""
+        times = [self.time(k) for k in range(len(self.states))]
+        known = Known(tuple(times), np.array([self.load(instant) for instant in times]))
+        return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
 
     def time(self, k: int) -> float:
         return self.start + k * self.scheme.body.step
