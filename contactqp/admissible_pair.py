@@ -19,7 +19,7 @@ from contactqp.extended import Extended, extend, extended_rows
 from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.least_distance import least_closing, least_forces, least_retreat
 from contactqp.nonnegative import Infeasible, dual_active_set
-from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.polishing import BALANCED, CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint, saddle_point
 from contactqp.violations import Answer, Residuals, lengths_that_meet
@@ -37,8 +37,6 @@ ZERO_GAP = 2.0**-90
 MISSED = 1e-6
 # What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
 ROUGHLY = 0.25
-# Resultants of forces that are this part of the forces balance.
-BALANCED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +51,7 @@ class AdmissiblePair:
     open_gap: NDArray[np.float64]  # (m,) g - E v
     saddle: SaddlePoint  # of the contacts that were closed for v
     exact: bool  # v and l are the solution, to rounding
+    cleared: float  # the part of the forces that K's rounding along rigid motions would have made
     undecided: float  # what the contacts that touch or push by no more than rounding leave open [root of energy]
 
 
@@ -144,6 +143,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         open_gap=np.maximum(on_set.gap.double(), 0.0),
         saddle=on_set.saddle,
         exact=True,
+        cleared=on_set.cleared,
         undecided=undecided,
     )
 
@@ -275,6 +275,7 @@ def _from_repair(
         open_gap=room,
         saddle=saddle,
         exact=False,
+        cleared=0.0,
         undecided=0.0,
     )
 

@@ -94,6 +94,7 @@ class Bounds:
     rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
     force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
     free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
+    cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
     estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
@@ -167,6 +168,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rigid_rounding=rigid,
         force_rounding=force_rounding,
         free_distance=_free_distance(problem, condensation, pair),
+        cleared=pair.cleared,
     )
     distance = sum(energy_norm(problem, pair.to_middle)) + pair.radius
     error, scale = _force_error(problem, answer, condensation, pair, known)

@@ -29,6 +29,7 @@ from contactqp.factorization import (
     condensed_null_space,
     inverse_root,
     null_space,
+    orthonormal,
     stated_motions,
 )
 from contactqp.pardiso import NotPositive
@@ -61,6 +62,7 @@ class Condensation:
             Any
         ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
         self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
+        self.cleared: Any = None  # filled by `polishing` where K's rounding along rigid motions matters
         self.factorisations = 0
         self._spent = 0  # half back-substitutions of eliminations that were given up
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
@@ -156,6 +158,13 @@ class Condensation:
         return DenseCholesky(anchored, np.ones(len(anchored))).smallest_pivot >= max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     @cached_property
+    def bodies(self) -> NDArray[np.intp]:
+        """(p,) the number of the body, a connected part of K, that each retained unknown belongs to."""
+        from scipy.sparse.csgraph import connected_components
+
+        return np.asarray(connected_components(sp.csr_matrix(self._sparse), directed=False)[1][self.retained])
+
+    @cached_property
     def lost_digits(self) -> float:
         """What rounding has done to S, relative to its diagonal."""
         left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
@@ -237,15 +246,27 @@ class Condensation:
 
     def idle_motions(self) -> Array:
         """An orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists at all."""
-        motions = self.rigid.motions[self.retained] / self.scale[:, None]
-        if not motions.shape[1]:
-            return motions
-        motions, _ = np.linalg.qr(motions)
         rows = np.vstack([self.normal, self.tie]) * self.scale
-        if not len(rows):
-            return motions
-        _, values, rotation = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True) @ motions)
-        return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        return orthonormal(motions @ self.unresisted(rows))
+
+    def unresisted(self, rows: Array) -> Array:
+        """The rigid motions that scaled rows (k, p) do not resist: their coordinates (r, q).
+
+        In this scale stiff bodies move little beside soft ones. Motions are therefore taken with lengths of one, and
+        what a row feels of them is measured by its largest entry on a body times the size of the motion there.
+        """
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        coordinates = _orthonormal_by_body(motions)
+        if not len(rows) or not len(coordinates):
+            return coordinates
+        coordinates = coordinates / np.max(abs(self.rigid.motions @ coordinates), axis=0)
+        motions = motions @ coordinates
+        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
+        entry = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_body])
+        size = np.max(entry * np.linalg.norm(motions, axis=0), axis=1, keepdims=True)
+        _, values, rotation = np.linalg.svd(rows @ motions / np.where(size > 0, size, 1.0))
+        return np.asarray(coordinates @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
     def _held_schur(self) -> Array:
         """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
@@ -260,6 +281,7 @@ class Condensation:
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
+        twin.cleared = None
         twin._retain_all(reduced)
         return twin
 
@@ -268,6 +290,7 @@ class Condensation:
         """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
         made = object.__new__(cls)
         made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
+        made.cleared = None
         made.rigid, made.scale, made._schur_factor = rigid, scale, None
         made._retain_all(problem)
         made.schur = made._elimination.schur
@@ -289,6 +312,18 @@ class Condensation:
         displacement = np.zeros(len(self._diagonal))
         displacement[self.retained] = candidate.displacement
         return replace(candidate, displacement=displacement)
+
+
+def _orthonormal_by_body(motions: Array) -> Array:
+    """Coordinates (r, r) of orthonormal combinations of independent motions (p, r), each of one body to the last digit.
+
+    Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
+    """
+    coordinates = np.diag(1 / np.linalg.norm(motions, axis=0))
+    for _ in range(2):
+        unit = motions @ coordinates
+        coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T
+    return np.asarray(coordinates)
 
 
 def unknown_scale(problem: ContactProblem) -> Array:

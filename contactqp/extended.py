@@ -8,6 +8,7 @@ error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic,
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,8 +153,27 @@ def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
     return _Block(members, np.where(filled, values, 0.0), np.where(filled, columns, 0))
 
 
+class ClearedRows:
+    """Q'KQ with Q = I - Z Y', Y'Z = I: a stiffness whose rounding along rigid motions Z (n, r) is taken away.
+
+    Z and Y are doubles; what Y'Z misses of one by rounding is rounding of K's rounding.
+    """
+
+    def __init__(self, stiffness: SparseRows, motions: Array, inverse: Array) -> None:
+        self.shape = stiffness.shape
+        self._stiffness = stiffness
+        self._motions, self._resultants = SparseRows(motions), SparseRows(motions.T)
+        self._coordinates, self._spread = inverse, SparseRows(inverse.T)
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        force = self._stiffness @ (vector - self._motions @ extend(self._coordinates @ vector.double()))
+        return force - self._spread @ (self._resultants @ force)
+
+
 class ExtendedRows:
     """The matrices of a problem, for products in extended precision."""
+
+    stiffness: SparseRows | ClearedRows
 
     def __init__(self, problem: ContactProblem) -> None:
         self.stiffness = _stiffness_rows(problem)
@@ -173,6 +193,13 @@ class ExtendedRows:
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.stiffness.shape[0]))
         return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
+
+    def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
+        """The same with a stiffness that is zero along rigid motions Z (n, r); `inverse` (r, n): Y' with Y'Z = I."""
+        twin = copy(self)
+        assert isinstance(self.stiffness, SparseRows)
+        twin.stiffness = ClearedRows(self.stiffness, motions, inverse)
+        return twin
 
     def slip(self, displacement: Extended) -> Extended:
         """E_T u, flat."""

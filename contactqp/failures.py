@@ -14,6 +14,8 @@ from contactqp.violations import FIGURES, Answer, Violations
 
 # Grazing contacts that a note names.
 MOST_NAMED = 8
+# Changes of the forces that are less than this part of them are as good as none.
+WORTH_SAYING = 1e-9
 
 
 class Named(Protocol):
@@ -163,6 +165,11 @@ def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) ->
     said = list(said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]]))
     if problem.asymmetry > 0:
         said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+    if known.cleared > WORTH_SAYING:
+        said.append(
+            f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
+            f"{known.cleared:.2g} of the forces there"
+        )
     return (*said, *said_of_estimates(known))
 
 

@@ -7,14 +7,14 @@ answer is right to the last digits of double precision as long as eps * conditio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.delassus import delassus
-from contactqp.extended import Extended, extend, extended_rows
+from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
@@ -25,7 +25,9 @@ from contactqp.violations import (
     force_measure,
     forces_that_meet,
     lengths_that_meet,
+    outer_forces,
     own_compliance,
+    ratio,
     residuals_of,
 )
 
@@ -39,6 +41,8 @@ LEAST_CONTRACTION = float(np.finfo(float).eps)
 CAUTION = 1e4
 # What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
 NEGLIGIBLE = 1e-22
+# Resultants of forces that are this part of the forces balance.
+BALANCED = 1e-12
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
 WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
@@ -61,6 +65,7 @@ class OnSet:
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
     remainder: float  # what further refinement would change, the largest entry in the square root of energy
     nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
+    cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
 
 
 def answer_on(
@@ -76,8 +81,29 @@ def answer_on(
     Free motions of the start stay as they are. `left` are its residuals, if they are known; they are of use where it
     has no force but on the closed contacts. Refinement goes on until `caution` times what it still has to do is
     negligible.
+
+    K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
+    taken to be zero along these.
     """
     rows = extended_rows(problem)
+    found = _refined(rows, problem, condensation, closed, start, left, caution)
+    missed = _imbalance(problem, condensation, found)
+    if missed <= BALANCED:
+        return found
+    rows = _cleared_rows(problem, condensation, rows)
+    return replace(_refined(rows, problem, condensation, closed, start, None, caution), cleared=missed)
+
+
+def _refined(
+    rows: ExtendedRows,
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    start: Answer | None,
+    left: Residuals | None,
+    caution: float,
+) -> OnSet:
+    """`answer_on` with the products of these rows."""
     saddle = saddle_point(condensation, closed)
     size_of = _CorrectionSize(problem, condensation, closed)
     if start is None:
@@ -107,6 +133,27 @@ def answer_on(
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
     return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
+
+
+def _imbalance(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> float:
+    """The part by which the forces miss balance on the worst rigid motion, of those that act along it."""
+    rows, motions = extended_rows(problem), condensation.rigid.motions
+    if not motions.shape[1]:
+        return 0.0
+    outer = (extend(problem.load) - rows.contact_force(answer.normal_force, answer.tie_force)).double()
+    doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
+    size = abs(motions).T @ outer_forces(problem, doubles)
+    return float(np.max(ratio(abs(motions.T @ outer), size)))
+
+
+def _cleared_rows(problem: ContactProblem, condensation: Condensation, rows: ExtendedRows) -> ExtendedRows:
+    """Rows whose stiffness is zero along the rigid motions, made once for a condensation."""
+    if condensation.cleared is None:
+        weight = np.sqrt(problem.diagonal)
+        inverse = np.asarray(np.linalg.pinv(weight[:, None] * condensation.rigid.motions) * weight, dtype=float)
+        condensation.cleared = rows.cleared(condensation.rigid.motions, inverse)
+    cleared: ExtendedRows = condensation.cleared
+    return cleared
 
 
 class _CorrectionSize:
@@ -250,7 +297,7 @@ def _reached_by_drive(
         return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
-    drive = condensation.scale * answer.saddle.drive(load, size)
+    drive = condensation.scale * answer.saddle.drive(_net(condensation, answer, load), size)
     if not np.any(drive):
         return np.zeros(0, dtype=np.intp), False
     approach = condensation.normal @ drive
@@ -258,6 +305,16 @@ def _reached_by_drive(
     travel = np.full(problem.contacts, np.inf)
     travel[ahead] = np.maximum(answer.gap.double()[ahead], 0.0) / approach[ahead]
     return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
+
+
+def _net(condensation: Condensation, answer: OnSet, load: Vector) -> Vector:
+    """A condensed load less what contacts and ties carry of it.
+
+    These do no work on a free motion, but for the rounding of it: a soft body's motion sideways lifts it by a rounding,
+    and what lies on it, be it ever so stiff.
+    """
+    carried = condensation.normal.T @ answer.normal_force.double() + condensation.tie.T @ answer.tie_force.double()
+    return np.asarray(load - carried)
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:

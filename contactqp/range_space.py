@@ -33,6 +33,7 @@ class RangeSpace:
         self._members = np.concatenate([closed, ties])
         self.independent = np.arange(len(self._members))
         self.free: Array = np.zeros((len(condensation.retained), 0))
+        self.free_coordinates: Array = np.zeros((condensation.rigid.count, 0))
         self._factor = DenseCholesky(operator.W[np.ix_(self._members, self._members)]) if len(self._members) else None
         self.regular = self._factor is None or self._factor.smallest_pivot >= REGULAR
 

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import UNRESISTED, Condensation
+from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.factorization import Array, DenseCholesky, orthonormal
 from contactqp.problem import Vector
@@ -29,7 +29,7 @@ DEPENDENT = 1e-13
 KEPT = 6
 # The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
 BALANCED = 1e-10
-# So is a push of this part of all forces on motions that lie where no force acts.
+# So is a push of this part of all forces on a body, on a motion of it that lies where no force acts.
 IDLE = 256 * np.finfo(float).eps
 
 
@@ -40,6 +40,7 @@ class SaddlePoint(Protocol):
     redundant: bool  # whether rows depend on others
     independent: NDArray[np.intp]  # places among the closed contacts and ties, as many contacts as can be
     free: Array  # (p, q) orthonormal scaled motions that nothing resists
+    free_coordinates: Array  # (r, q) of such in the rigid motions
     contraction: float | None  # what refinement leaves of a correction, once it has been measured
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -62,6 +63,7 @@ class NullSpace:
         self.contraction: float | None = None
         self._scale = condensation.scale
         self._uncertainty = condensation.rigid.uncertainty
+        self._bodies = condensation.bodies
         ties = condensation.tie if tied else condensation.tie[:0]
         rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
         self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
@@ -74,20 +76,10 @@ class NullSpace:
         self.redundant = rank < len(rows)
         Q, R = qr(rows[self.independent].T) if rank else (np.eye(size), np.zeros((size, 0)))
         self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
-        self.free = self._unresisted(condensation, rows)
-        self._hessian = self._factorise_hessian()
-
-    def _unresisted(self, condensation: Condensation, rows: Array) -> Array:
-        """An orthonormal basis (p, q) of the scaled motions that neither S nor a row resists."""
+        self.free_coordinates = condensation.unresisted(rows)
         motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
-        if not motions.shape[1]:
-            return motions
-        motions, _ = np.linalg.qr(motions)
-        if not len(rows):
-            return motions
-        _, values, rotation = np.linalg.svd(rows @ motions)
-        resisted = int(np.sum(values > UNRESISTED))
-        return np.asarray(motions @ rotation[resisted:].T)
+        self.free = orthonormal(motions @ self.free_coordinates)
+        self._hessian = self._factorise_hessian()
 
     def _factorise_hessian(self) -> DenseCholesky | None:
         motion = self._N.T @ self.free
@@ -131,24 +123,25 @@ class NullSpace:
         return int(positions[np.argmin(ratios)])
 
     def drive(self, load: Vector, size: Vector) -> Vector:
-        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
+        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does.
+
+        Of the load, contacts and ties may carry a part: that does no work on a free motion, but for the rounding of it.
+        """
         if not self.free.shape[1]:
             return np.zeros(len(load))
-        push, size = self.free.T @ (load * self._scale), size * self._scale
+        load, size = load * self._scale, size * self._scale
+        push = self.free.T @ load
         motion = self.free @ push
         part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
-        rounding = max(part * float(size @ abs(motion)), float(idle * (push @ push) ** 0.5 * (size @ size) ** 0.5))
+        on_bodies = np.bincount(self._bodies, weights=(size + abs(load)) ** 2)
+        of_bodies = np.bincount(self._bodies, weights=motion**2)
+        rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
         return motion if float(push @ push) > rounding else np.zeros(len(load))
 
 
 def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
     """An orthonormal basis (n, q) of the motions of all unknowns that neither K nor a row of the set resists."""
-    motions = condensation.rigid.motions
-    if not saddle.free.shape[1]:
-        return motions[:, :0]
-    retained = condensation.scale[:, None] * saddle.free
-    coordinates, *_ = np.linalg.lstsq(motions[condensation.retained], retained, rcond=None)
-    return orthonormal(motions @ coordinates)
+    return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
 
 
 def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:

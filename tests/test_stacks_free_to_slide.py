@@ -7,12 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.linalg import block_diag
 
 import contactqp as cq
 from contactqp import solving
+from contactqp.condensation import condense
 from contactqp.methods import find
+from contactqp.saddle import free_motions, saddle_point
 
+# Stacks that were refused: on all but the first two lines because K's rounding spoiled the resultants.
 SEEDS = (26, 84, 100, 191, 207, 331, 343)
+SEEDS += (7, 17, 27, 36, 40, 72, 93, 135, 140, 163, 177, 220, 226, 256, 323, 330, 341)
+SEEDS += (2, 11, 43, 125, 145, 168, 276, 284, 317)
 POISSON = 0.3
 GAUSS = 1 / np.sqrt(3)
 
@@ -77,12 +83,81 @@ def test_steel_on_what_is_softer_by_ten_decades(seed: int) -> None:
     problem = stack(seed, 10.0)
     solution = cq.solve(problem)
     assert solution.certificate.passed
+    assert solution.work.routes == ()
     assert solution.free_motions
-    weight = -np.sum(problem.load)
     floor = np.flatnonzero(np.count_nonzero(problem.normal.toarray(), axis=1) == 1)
-    # K z of the rigid motion of a stiff block is rounding of K, which the forces balance as well.
-    rounding = np.finfo(float).eps * np.max(abs(problem.stiffness) @ abs(solution.displacement))
-    assert np.sum(solution.normal_force[floor]) == pytest.approx(weight, rel=1e-9, abs=rounding)
+    assert np.sum(solution.normal_force[floor]) == pytest.approx(-np.sum(problem.load), rel=1e-12)
+
+
+@pytest.mark.parametrize("decades", [3.0, 10.0])
+def test_wrong_answers_of_stiff_blocks_on_soft_ones_are_refused(decades: float) -> None:
+    """What is forgiven to rounding of the stiff block's K hides neither a force nor a strain of the soft one."""
+    problem = stack(276, decades)
+    solution = cq.solve(problem)
+    u, force = solution.displacement, solution.normal_force
+    largest = np.argmax(force)
+    for factor in (1 + 1e-5, 1 - 1e-5):
+        assert not cq.certify(problem, u, np.where(np.arange(len(force)) == largest, factor * force, force)).passed
+    soft = np.argmax(abs(u) * np.sqrt(problem.stiffness.diagonal()))
+    assert not cq.certify(problem, u * np.where(np.arange(len(u)) == soft, 1 + 1e-5, 1.0), force).passed
+    unloaded = np.flatnonzero(force == 0)
+    pulled = force - 1e-5 * force[largest] * (np.arange(len(force)) == (unloaded[0] if unloaded.size else largest))
+    assert not cq.certify(problem, u, pulled).passed
+
+
+def _lattice(rng: np.random.Generator, wide: int, size: float) -> list[tuple[int, int, np.ndarray, float]]:
+    """Springs along edges and diagonals of a row of squares: two nodes, from one to the other, stiffness."""
+    nodes = np.array([(x, y) for y in (0, 1) for x in range(wide)])
+    pairs = [(i, j, nodes[j] - nodes[i]) for i in range(2 * wide) for j in range(i + 1, 2 * wide)]
+    return [(i, j, d, size * 10 ** rng.uniform(0, 1)) for i, j, d in pairs if np.max(abs(d)) == 1]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_forces_are_those_of_the_springs_whose_sums_k_rounds(seed: int) -> None:
+    """A stiffness whose sums are rounded is singular to rounding only; the unrounded one, in rational numbers, is so
+    exactly. Ten decades of stiffness apart the blocks' answer is that of the latter to the last digits."""
+    flint = pytest.importorskip("flint")
+    from contactqp.oracle.exact.complementarity import reduce_problem
+    from contactqp.oracle.exact.exact_problem import of_floats
+    from contactqp.oracle.exact.rational import floats, rational
+
+    rng = np.random.default_rng(seed)
+    count, wide = 3, int(rng.integers(2, 5))
+    sizes = 10 ** rng.permutation([0.0, 10.0, rng.uniform(0, 10)])
+    n = 4 * wide
+    K, exact = np.zeros((count * n, count * n)), np.zeros((count * n, count * n), dtype=object)
+    exact[:] = rational(0.0)
+    for b, size in enumerate(sizes):
+        for i, j, along, k in _lattice(rng, wide, float(size)):
+            at, both = b * n + np.array([2 * i, 2 * i + 1, 2 * j, 2 * j + 1]), np.append(along, -along)
+            K[np.ix_(at, at)] += k * np.outer(both, both)
+            exact[np.ix_(at, at)] += np.outer(both, both).astype(int) * rational(k)
+    load, E = np.zeros(count * n), np.zeros((count * wide, count * n))
+    load[-2 * wide + 1 :: 2] = -rng.uniform(0.1, 1, wide)
+    for b in range(count):
+        rows, low = b * wide + np.arange(wide), b * n + 2 * np.arange(wide) + 1
+        E[rows, low] = -1.0
+        if b:
+            E[rows, low - 2 * wide] = 1.0
+    problem = cq.ContactProblem(K, load, E, rng.uniform(0, 1, len(E)) * 10 ** rng.uniform(-8, -1))
+    solution = cq.solve(problem)
+    reduced = reduce_problem(replace(of_floats(problem), K=flint.fmpq_mat(exact.tolist())))
+    found = reduced.on_set(np.flatnonzero(solution.normal_force > 0).tolist())
+    assert found is not None
+    assert reduced.holds(*found)
+    assert solution.normal_force == pytest.approx(floats(found[0]), rel=1e-9)
+
+
+def test_free_motions_of_a_soft_block_tied_to_a_stiff_one_keep_the_tie() -> None:
+    K = block_diag(block(1, 1, 1.0, 1.0, 1.0), block(2, 1, 1.0, 0.5, 1e10))
+    E, A = np.zeros((2, len(K))), np.zeros((1, len(K)))
+    E[0, 1], E[1, 3], A[0, 4], A[0, 8] = -1.0, -1.0, 1.0, -1.0
+    problem = cq.ContactProblem(K, np.zeros(len(K)), E, [0.0, 0.0], tie=A)
+    condensation = condense(problem)
+    motions = free_motions(condensation, saddle_point(condensation, np.zeros(0, dtype=np.intp)))
+    assert motions.shape[1] == 5
+    assert abs(A @ motions) == pytest.approx(0.0, abs=1e-15)
+    assert motions.T @ motions == pytest.approx(np.eye(5), abs=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -180,9 +180,10 @@ def _equilibrium_on(
 ) -> tuple[Vector, Vector, Vector] | None:
     """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
     saddle = saddle_point(condensation, closed)
-    if np.any(saddle.drive(load, size)):
-        return None
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
+    carried = condensation.normal[closed].T @ on_set + condensation.tie.T @ tie_force
+    if np.any(saddle.drive(load - carried, size)):
+        return None
     force = np.zeros(problem.contacts)
     force[closed] = on_set
     push = force / operator.row_scale[: problem.contacts]
