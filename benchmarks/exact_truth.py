@@ -63,8 +63,15 @@ class Truth:
 
     @cached_property
     def size(self) -> float:
-        """The larger of |u*|_K and |l*|_W, both square roots of energies."""
-        return max(self._sizes)
+        """The largest of |u*|_K, |l*|_W and what load and contact forces are worth where they act, |f_j| / sqrt(K_jj).
+
+        All are square roots of energies. Forces that a rigid motion takes to where the load acts strain nothing.
+        """
+        data = self.reduced.data
+        diagonal = floats(column(data.K[j, j] for j in range(data.unknowns)))
+        root = np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        outer = (abs(floats(part)) / root for part in (data.f, data.E.transpose() * self.force))
+        return max(*self._sizes, *(float(np.max(part, initial=0.0)) for part in outer))
 
     @cached_property
     def tiny(self) -> tuple[bool, bool]:

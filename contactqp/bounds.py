@@ -157,6 +157,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     rigid = rigid_rounding(problem, condensation, answer.displacement)
     if condensation.rigid.count and energy_scale <= rigid:
         uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, answer.displacement)
+    hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     size = force_size(problem, pair.force.double())
     # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
@@ -180,10 +181,13 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     relative = None
     if force_bound is not None and scale > 0:
         relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(scale, size)
+    energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
+    if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
+        energy_error = float("inf")
     return replace(
         known,
         energy_scale=energy_scale,
-        energy_error=0.0 if nothing_elastic else _relative(distance, energy_scale, pair.radius + uncertain),
+        energy_error=0.0 if nothing_elastic else energy_error,
         force_error=0.0 if nothing_elastic else error,
         force_scale=scale,
         force_bound=force_bound,

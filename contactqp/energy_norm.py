@@ -81,7 +81,9 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     """
     rows = extended_rows(problem)
     saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
-    load = without_part_along(free_motions(condensation, saddle), load)
+    motions = free_motions(condensation, saddle)
+    left = _left_along(problem, condensation, motions, load, tied)
+    load = without_part_along(motions, load)
     u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
     first, last = 0.0, np.inf
     for _ in range(SWEEPS):
@@ -95,7 +97,33 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
         if size <= ENOUGH * first or size > CONTRACTION * last:
             break
         last = size
-    return u, 2 * size
+    return u, 2 * size + left
+
+
+def _left_along(
+    problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
+) -> float:
+    """The energy norm of the response to what rounding leaves of a load that motions (n, q) or ties take.
+
+    Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
+    of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
+    with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
+    """
+    held = tied and problem.ties > 0
+    if not (motions.shape[1] or held):
+        return 0.0
+    size = abs(load.double())
+    taken = size + abs(motions) @ (abs(motions).T @ size)
+    norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
+    return (
+        max(RIGID_ROUNDING, _resisted(problem, motions) if held else 0.0) * norm / np.sqrt(condensation.rigid.softest)
+    )
+
+
+def _resisted(problem: ContactProblem, motions: Vector) -> float:
+    """What ties resist of motions (n, q), as a part of these."""
+    most = abs(problem.tie).sum(axis=1)[:, None] * np.max(abs(motions), axis=0, initial=0.0)
+    return float(np.max(abs(problem.tie @ motions) / np.where(most > 0, most, 1.0), initial=0.0))
 
 
 def without_part_along(motions: Vector, vector: Extended) -> Extended:

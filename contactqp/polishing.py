@@ -261,7 +261,7 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
 def _wrong(
     problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Contacts in tension and contacts penetrated, beyond rounding."""
+    """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
     penetrated = np.flatnonzero(-answer.gap.double() > rounding)
@@ -269,7 +269,9 @@ def _wrong(
     if np.any(answer.normal_force.double() < 0):
         doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
         tension = np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING)
-    return tension, np.setdiff1d(penetrated, closed)
+    # A contact that depends on others closes by itself or not at all, whatever force it was given.
+    apart = np.flatnonzero((answer.gap.double() > rounding) & (answer.normal_force.double() > 0))
+    return np.union1d(tension, apart).astype(np.intp), np.setdiff1d(penetrated, closed)
 
 
 def _regular(answer: OnSet) -> bool:

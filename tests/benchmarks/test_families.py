@@ -67,6 +67,30 @@ def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str)
         assert energy <= 1e-5 * terms
 
 
+@pytest.mark.parametrize(
+    ("name", "seed", "method"),
+    [
+        ("pushed_rigidly", 84, "clarabel"),  # a redundant contact pushes, and is open
+        ("pushed_rigidly", 31, "qpalm"),  # forces that a tie takes are 1e5 times those that strain
+        ("unstrained", 120, "clarabel"),  # all but 1e-4 of the contact forces is taken by rigid motions
+        ("unstrained", 156, "augmented-lagrangian uzawa"),  # a motion of 1e9 hides the strain
+        ("stack_free_to_slide", 130, "active-set"),  # a tie of blocks whose stiffnesses lie 1e9 apart
+    ],
+)
+def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> None:
+    if method.split()[0] not in judging.available():
+        pytest.skip(f"{method} is not installed")
+    report = judging.judge(name, seed, (method,))
+    assert report.bounds
+    assert [bound for bound in report.bounds if bound.below] == []
+
+
+def test_strain_that_is_nothing_beside_the_load_makes_no_answer_wrong() -> None:
+    """The load acts where the contact does: contact forces strain 1e-8 of what they are worth where they act."""
+    report = judging.judge("pushed_rigidly", 12, ("lagrange-multiplier",))
+    assert [outcome.verdict for outcome in report.outcomes] == ["right"]
+
+
 def test_the_families_are_as_different_as_the_issue_asks() -> None:
     everything = [family(name, seed) for name in SOLVABLE for seed in range(10)]
     gaps = np.concatenate([abs(p.gap[p.gap != 0]) for p in everything])
