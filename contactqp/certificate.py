@@ -20,7 +20,7 @@ from contactqp.floating_point import own_floating_point
 from contactqp.idle_rows import acting_rows
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly, read_array
+from contactqp.problem_data import ReadOnly, is_number, read_array
 from contactqp.stages import CERTIFY, stage
 from contactqp.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
 from contactqp.uniqueness import UNKNOWN, uniqueness
@@ -263,7 +263,7 @@ def status_words(certificate: Certificate, friction: Vector | None, grazing: NDA
 
 def refuse_not_positive(name: str, value: Any) -> None:
     """Raise unless a number is positive and finite."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 < value < np.inf:
+    if not is_number(value) or not 0 < value < np.inf:
         raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
 
 

@@ -26,7 +26,7 @@ from contactqp.factorization import Array
 from contactqp.floating_point import own_floating_point
 from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly
+from contactqp.problem_data import ReadOnly, read_only
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300
@@ -54,12 +54,12 @@ class CriticalFriction(ReadOnly):
     @property
     def above(self) -> NDArray[np.intp]:
         """Contacts whose coefficient is at least their own critical one, for which some load has several answers."""
-        return np.flatnonzero(self.ratio >= 1.0)
+        return read_only(np.flatnonzero(self.ratio >= 1.0))
 
     @property
     def ratio(self) -> Vector:
         """(m,) mu_i / mu_c,i."""
-        return _above(self._friction, self.single)
+        return read_only(_above(self._friction, self.single))
 
     _friction: Vector
 

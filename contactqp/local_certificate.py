@@ -23,7 +23,7 @@ from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.floating_point import own_floating_point
 from contactqp.local_problem import LocalProblem
 from contactqp.local_uniqueness import local_uniqueness
-from contactqp.problem_data import ReadOnly, Vector, read_array
+from contactqp.problem_data import ReadOnly, Vector, is_number, read_array
 from contactqp.published_errors import siconos_local_error
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
@@ -102,7 +102,7 @@ def judged(
 ) -> LocalCertificate:
     """`certify_local` without a word on other answers, which costs more than the rest."""
     given: Any = tolerance
-    if isinstance(given, bool) or not isinstance(given, (int, float, np.number)) or not 0 < given < np.inf:
+    if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {tolerance!r}")
     r, joint = _read(problem, force, joint_force)
     if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):

@@ -26,6 +26,7 @@ from contactqp.problem_data import (
     Matrix,
     ReadOnly,
     Vector,
+    is_number,
     read_array,
     read_coefficient,
     read_matrix,
@@ -98,7 +99,7 @@ class LocalProblem(ReadOnly):
         bilateral_offset: ArrayLike | None = None,
         contact_names: Sequence[str] | None = None,
     ) -> None:
-        if isinstance(dimension, bool) or dimension not in (2, 3):
+        if not is_number(dimension) or dimension not in (2, 3):
             raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
         dimension = int(dimension)
         W = read_matrix("delassus", delassus)
@@ -230,7 +231,7 @@ class LocalProblem(ReadOnly):
 
         Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
         """
-        u = SparseRows(self.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(self.offset)
+        u = SparseRows(self.delassus) @ extend(read_array("force", force).ravel()) + extend(self.offset)
         if joint_force is not None and self.joints:
             u = u + SparseRows(self.bilateral) @ extend(joint_force)
         return np.asarray(u.double().reshape(self.contacts, self.dimension))

@@ -25,6 +25,7 @@ from contactqp.floating_point import own_floating_point
 from contactqp.problem_data import Matrix as Matrix
 from contactqp.problem_data import Vector as Vector
 from contactqp.problem_data import (
+    read_array,
     read_friction,
     read_gap,
     read_motions,
@@ -136,7 +137,7 @@ class ContactProblem:
         E_N = read_rows("normal", normal, n)
         m = E_N.shape[0]
         A = read_rows("tie", np.zeros((0, n)) if tie is None else tie, n)
-        if tie is None and tie_value is not None and np.size(tie_value):
+        if tie is None and tie_value is not None and read_array("tie_value", tie_value).size:
             raise InvalidProblem("tie_value was given without tie")
         E_T, friction_, origin = read_friction(tangent, friction, slip_origin, m, n)
         values = dict(
@@ -289,7 +290,8 @@ class ContactProblem:
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
         if "zero_rows" not in self._shared:
-            self._shared["zero_rows"] = tuple(np.diff(rows.indptr) == 0 for rows in (self.normal, self.tie))
+            rows = (self.normal, self.tie)
+            self._shared["zero_rows"] = read_only(tuple(np.diff(of.indptr) == 0 for of in rows))
         contacts, ties = self._shared["zero_rows"]
         return contacts | (self.gap == np.inf), ties
 
@@ -333,8 +335,16 @@ class ContactProblem:
 
     @own_floating_point
     def energy(self, displacement: ArrayLike) -> float:
-        """1/2 u'Ku - f'u."""
-        u = np.asarray(displacement, dtype=float)
+        """Return 1/2 u'Ku - f'u [force * length].
+
+        Raises
+        ------
+        InvalidProblem
+            `displacement` is no array of n real numbers.
+        """
+        u = read_array("displacement", displacement)
+        if u.shape != (self.dimension,):
+            raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u)
 
     def contact_name(self, i: int) -> str:

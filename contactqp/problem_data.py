@@ -5,7 +5,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Sequence
 from decimal import Decimal
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -71,7 +71,7 @@ def read_array(name: str, value: Any) -> NDArray[np.float64]:
     InvalidProblem
         Words, complex numbers, dates, objects that are no real numbers, masked arrays.
     """
-    _refuse_masked(name, value)
+    refuse_masked(name, value)
     try:
         raw = np.asarray(value)
         if raw.dtype.kind not in KINDS:
@@ -85,14 +85,42 @@ def read_array(name: str, value: Any) -> NDArray[np.float64]:
         raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({reason})") from None
 
 
-def _refuse_masked(name: str, value: Any) -> None:
+def is_number(value: Any) -> bool:
+    """Whether this is one real number; truth values are none, nor are durations, which NumPy counts as integers."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, (bool, np.timedelta64))
+
+
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Whether this is one whole number; truth values and durations are none."""
+    return is_number(value) and isinstance(value, (int, np.integer))
+
+
+def read_whole(name: str, value: Any) -> NDArray[np.int64]:
+    """Return a copy of whole numbers of any shape.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows of different lengths, masked arrays, or entries that are no whole numbers.
+    """
+    refuse_masked(name, value)
+    try:
+        whole = np.array(value)
+    except ValueError:
+        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got others") from None
+    if whole.size and whole.dtype.kind not in "iu":
+        raise InvalidProblem(f"{name}: expected whole numbers, got {whole.dtype} {whole.shape}")
+    return whole.astype(np.int64)
+
+
+def refuse_masked(name: str, value: Any) -> None:
     """Raise InvalidProblem where entries of an array are masked, or may be."""
     if isinstance(value, np.ma.MaskedArray):
         raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
     if isinstance(value, (list, tuple)):
         for part in value:
             if isinstance(part, (list, tuple, np.ma.MaskedArray)):
-                _refuse_masked(name, part)
+                refuse_masked(name, part)
 
 
 def _finite(name: str, values: NDArray[np.float64]) -> None:
@@ -128,9 +156,10 @@ def _sparse(name: str, value: Any) -> Any:
 
 
 def read_rows(name: str, value: Any, n: int) -> Any:
-    if not sp.issparse(value) and np.size(value) == 0:
+    given = value if sp.issparse(value) or isinstance(value, np.ndarray) else read_array(name, value)
+    if not sp.issparse(given) and given.size == 0:
         return sp.csr_array((0, n))
-    rows = _sparse(name, value)
+    rows = _sparse(name, given)
     if rows.shape[1] != n:
         raise InvalidProblem(f"{name}: expected {n} columns, one for each unknown, got shape {rows.shape}")
     return rows

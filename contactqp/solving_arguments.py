@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from contactqp.certificate import refuse_not_positive
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem
+from contactqp.problem_data import is_whole
 from contactqp.solution import Candidate, Solution
 
 # Of the convex steps of friction in space, for methods that take no cones.
@@ -21,9 +20,7 @@ def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any
     refuse_not_positive("tolerance", tolerance)
     if time_limit is not None:
         refuse_not_positive("time_limit", time_limit)
-    if max_iter is not None and (
-        isinstance(max_iter, bool) or not isinstance(max_iter, (int, np.integer)) or max_iter < 1
-    ):
+    if max_iter is not None and (not is_whole(max_iter) or max_iter < 1):
         raise InvalidProblem(f"max_iter: expected a positive integer, got {max_iter!r}")
     if not (isinstance(condense, bool) or condense == "auto"):
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {condense!r}")

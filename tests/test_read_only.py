@@ -16,6 +16,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.problem_data import read_only
 from tests.examples import truss
+from tests.public_objects import solid
 
 K = np.array([[2.0, -1.0], [-1.0, 2.0]])
 PLANE: dict[str, Any] = dict(
@@ -50,6 +51,21 @@ def sparse_plane() -> cq.ContactProblem:
     return cq.ContactProblem(**PLANE | rows)
 
 
+FLOOR = cq.Plane([0.0, -0.1], [0.0, 1.0])
+EDGE: dict[str, Any] = dict(
+    points=np.array([[0.0, 0.0], [1.0, 0.0]]), facets=np.array([[0, 1]]), unknowns=np.arange(4).reshape(2, 2)
+)
+
+
+def side(**changes: Any) -> cq.Surface:
+    return cq.Surface(**EDGE | changes)
+
+
+def arch(**changes: Any) -> cq.Supported:
+    bars = dict(nodes=[[-1, 0], [0, 0.2], [1, 0]], bars=[[0, 1], [1, 2]], modulus=100.0, area=1.0) | changes
+    return cq.Supported(cq.NonlinearTruss(**bars), held=[0, 1, 4, 5])
+
+
 HOLDERS: dict[str, Callable[[], Any]] = {
     "dense": lambda: cq.ContactProblem(**PLANE),
     "sparse": sparse_plane,
@@ -66,6 +82,15 @@ HOLDERS: dict[str, Callable[[], Any]] = {
     "exact step of a path": lambda: cq.follow_path(sparse_plane(), [[1.0, 3.0]], events="exact")[1],
     "path": lambda: cq.follow_path(sparse_plane(), [[1.0, 3.0]], steps=3),
     "motion": lambda: cq.impact(truss(), np.ones(2), np.zeros(2), np.zeros(2), 0.1, 0.05),
+    "large deformation": lambda: cq.large_deformation(arch(), [[0.0, -0.01]], steps=2),
+    "body on supports": lambda: arch(),
+    "solid": lambda: solid().body,
+    "surface": lambda: side(),
+    "pairing": lambda: cq.pair(side(), FLOOR),
+    "obstacle contact": lambda: cq.ObstacleContact([[0.0, 0.2]], FLOOR),
+    "bounds": lambda: cq.Obstacle("wall", ("a", "b"), np.array([0.1, 0.2])),
+    "critical": lambda: cq.critical_friction(sparse_plane().replace(tie=sp.csr_array((0, 2)))),
+    "exact": lambda: cq.exact(truss()),
     "instant of a motion": lambda: cq.impact(truss(), np.ones(2), np.zeros(2), np.zeros(2), 0.1, 0.05)[1],
 }
 
@@ -116,6 +141,30 @@ def test_a_problem_shares_no_array_with_its_maker() -> None:
         for theirs, ours in pairs:
             assert theirs.flags.writeable
             assert not np.shares_memory(theirs, ours), name
+
+
+def test_neither_does_what_pairs_and_deforms() -> None:
+    points, height = np.array([[0.0, 0.001], [1.0, 0.001]]), np.array([0.1, 0.2])
+    bars, made = np.array([[0, 1], [1, 2]]), {name: value.copy() for name, value in EDGE.items()}
+    mine = [points, height, bars, *made.values()]
+    theirs = [
+        cq.pair(points, FLOOR, unknowns=made["unknowns"]),
+        cq.pair_scalar(points, height),
+        cq.pair(side(**made), FLOOR),
+        cq.ObstacleContact(points, FLOOR, unknowns=made["unknowns"]),
+        cq.Obstacle("wall", ("a", "b"), height),
+        arch(bars=bars).body,
+    ]
+    for holder in theirs:
+        for path, array in arrays(holder):
+            assert not any(np.shares_memory(array, own) for own in mine), (type(holder), path)
+    assert all(own.flags.writeable for own in mine)
+
+
+def test_what_a_problem_says_of_its_rows_cannot_be_changed() -> None:
+    problem = cq.ContactProblem(**PLANE | dict(tie=[[0.0, 0.0]]))
+    with pytest.raises(ValueError, match="read-only"):
+        problem.idle_rows()[1][:] = False
 
 
 def test_a_solution_shares_no_array_with_what_is_solved_next() -> None:
@@ -200,6 +249,30 @@ DOORS: dict[str, Callable[[Any], Any]] = {
     "force": lambda a: cq.certify_local(cq.LocalProblem(**LOCAL), a),
     "loads": lambda a: cq.follow_path(cq.ContactProblem(**PLANE), [a]),
     "loads, second": lambda a: cq.follow_path(cq.ContactProblem(**PLANE), [[1.0, 0.0], a]),
+    "energy": lambda a: cq.ContactProblem(**PLANE).energy(a),
+    "internal_force": lambda a: arch().internal_force(a),
+    "force of a truss": lambda a: arch().body.internal_force(np.ma.concatenate([a, a, a])),
+    "force of a solid": lambda a: solid().internal_force(np.ma.concatenate([a, a, a, a])),
+    "restrict": lambda a: arch().restrict(np.ma.concatenate([a, a, a])),
+    "points of pair": lambda a: cq.pair(a[None], FLOOR),
+    "rows of points of pair": lambda a: cq.pair([a], FLOOR),
+    "unknowns of pair": lambda a: cq.pair([[0.0, 0.0]], FLOOR, unknowns=a[None].astype(int)),
+    "points of pair_scalar": lambda a: cq.pair_scalar(a[None], [0.1]),
+    "obstacle_height": lambda a: cq.pair_scalar([[0.0], [1.0]], a),
+    "obstacle_height, a function": lambda a: cq.pair_scalar([[0.0], [1.0]], lambda _: a),
+    "unknowns of pair_scalar": lambda a: cq.pair_scalar([[0.0], [1.0]], [0.1, 0.1], unknowns=a.astype(int)),
+    "normal_force of pressure": lambda a: cq.pair(side(), FLOOR).pressure(a),
+    "points of a surface": lambda a: side(points=np.ma.stack([a, 2 * a])),
+    "facets": lambda a: side(facets=(a[None] % 2).astype(int)),
+    "bars": lambda a: arch(bars=np.ma.stack([a % 2, a % 2]).astype(int)),
+    "modulus": lambda a: arch(modulus=a),
+    "a point of a plane": lambda a: cq.Plane(a, [0.0, 1.0]),
+    "a centre": lambda a: cq.Circle(a, 1.0),
+    "lower": lambda a: cq.Obstacle("wall", ("a", "b"), lower=a),
+    "upper": lambda a: cq.Obstacle("wall", ("a", "b"), upper=a),
+    "penalty": lambda a: cq.solve(truss(), "penalty", penalty=a[:1]),
+    "perturbation": lambda a: cq.solve(truss(), "perturbed-lagrangian", perturbation=a[:1]),
+    "reference": lambda a: cq.compare(truss(), ["active-set"], reference=(a, [1.0])),
     "mass": lambda a: cq.impact(truss(), a, np.zeros(2), np.zeros(2), 0.1, 0.05),
     "start": lambda a: cq.impact(truss(), np.ones(2), a, np.zeros(2), 0.1, 0.05),
     "velocity": lambda a: cq.impact(truss(), np.ones(2), np.zeros(2), a, 0.1, 0.05),
@@ -212,4 +285,48 @@ DOORS: dict[str, Callable[[Any], Any]] = {
 def test_masked_arrays_are_refused_wherever_arrays_are_read(door: str, mask: bool) -> None:
     with pytest.raises(cq.InvalidProblem, match="a masked array") as caught:
         DOORS[door](MASKED if mask else np.ma.masked_array([1.0, 3.0]))
+    assert "\n" not in str(caught.value)
+
+
+COUNTS: dict[str, Callable[[Any], Any]] = {
+    "steps": lambda count: cq.follow_path(truss(), [truss().load], steps=count),
+    "steps of a deformation": lambda count: cq.large_deformation(arch(), [[0.0, -0.01]], steps=count),
+    "max_iter": lambda count: cq.solve(truss(), "osqp", max_iter=count),
+    "dimension": lambda count: cq.pair([[0.0, 0.0]], FLOOR, dimension=count),
+    "dimension of a local problem": lambda count: cq.LocalProblem(**LOCAL | dict(dimension=count)),
+    "dimension of a distance": lambda count: cq.SignedDistance(lambda x: x[:, 0], count),
+}
+NUMBERS: dict[str, Callable[[Any], Any]] = {
+    "tolerance": lambda value: cq.solve(truss(), tolerance=value),
+    "time_limit": lambda value: cq.solve(truss(), time_limit=value),
+    "tolerance of a verdict": lambda value: cq.certify(truss(), normal_force=[1.0], tolerance=value),
+    "tolerance of a local verdict": lambda value: cq.certify_local(cq.LocalProblem(**LOCAL), [0.0, 0.0], None, value),
+    "duration": lambda value: cq.impact(truss(), np.ones(2), np.zeros(2), np.zeros(2), value, 0.05),
+    "time_step": lambda value: cq.impact(truss(), np.ones(2), np.zeros(2), np.zeros(2), 0.1, value),
+    "penalty": lambda value: cq.solve(truss(), "penalty", penalty=value),
+    "penalties": lambda value: cq.solve(truss(), "penalty", penalty=[value]),
+    "lower": lambda value: cq.Obstacle("wall", ("a",), lower=value),
+    "uppers": lambda value: cq.Obstacle("wall", ("a",), upper=[value]),
+    "bound": lambda value: cq.AtMost("most", {"w": 1.0}, value),
+    "radius": lambda value: cq.Circle([0.0, 0.0], value),
+    "thickness": lambda value: side(thickness=value),
+    "held": lambda value: cq.Supported(arch().body, held={0: value, 1: 0.0}),
+    "step": lambda value: cq.SignedDistance(lambda x: x[:, 0], 2, step=value),
+}
+NO_NUMBER = ("1", b"1", np.datetime64("2020-01-01"), np.timedelta64(3, "s"), 1 + 0j, object(), [None], {"a": 1})
+
+
+@pytest.mark.parametrize("door", [*COUNTS, *NUMBERS])
+@pytest.mark.parametrize("value", NO_NUMBER, ids=lambda value: type(value).__name__)
+def test_what_is_no_number_is_refused_in_one_line(door: str, value: Any) -> None:
+    """A duration was one: NumPy counts it among the integers."""
+    with pytest.raises(cq.InvalidProblem) as caught:
+        (COUNTS | NUMBERS)[door](value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "normal", "tangent", "tie", "near_null_space", "load", "tie_value"])
+def test_rows_of_different_lengths_are_refused(name: str) -> None:
+    with pytest.raises(cq.InvalidProblem, match=f"^{name}: expected real numbers, got list") as caught:
+        cq.ContactProblem(**PLANE | {name: [[1.0, 0.0], [1.0]]})
     assert "\n" not in str(caught.value)

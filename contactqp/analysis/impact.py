@@ -18,7 +18,7 @@ from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.floating_point import own_floating_point
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import read_vector
+from contactqp.problem_data import is_number, read_vector
 
 # A start may overlap or miss a tie by this part of the lengths that meet there.
 ROUNDING = 1e-9
@@ -126,11 +126,7 @@ def impact(
     refuse_not_positive("time_step", time_step)
     if time_step**2 < np.finfo(float).tiny:
         raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
-    if (
-        isinstance(start_time, bool)
-        or not isinstance(start_time, (int, float, np.number))
-        or not np.isfinite(start_time)
-    ):
+    if not is_number(start_time) or not np.isfinite(start_time):
         raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")
     n = problem.dimension
     u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
@@ -157,7 +153,7 @@ def _kind(scheme: str) -> Kind:
 
 def _knobs(kind: Kind, scheme: str, theta: Any, restitution: Any, penalty: Any) -> Knobs:
     for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= 1:
+        if not is_number(value) or not low <= value <= 1:
             raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
     given = {"theta": theta != 0.5, "restitution": restitution != 0.0, "penalty": penalty is not None}
     for name, is_given in given.items():

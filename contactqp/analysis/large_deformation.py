@@ -19,7 +19,7 @@ from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.floating_point import own_floating_point
 from contactqp.methods import find
-from contactqp.problem_data import read_coefficient, read_rows, read_vector
+from contactqp.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
 
 # Each way to pick the points of a path, and the arguments that it alone takes.
 CONTROLS: dict[str, tuple[str, ...]] = {
@@ -154,9 +154,9 @@ def large_deformation(
     if control not in CONTROLS:
         raise InvalidProblem(f"control: expected one of {', '.join(CONTROLS)}, got {control!r}")
     for called, count in (("steps", steps), ("max_iter", max_iter)):
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        if not is_whole(count) or count < 1:
             raise InvalidProblem(f"{called}: expected a positive integer, got {count!r}")
-    if not 0 < tolerance < 1:
+    if not is_number(tolerance) or not 0 < tolerance < 1:
         raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {tolerance!r}")
     exact = find(method).exact
     if loaded.friction is not None and not exact:
@@ -176,7 +176,7 @@ def large_deformation(
         raise InvalidProblem(f"loads: control={control!r} takes one load, got {program.end}")
     if control == "displacement":
         n = loaded.dimension
-        if not isinstance(controlled, (int, np.integer)) or not 0 <= controlled < n:
+        if not is_whole(controlled) or not 0 <= controlled < n:
             raise InvalidProblem(f"controlled: expected a place from 0 to {n - 1}, got {controlled!r}")
         path = PathControl(loaded, program, settings)
         return path.follow_unknown(begin, int(steps), int(controlled), real_number("target", target))
@@ -215,12 +215,14 @@ def _start(start: ArrayLike | LargeSolution | None, loaded: LoadedBody) -> Vecto
 
 def _program(loaded: LoadedBody, loads: Sequence[ArrayLike], tie_values: Any, start: Vector | LargeSolution) -> Program:
     if not isinstance(loads, Sequence | np.ndarray) or len(loads) == 0:
-        raise InvalidProblem(f"loads: expected a sequence of at least one load vector, got {loads!r}")
+        raise InvalidProblem(f"loads: expected a sequence of at least one load vector, got {type(loads).__name__}")
     n, k = loaded.dimension, loaded.tie.shape[0]
     corners = [np.zeros(n), *(read_vector(f"loads[{i}]", load, n) for i, load in enumerate(loads))]
     first = loaded.tie @ start if not isinstance(start, LargeSolution) else np.zeros(k)
     if tie_values is None:
         values = [start.tie_value if isinstance(start, LargeSolution) else first] * len(corners)
+    elif not isinstance(tie_values, Sequence | np.ndarray):
+        raise InvalidProblem(f"tie_values: expected one for each load, got {type(tie_values).__name__}")
     elif len(tie_values) != len(loads):
         raise InvalidProblem(f"tie_values: expected one for each of {len(loads)} loads, got {len(tie_values)}")
     else:

@@ -21,6 +21,7 @@ from contactqp.floating_point import own_floating_point
 from contactqp.iteration import iterated
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import is_whole
 from contactqp.solution import Candidate, Solution
 from contactqp.solving import begin, solve
 
@@ -111,7 +112,7 @@ def follow_path(
     if events not in (None, "exact"):
         raise InvalidProblem(f"events: expected None or 'exact', got {events!r}")
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+    if not is_whole(count) or count < 1:
         raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
@@ -184,7 +185,7 @@ class _Steps(LazySolutions):
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:
     if not isinstance(loads, Sequence | np.ndarray):
-        raise InvalidProblem(f"loads: expected a sequence of load vectors, got {loads!r}")
+        raise InvalidProblem(f"loads: expected a sequence of load vectors, got {type(loads).__name__}")
     if len(loads) == 0:
         raise InvalidProblem("loads: expected at least one load vector, got none")
     return [np.zeros(problem.dimension), *(problem.replace(load=load).load for load in loads)]

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import is_whole
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -60,10 +61,12 @@ def count_unknowns(largest: int, dimension: int | None) -> int:
     Raises
     ------
     InvalidProblem
-        Unknowns are numbered beyond the stated dimension.
+        Unknowns are numbered beyond the stated dimension, or it is no whole number.
     """
     if dimension is None:
         return largest + 1
+    if not is_whole(dimension):
+        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {dimension!r}")
     if largest >= dimension:
         raise InvalidProblem(f"unknowns: expected numbers from 0 to {dimension - 1}, got {largest}")
     return dimension

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
 
 Vector = NDArray[np.float64]
@@ -89,7 +90,7 @@ def free_contacts(
         rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
         tangential = {
             "tangent": tangent[rows][:, free],
-            "friction": np.broadcast_to(np.asarray(friction, dtype=float), gap.shape)[kept],
+            "friction": np.broadcast_to(real_array("friction", friction), gap.shape)[kept],
             "slip_origin": -(tangent @ given)[rows],
         }
     return FreeContacts(kept, sp.csr_array(normal[kept][:, free]), gap[kept], [called[i] for i in kept], **tangential)

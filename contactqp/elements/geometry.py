@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.quadrature import Quadrature
 from contactqp.elements.reference import Reference
+from contactqp.problem_data import ReadOnly
 
 # Numbers that are held at a time for a batch of elements (32 MB): more would leave the processor's cache and, for large
 # meshes, the memory.
@@ -18,7 +19,7 @@ BATCH = 2**22
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class Block(ReadOnly):
     """Elements of one kind: their reference element, and nodes (E, n) of int in its order."""
 
     kind: Reference

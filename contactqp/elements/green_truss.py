@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.bar_law import LAWS, BarLaw
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, read_only, read_whole
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearTruss:
+class NonlinearTruss(ReadOnly):
     """Bars between nodes, each with the energy E A0 L0 w(eps): by default 1/2 E A0 L0 eps^2.
 
     The unknowns are the displacements node by node, u[d i + a] that of node i along axis a. With x = X + u,
@@ -67,8 +68,8 @@ class NonlinearTruss:
         nodes = real_array("truss nodes", self.nodes)
         if nodes.ndim != 2 or nodes.shape[1] not in (2, 3) or not np.all(np.isfinite(nodes)):
             raise InvalidProblem(f"truss nodes: expected finite numbers of shape (N, 2) or (N, 3), got {nodes.shape}")
-        bars = np.asarray(self.bars)
-        if bars.ndim != 2 or bars.shape[1] != 2 or not np.issubdtype(bars.dtype, np.integer) or not len(bars):
+        bars = read_whole("truss bars", self.bars)
+        if bars.ndim != 2 or bars.shape[1] != 2 or not len(bars):
             raise InvalidProblem(f"truss bars: expected whole numbers of shape (B, 2), got {bars.dtype} {bars.shape}")
         if bars.min() < 0 or bars.max() >= len(nodes):
             raise InvalidProblem(
@@ -76,10 +77,10 @@ class NonlinearTruss:
             )
         if isinstance(self.law, str) and self.law not in LAWS:
             raise InvalidProblem(f"truss law: expected one of {', '.join(LAWS)}, got {self.law!r}")
-        object.__setattr__(self, "nodes", nodes)
-        object.__setattr__(self, "bars", bars.astype(np.int64))
+        object.__setattr__(self, "nodes", read_only(nodes))
+        object.__setattr__(self, "bars", read_only(bars))
         for name in ("modulus", "area"):
-            object.__setattr__(self, name, _per_bar(name, getattr(self, name), len(bars)))
+            object.__setattr__(self, name, read_only(_per_bar(name, getattr(self, name), len(bars))))
         short = np.flatnonzero(self.length == 0)
         if short.size:
             raise InvalidProblem(f"truss bar {short[0]}: its nodes {bars[short[0]].tolist()} are at one place")
@@ -92,7 +93,7 @@ class NonlinearTruss:
     @cached_property
     def length(self) -> Array:
         """L0 of every bar, (B,) [length]."""
-        return np.asarray(np.linalg.norm(self._apart(self.nodes), axis=1))
+        return read_only(np.asarray(np.linalg.norm(self._apart(self.nodes), axis=1)))
 
     @cached_property
     def bar_law(self) -> BarLaw:
@@ -172,7 +173,7 @@ class NonlinearTruss:
         return sp.csc_array((K + K.T) / 2)  # what meets at a node adds up in another order on the other side
 
     def _read(self, displacement: ArrayLike) -> Array:
-        u = np.asarray(displacement, dtype=float)
+        u = real_array("displacement", displacement)
         if u.shape != (self.dimension,):
             raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
         return u.reshape(self.nodes.shape)

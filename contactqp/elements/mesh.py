@@ -6,7 +6,6 @@ import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +16,13 @@ from contactqp.elements.mesh_checks import check_mesh, check_set, checked_side
 from contactqp.elements.reading import real_array
 from contactqp.elements.reference import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, read_only, read_whole
 
 Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(ReadOnly):
     """A checked mesh.
 
     Parameters
@@ -66,7 +66,7 @@ class Mesh:
     @cached_property
     def boundary(self) -> Index:
         """All boundary facets as (p, 2) pairs (element, local facet)."""
-        return boundary(self.blocks)
+        return read_only(boundary(self.blocks))
 
     def nodes(self, name: str) -> Index:
         """The nodes of a node set or of a side, each once, ascending.
@@ -163,7 +163,7 @@ class Mesh:
 
     def with_node_sets(self, node_sets: Mapping[str, ArrayLike]) -> Mesh:
         """The same mesh with these sets of nodes besides those it has."""
-        sets = {name: _whole(f"node set {name!r}", nodes) for name, nodes in node_sets.items()}
+        sets = {name: read_only(read_whole(f"node set {name!r}", nodes)) for name, nodes in node_sets.items()}
         for name, nodes in sets.items():
             check_set(name, nodes, len(self.points))
         mesh = copy.copy(self)
@@ -210,7 +210,7 @@ class Mesh:
         return place
 
     def _checked(self, sides: Mapping[str, Index]) -> dict[str, Index]:
-        return {name: checked_side(name, pairs, self.blocks) for name, pairs in sides.items()}
+        return {name: read_only(checked_side(name, pairs, self.blocks)) for name, pairs in sides.items()}
 
     def _unknown(self, name: str) -> InvalidProblem:
         known = sorted({*self.node_sets, *self.sides})
@@ -249,17 +249,19 @@ def mesh_from_arrays(
     [[0, 1]]
     """
     blocks = tuple(_block(kind, nodes) for kind, nodes in elements.items())
-    sets = {name: _whole(f"node set {name!r}", nodes).ravel() for name, nodes in (node_sets or {}).items()}
+    sets = {
+        name: read_only(read_whole(f"node set {name!r}", nodes).ravel()) for name, nodes in (node_sets or {}).items()
+    }
     mesh = Mesh(real_array("mesh: points", points), blocks, sets)
     return mesh.with_sides(
-        {name: _side(mesh, name, _whole(f"side {name!r}", facets)) for name, facets in (sides or {}).items()}
+        {name: _side(mesh, name, read_whole(f"side {name!r}", facets)) for name, facets in (sides or {}).items()}
     )
 
 
 def _block(kind: str, nodes: ArrayLike) -> Block:
     if kind not in KINDS:
         raise InvalidProblem(f"elements: expected one of {', '.join(KINDS)}, got {kind!r}")
-    numbers = _whole(f"{kind} elements", nodes)
+    numbers = read_whole(f"{kind} elements", nodes)
     expected = len(REFERENCES[kind].nodes)
     if numbers.ndim != 2 or numbers.shape[1] != expected:
         raise InvalidProblem(f"{kind} elements: expected nodes of shape (E, {expected}), got {numbers.shape}")
@@ -277,13 +279,3 @@ def _side(mesh: Mesh, name: str, facets: Index) -> Index:
             at = facets[np.argmin(row)]
             raise InvalidProblem(f"side {name!r}: the facet of nodes {', '.join(map(str, at))} is not on the boundary")
     raise InvalidProblem(f"side {name!r}: facets of {facets.shape[1]} nodes fit none of the mesh's elements")
-
-
-def _whole(what: str, numbers: Any) -> Index:
-    try:
-        array = np.array(numbers)
-    except ValueError:
-        raise InvalidProblem(f"{what}: expected whole numbers in rows of one length, got others") from None
-    if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise InvalidProblem(f"{what}: expected whole numbers, got {array.dtype}")
-    return array.astype(np.int64)

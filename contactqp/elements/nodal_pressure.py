@@ -37,9 +37,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.facet import KINDS, FacetKind, diameters, kind_of
+from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import shape_integrals
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly
 
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -48,7 +50,7 @@ ON_AXIS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class NodalPressure:
+class NodalPressure(ReadOnly):
     """How the forces of p nodes become pressures.
 
     Attributes
@@ -71,7 +73,7 @@ class NodalPressure:
         A force that is not known, NaN, is left out with its part of the area, and the value at its node is NaN. So is
         one whose functions have no known node.
         """
-        given = np.asarray(force, dtype=float)
+        given = real_array("force", force)
         known = np.isfinite(given)
         area = self.collected.T @ np.where(known, self.integral, 0.0)
         least = abs(self.collected.T) @ np.where(known, abs(self.integral), 0.0)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.assembly import Pattern, assemble, pattern
 from contactqp.elements.geometry import Block, batches, sum_at_nodes
 from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHookean, SaintVenantKirchhoff
+from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
 
@@ -169,7 +170,7 @@ class NonlinearSolid:
         return found
 
     def _parts(self, displacement: ArrayLike) -> Iterator[_Part]:
-        u = np.asarray(displacement, dtype=float)
+        u = real_array("displacement", displacement)
         if u.shape != (self.dimension,):
             raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
         moved = u.reshape(self.body.mesh.points.shape)

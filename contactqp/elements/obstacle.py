@@ -40,13 +40,14 @@ class Plane:
     normal: Any
 
     def __post_init__(self) -> None:
-        if np.shape(self.point) != np.shape(self.normal) or np.shape(self.point) not in ((1,), (2,), (3,)):
+        point, normal = (real_array(f"plane {what}", getattr(self, what)) for what in ("point", "normal"))
+        if point.shape != normal.shape or point.shape not in ((1,), (2,), (3,)):
             raise InvalidProblem(
                 f"plane: expected a point and a normal of one, two or three components, got shapes "
-                f"{np.shape(self.point)} and {np.shape(self.normal)}"
+                f"{point.shape} and {normal.shape}"
             )
-        for what, vector in (("point", self.point), ("normal", self.normal)):
-            if not np.all(np.isfinite(real_array(f"plane {what}", vector))):
+        for what, vector in (("point", point), ("normal", normal)):
+            if not np.all(np.isfinite(vector)):
                 raise InvalidProblem(f"plane {what}: expected finite components, got {vector}")
         self.outward()
 

@@ -15,15 +15,17 @@ from contactqp.elements.obstacle import Obstacle, tangent_frames
 from contactqp.elements.obstacle_curvature import distance_hessians
 from contactqp.elements.pairing import pair
 from contactqp.elements.paraboloid import Paraboloid
+from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, read_only
 
 # Of a coordinate: a few operations lie between it and a gap.
 ROUNDING = 16 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
-class ObstacleContact:
+class ObstacleContact(ReadOnly):
     """Nodes that may touch one rigid obstacle: `cq.pair` with the points where they are now.
 
     Parameters
@@ -63,7 +65,7 @@ class ObstacleContact:
         found = pair(self.points, self.obstacle, unknowns=self.unknowns, dimension=self.dimension)
         places = np.arange(found.points.size).reshape(found.points.shape) if self.unknowns is None else self.unknowns
         object.__setattr__(self, "points", found.points)
-        object.__setattr__(self, "unknowns", np.asarray(places, dtype=np.int64))
+        object.__setattr__(self, "unknowns", read_only(np.array(places, dtype=np.int64)))
         object.__setattr__(self, "dimension", found.normal.shape[1])
 
     @property
@@ -73,7 +75,7 @@ class ObstacleContact:
 
     def positions(self, displacement: Vector) -> Vector:
         """(m, d): where the nodes are [length]."""
-        return np.asarray(self.points + np.asarray(displacement, dtype=float)[self.unknowns])
+        return np.asarray(self.points + real_array("displacement", displacement)[self.unknowns])
 
     def state(self, displacement: Vector) -> ContactState:
         """Gaps and rows there.

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
+from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.floating_point import own_floating_point
-from contactqp.problem_data import ReadOnly
+from contactqp.problem_data import ReadOnly, read_whole
 
 __all__ = ["Pairing", "Plane", "pair"]
 
@@ -76,7 +77,7 @@ class Pairing(ReadOnly):
         InvalidProblem
             Bare points have no area; not one force for each contact.
         """
-        force = np.asarray(normal_force, dtype=float)
+        force = real_array("normal_force", normal_force)
         pressure = self.per_area(force)
         return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
 
@@ -88,7 +89,7 @@ class Pairing(ReadOnly):
         InvalidProblem
             Bare points have no area; not one force for each contact.
         """
-        given = np.asarray(force, dtype=float)
+        given = real_array("normal_force", force)
         if self.projection is None:
             raise InvalidProblem("pressure: points have no area: expected a pairing of a Surface")
         if given.shape != self.gap.shape:
@@ -140,15 +141,15 @@ def pair(
     if isinstance(points, Surface):
         return _pair_surface(points, obstacle, unknowns, dimension)
     x = _points(points, obstacle.dimension)
-    columns = np.arange(x.size).reshape(x.shape) if unknowns is None else np.asarray(unknowns)
-    if columns.shape != x.shape or (columns.size and not np.issubdtype(columns.dtype, np.integer)):
+    columns = np.arange(x.size).reshape(x.shape) if unknowns is None else read_whole("unknowns", unknowns)
+    if columns.shape != x.shape:
         raise InvalidProblem(
             f"unknowns: expected whole numbers of shape {x.shape}, got {columns.dtype} {columns.shape}"
         )
     if columns.min(initial=0) < 0:
         raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(columns.min())}")
     n = count_unknowns(int(columns.max(initial=-1)), dimension)
-    return _pair_points(x, columns.astype(np.int64), obstacle, n, np.arange(len(x)))
+    return _pair_points(x, columns, obstacle, n, np.arange(len(x)))
 
 
 def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | None, dimension: int | None) -> Pairing:
@@ -169,15 +170,15 @@ def _pair_points(
     n: int,
     nodes: NDArray[np.int64],
 ) -> Pairing:
-    outward = np.asarray(obstacle.normals(x), dtype=float)
+    outward = real_array("obstacle: normals", obstacle.normals(x))
     contact = np.arange(len(x))
     E_N, E_T = contact_rows(contact, np.ones(len(x)), columns, outward, tangent_frames(outward), (len(x), n))
-    gap = np.asarray(obstacle.distance(x), dtype=float)
+    gap = real_array("obstacle: distances", obstacle.distance(x))
     return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64))
 
 
 def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
-    x = np.asarray(points, dtype=float)
+    x = real_array("points", points)
     if x.ndim != 2 or x.shape[1] != dimension:
         raise InvalidProblem(f"points: expected shape (p, {dimension}) as the obstacle has it, got {x.shape}")
     if not np.all(np.isfinite(x)):

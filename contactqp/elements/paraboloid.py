@@ -47,10 +47,11 @@ class Paraboloid:
     measure: Measure = "axis"
 
     def __post_init__(self) -> None:
-        sizes = np.shape(self.apex), np.shape(self.axis)
+        apex, axis = (real_array(f"paraboloid {what}", getattr(self, what)) for what in ("apex", "axis"))
+        sizes = apex.shape, axis.shape
         if sizes not in (((2,), (2,)), ((3,), (3,))):
             raise InvalidProblem(f"paraboloid: expected an apex and an axis of two or three components, got {sizes}")
-        if not np.all(np.isfinite(real_array("paraboloid apex and axis", [self.apex, self.axis]))):
+        if not np.all(np.isfinite([apex, axis])):
             raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
         positive_number("paraboloid radius", self.radius, "length")
         if self.measure not in get_args(Measure):
@@ -94,7 +95,7 @@ class Paraboloid:
 
     def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """z, (p,), and the vectors from the axis to the points, (p, dimension)."""
-        apart = np.asarray(points, dtype=float) - np.asarray(self.apex, dtype=float)
+        apart = real_array("points", points) - np.asarray(self.apex, dtype=float)
         z = apart @ self._along
         return z, apart - np.outer(z, self._along)
 

@@ -12,9 +12,11 @@ from math import acos, cos, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.problem_data import ReadOnly
+
 
 @dataclass(frozen=True, eq=False)
-class Quadrature:
+class Quadrature(ReadOnly):
     """Points (q, d) and weights (q,): the integral over the reference shape is the sum of w_q f(x_q)."""
 
     points: NDArray[np.float64]

@@ -9,30 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-
-NUMERIC = "biuf"  # kinds of NumPy's types that are real numbers
+from contactqp.problem_data import read_array
 
 
 def real_array(what: str, value: Any) -> NDArray[np.float64]:
-    """An array of floats, a copy; fractions become floats, text and complex numbers become none.
+    """Return a copy of real numbers as an array of floats; fractions become floats.
 
     Raises
     ------
     InvalidProblem
-        Rows of different lengths, or entries that are no real numbers; `what` is what they belong to.
+        Rows of different lengths, masked arrays, or entries that are no real numbers; `what` is what they belong to.
 
     >>> real_array("points", [[0, 1], [2, 3]]).tolist()
     [[0.0, 1.0], [2.0, 3.0]]
     """
-    try:
-        array = np.array(value)
-        if array.dtype.kind == "O":
-            return array.astype(float, copy=False)
-    except (TypeError, ValueError):
-        raise InvalidProblem(f"{what}: expected real numbers in rows of one length, got others") from None
-    if array.dtype.kind not in NUMERIC:
-        raise InvalidProblem(f"{what}: expected real numbers, got {array.dtype}")
-    return array.astype(float, copy=False)
+    return read_array(what, value)
 
 
 def real_number(what: str, value: Any) -> float:
@@ -46,7 +37,7 @@ def real_number(what: str, value: Any) -> float:
     >>> real_number("radius", 2)
     2.0
     """
-    number = real_array(what, value)
+    number = real_array(what, np.nan if value is None else value)
     if number.ndim or not math.isfinite(number):
         raise InvalidProblem(f"{what}: expected one finite number, got {value}")
     return float(number)
@@ -62,7 +53,7 @@ def positive_number(what: str, value: Any, kind: str) -> float:
     >>> positive_number("circle radius", 0.5, "length")
     0.5
     """
-    number = real_array(what, value)
+    number = real_array(what, np.nan if value is None else value)
     if number.ndim or not (math.isfinite(number) and number > 0):
         raise InvalidProblem(f"{what}: expected a positive {kind}, got {value}")
     return float(number)

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.quadrature import Quadrature, gauss, tetrahedron, triangle
+from contactqp.problem_data import ReadOnly
 
 Nodes = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(ReadOnly):
     """One kind of element.
 
     Attributes

@@ -47,7 +47,7 @@ class _Ball(ABC):
         return _normals(self._name, points, self._radial(points), float(self.radius), self.inside)
 
     def _radial(self, points: Any) -> NDArray[np.float64]:
-        apart: NDArray[np.float64] = np.asarray(points, dtype=float) - np.asarray(self.centre, dtype=float)
+        apart: NDArray[np.float64] = real_array("points", points) - np.asarray(self.centre, dtype=float)
         return apart
 
 
@@ -133,13 +133,14 @@ class Cylinder:
     def _radial(self, points: Any) -> NDArray[np.float64]:
         """From the axis to the points."""
         a = unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
-        apart = np.asarray(points, dtype=float) - np.asarray(self.point, dtype=float)
+        apart = real_array("points", points) - np.asarray(self.point, dtype=float)
         radial: NDArray[np.float64] = apart - np.outer(apart @ a, a)
         return radial
 
 
 def _check(name: str, what: str, vector: Any, dimension: int) -> None:
-    if np.shape(vector) != (dimension,) or not np.all(np.isfinite(real_array(f"{name} {what}", vector))):
+    read = real_array(f"{name} {what}", vector)
+    if read.shape != (dimension,) or not np.all(np.isfinite(read)):
         raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {vector}")
 
 

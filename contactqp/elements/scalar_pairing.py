@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
 from contactqp.floating_point import own_floating_point
+from contactqp.problem_data import read_whole
 
 Side = Literal["above", "below"]
 
@@ -62,19 +64,20 @@ def pair_scalar(
     """
     if side not in get_args(Side):
         raise InvalidProblem(f"side: expected one of {get_args(Side)}, got {side!r}")
-    x = np.asarray(points, dtype=float)
+    x = real_array("points", points)
     if x.ndim != 2 or not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers of shape (p, d), got shape {x.shape}")
     sign = 1.0 if side == "above" else -1.0
-    height = np.asarray(obstacle_height(x) if callable(obstacle_height) else obstacle_height, dtype=float)
+    given = obstacle_height(x) if callable(obstacle_height) else obstacle_height
+    height = real_array("obstacle_height", given)
     if height.shape != (len(x),):
         raise InvalidProblem(f"obstacle_height: expected shape ({len(x)},), got {height.shape}")
     wrong = np.flatnonzero(np.isnan(height) | (height == sign * np.inf))
     if wrong.size:
         i = int(wrong[0])
         raise InvalidProblem(f"obstacle_height: expected a number at node {i}, {x[i].tolist()}, got {height[i]}")
-    places = np.arange(len(x)) if unknowns is None else np.asarray(unknowns)
-    if places.shape != (len(x),) or (places.size and not np.issubdtype(places.dtype, np.integer)):
+    places = np.arange(len(x)) if unknowns is None else read_whole("unknowns", unknowns)
+    if places.shape != (len(x),):
         raise InvalidProblem(
             f"unknowns: expected whole numbers of shape ({len(x)},), got {places.dtype} {places.shape}"
         )

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import is_whole
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
@@ -53,19 +55,20 @@ class SignedDistance:
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        if self.dimension not in (1, 2, 3):
+        if not is_whole(self.dimension) or self.dimension not in (1, 2, 3):
             raise InvalidProblem(f"signed distance: expected the dimension 1, 2 or 3, got {self.dimension}")
-        if self.step is not None and not (np.isfinite(self.step) and self.step > 0):
-            raise InvalidProblem(f"signed distance: expected a positive step, got {self.step}")
+        if self.step is not None:
+            positive_number("signed distance: step", self.step, "step")
+        positive_number("signed distance: tolerance", self.tolerance, "number")
 
     def distance(self, points: Any) -> NDArray[np.float64]:
         """function(points), (p,) [length]."""
-        x = np.asarray(points, dtype=float)
+        x = real_array("points", points)
         return _values("function", self.function(x), x, (len(x),))
 
     def normals(self, points: Any) -> NDArray[np.float64]:
         """gradient / |gradient|, (p, dimension)."""
-        x = np.asarray(points, dtype=float)
+        x = real_array("points", points)
         if self.gradient is not None:
             gradients = _values("gradient", self.gradient(x), x, x.shape)
         else:
@@ -92,7 +95,7 @@ class SignedDistance:
 
 
 def _values(what: str, values: Any, x: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    got = np.asarray(values, dtype=float)
+    got = real_array(f"signed distance: {what}", values)
     if got.shape != shape:
         raise InvalidProblem(
             f"signed distance: {what} of points of shape {x.shape}: expected shape {shape}, got {got.shape}"

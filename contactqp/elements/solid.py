@@ -19,10 +19,11 @@ from contactqp.elements.quadrature import Quadrature
 from contactqp.elements.reading import positive_number
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, read_only
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(ReadOnly):
     """One linear elastic body. Its unknowns are node by node: u[d i + a] is the displacement of node i along axis a.
 
     Parameters
@@ -92,7 +93,7 @@ class Body:
         [force / length], per unit thickness times `thickness` in plane problems.
         """
         where = pattern([block.nodes for block in self.mesh.blocks], len(self.mesh.points))
-        return from_blocks(where, self.node_blocks(self.mesh.blocks, where))
+        return read_only(from_blocks(where, self.node_blocks(self.mesh.blocks, where)))
 
     def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> NDArray[np.float64]:
         """What these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import is_whole
 
 Towards = Literal["low", "high", "both", "middle"]
 
@@ -28,7 +29,7 @@ def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]
     >>> spacing(2, 3.0, "low").tolist()
     [0.0, 0.125, 0.25, 0.625, 1.0]
     """
-    if isinstance(cells, bool) or not isinstance(cells, int | np.integer) or cells < 1:
+    if not is_whole(cells) or cells < 1:
         raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {cells!r}")
     if not (math.isfinite(grading) and grading >= 1):
         raise InvalidProblem(f"shape: expected a grading >= 1, got {grading}")

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.geometry import Block, Geometry, sum_at_nodes
 from contactqp.elements.kinematics import strains
 from contactqp.elements.quadrature import gauss, tetrahedron, triangle
+from contactqp.elements.reading import real_array
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
@@ -84,7 +85,7 @@ def von_mises(stress: ArrayLike) -> NDArray[np.float64]:
     >>> von_mises([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]]).tolist()
     [2.0, 0.0]
     """
-    xx, yy, zz, xy, yz, zx = np.moveaxis(np.asarray(stress, dtype=float), -1, 0)
+    xx, yy, zz, xy, yz, zx = np.moveaxis(real_array("stress", stress), -1, 0)
     squares = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * (xy**2 + yz**2 + zx**2)
     return np.asarray(np.sqrt(squares))
 
@@ -104,7 +105,7 @@ def _continuation(kind: Reference) -> NDArray[np.float64]:
 
 
 def _displacement(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
-    u = np.asarray(displacement, dtype=float)
+    u = real_array(f"{body.name}: displacement", displacement)
     if u.shape != (body.size,):
         raise InvalidProblem(f"{body.name}: expected a displacement of shape ({body.size},), got {u.shape}")
     return u

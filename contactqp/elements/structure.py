@@ -15,6 +15,7 @@ from contactqp.elements.free_contacts import free_contacts, kept_contacts, stack
 from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
+from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
@@ -110,7 +111,7 @@ class Structure:
     def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
         """The (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
         body, first = self.body(name), self.first(name)
-        return np.asarray(displacement, dtype=float)[first : first + body.size].reshape(-1, len(body.axes))
+        return real_array("displacement", displacement)[first : first + body.size].reshape(-1, len(body.axes))
 
     def unknown_names(self) -> tuple[str, ...]:
         """``"block node 12 x"`` for each unknown."""
@@ -225,7 +226,7 @@ class System:
     def expand(self, displacement: ArrayLike) -> Vector:
         """The u of all unknowns from that of the free ones."""
         u = self.given.copy()
-        u[self.free] = np.asarray(displacement, dtype=float)
+        u[self.free] = real_array("displacement", displacement)
         return u
 
     def support_forces(self, displacement: ArrayLike, contact_forces: ArrayLike | None = None) -> Vector:
@@ -233,9 +234,9 @@ class System:
 
         `displacement` is the u of all unknowns, `contact_forces` E_N' l_N (+ E_T' l_T) on all unknowns.
         """
-        residual = self.structure.stiffness @ np.asarray(displacement, dtype=float) - self.load
+        residual = self.structure.stiffness @ real_array("displacement", displacement) - self.load
         if contact_forces is not None:
-            residual = residual + np.asarray(contact_forces, dtype=float)
+            residual = residual + real_array("contact_forces", contact_forces)
         return np.where(np.isnan(self.prescribed), 0.0, residual)
 
     def free_contacts(self, pairings: Sequence[Pairing]) -> Index:

@@ -12,13 +12,15 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, Vector
+from contactqp.elements.reading import real_array, real_number
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, is_whole, read_only
 
 Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Supported:
+class Supported(ReadOnly):
     """A body with supports: unknown j is unknown free[j] of the body, the others keep their values.
 
     Parameters
@@ -47,10 +49,9 @@ class Supported:
         values = dict(self.held) if isinstance(self.held, Mapping) else dict.fromkeys(np.ravel(self.held).tolist(), 0.0)
         n = self.body.dimension
         for place, value in values.items():
-            if isinstance(place, bool) or not isinstance(place, (int, np.integer)) or not 0 <= place < n:
+            if not is_whole(place) or not 0 <= place < n:
                 raise InvalidProblem(f"held: expected places from 0 to {n - 1}, got {place!r}")
-            if not np.isfinite(value):
-                raise InvalidProblem(f"held: expected a finite displacement of place {place}, got {value}")
+            real_number(f"held: displacement of place {place}", value)
         if len(values) == n:
             raise InvalidProblem("held: every unknown is; expected some that are free")
         object.__setattr__(self, "held", values)
@@ -58,7 +59,7 @@ class Supported:
     @cached_property
     def free(self) -> Index:
         """The place in the body's u of each unknown, ascending."""
-        return np.setdiff1d(np.arange(self.body.dimension), list(self.held)).astype(np.int64)
+        return read_only(np.setdiff1d(np.arange(self.body.dimension), list(self.held)).astype(np.int64))
 
     @property
     def dimension(self) -> int:
@@ -69,12 +70,12 @@ class Supported:
         """The u of the body from that of the free unknowns."""
         u = np.zeros(self.body.dimension)
         u[list(self.held)] = list(self.held.values())
-        u[self.free] = np.asarray(displacement, dtype=float)
+        u[self.free] = _of("displacement", displacement, self.dimension)
         return u
 
     def restrict(self, load: ArrayLike) -> Vector:
         """Loads on the free unknowns, from those on all of the body's."""
-        return np.asarray(load, dtype=float)[self.free]
+        return _of("load", load, self.body.dimension)[self.free]
 
     def energy(self, displacement: ArrayLike) -> float:
         """Of the body."""
@@ -100,6 +101,13 @@ class Supported:
     def contact(self, geometry: ContactGeometry) -> SupportedContact:
         """A contact geometry over the body's unknowns, as one over the free ones."""
         return SupportedContact(self, geometry)
+
+
+def _of(what: str, values: ArrayLike, size: int) -> Vector:
+    read = real_array(what, values)
+    if read.shape != (size,):
+        raise InvalidProblem(f"{what}: expected shape ({size},), got {read.shape}")
+    return read
 
 
 @dataclass(frozen=True, eq=False)

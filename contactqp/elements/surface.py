@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.elements.reading import positive_number
+from contactqp.problem_data import ReadOnly, read_array, read_only, read_whole
+
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(ReadOnly):
     """Facets of a body's boundary, oriented so that their normals point out of the body.
 
     Parameters
@@ -29,6 +32,11 @@ class Surface:
         Of a plane body [length]: forces are for all of it. With 1 they are per unit thickness.
     revolved : bool
         The surface of an axisymmetric body, about x = 0: forces are those of the full circle.
+
+    Raises
+    ------
+    InvalidProblem
+        Arrays that are none of real or of whole numbers, a thickness that is not positive.
     """
 
     points: NDArray[np.float64]
@@ -38,6 +46,12 @@ class Surface:
     thickness: float = 1.0
     revolved: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", read_only(read_array(f"{self.name}: points", self.points)))
+        for what in ("facets", "unknowns"):
+            object.__setattr__(self, what, read_only(read_whole(f"{self.name}: {what}", getattr(self, what))))
+        positive_number(f"{self.name}: thickness", self.thickness, "length")
+
     @property
     def dimension(self) -> int:
         """d."""
@@ -46,4 +60,4 @@ class Surface:
     @property
     def nodes(self) -> NDArray[np.int64]:
         """The nodes of the facets, each once, in ascending order."""
-        return np.unique(self.facets)
+        return read_only(np.unique(self.facets))

@@ -24,9 +24,6 @@ def check_surface(surface: Surface) -> None:
         raise InvalidProblem(f"{name}: points: expected shape (N, 2) or (N, 3), got {points.shape}")
     if facets.ndim != 2 or not len(facets):
         raise InvalidProblem(f"{name}: facets: expected shape (p, k) with at least one facet, got {facets.shape}")
-    for what, numbers in (("facets", facets), ("unknowns", unknowns)):
-        if not np.issubdtype(numbers.dtype, np.integer):
-            raise InvalidProblem(f"{name}: {what}: expected whole numbers, got {numbers.dtype}")
     if unknowns.shape != points.shape:
         raise InvalidProblem(f"{name}: unknowns: expected shape {points.shape} as points, got {unknowns.shape}")
     outside = np.argwhere((facets < 0) | (facets >= len(points)))

@@ -17,7 +17,7 @@ from contactqp.certificate import Certificate
 from contactqp.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
 from contactqp.problem import ContactProblem, Units, Vector
-from contactqp.problem_data import ReadOnly, read_stiffness, read_vector
+from contactqp.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
 from contactqp.solution import Solution
 from contactqp.solving import solve
 
@@ -74,7 +74,7 @@ class ConstrainedEnergy:
 
     def __post_init__(self) -> None:
         names = self.unknowns
-        if isinstance(names, (int, np.integer)) and not isinstance(names, bool):
+        if is_whole(names):
             names = tuple(f"u{j}" for j in range(int(names)))
         if isinstance(names, (str, bytes)) or not isinstance(names, Iterable):
             raise InvalidProblem(f"unknowns: expected names, or how many there are, got {names!r}")

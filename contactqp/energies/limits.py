@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.energies.part import Condition, Contribution, Form, Found, PartState, minus, read_form, read_number
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import ReadOnly, read_array, read_only
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Equal(_Bound):
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Obstacle(ReadOnly):
     """lower <= u_j <= upper for many unknowns; its force is that of the lower bounds less that of the upper ones.
 
     Each bound is a constraint of its own: "<name>: <unknown> from below" or "from above" is what
@@ -128,12 +129,11 @@ class Obstacle:
     def _side(self, which: str, none: float) -> NDArray[np.float64]:
         given = getattr(self, which)
         count = len(self.unknowns)
-        try:
-            bounds = np.asarray(none if given is None else given, dtype=float)
-        except (TypeError, ValueError):
-            raise InvalidProblem(f"{self.name}: {which}: expected numbers, got {given!r}") from None
+        bounds = read_array(f"{self.name}: {which}", none if given is None else given)
         if bounds.shape not in ((), (count,)) or np.any(np.isnan(bounds)) or np.any(bounds == -none):
             raise InvalidProblem(f"{self.name}: {which}: expected one number or {count}, none of them NaN or {-none}")
+        if bounds.ndim:
+            object.__setattr__(self, which, read_only(bounds))
         return np.broadcast_to(bounds, (count,))
 
     def contribution(self) -> Contribution:

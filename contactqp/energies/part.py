@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.errors import InvalidProblem
+from contactqp.problem_data import is_number
 
 # A linear form of the unknowns by their names.
 Form = Mapping[str, float]
@@ -104,7 +105,7 @@ def read_number(what: str, value: Any, *, positive: bool = False, above: float |
     """
     least = 0.0 if positive else above
     expected = "a finite number" if least is None else f"a finite number above {least:g}"
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+    if not is_number(value) or not np.isfinite(value):
         raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
     if least is not None and not value > least:
         raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")

@@ -24,6 +24,7 @@ from contactqp.problem_data import (
     Matrix,
     ReadOnly,
     Vector,
+    is_number,
     read_array,
     read_coefficient,
     read_matrix,
@@ -82,7 +83,7 @@ class GlobalProblem(ReadOnly):
         joints: Any = None,
         joint_offset: ArrayLike | None = None,
     ) -> None:
-        if isinstance(dimension, bool) or dimension not in (2, 3):
+        if not is_number(dimension) or dimension not in (2, 3):
             raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
         M = read_matrix("matrix", matrix)
         n = M.shape[0]

@@ -24,6 +24,7 @@ from contactqp.friction.iterate import Deadline
 from contactqp.friction.local_form import LocalForm
 from contactqp.methods import Method, Settings
 from contactqp.problem import ContactProblem, Vector
+from contactqp.problem_data import is_whole
 from contactqp.scaling import nondimensional
 
 FACETS = 16
@@ -65,11 +66,7 @@ class ConvexSteps:
             raise InvalidProblem("facets, polygon: expected none, a cone in the plane has two sides of its own")
         self.facets = FACETS if self.facets is None else self.facets
         self.polygon = "inscribed" if self.polygon is None else self.polygon
-        if (
-            isinstance(self.facets, bool)
-            or not isinstance(self.facets, (int, np.integer))
-            or not 3 <= self.facets <= MOST_FACETS
-        ):
+        if not is_whole(self.facets) or not 3 <= self.facets <= MOST_FACETS:
             raise InvalidProblem(f"facets: expected a whole number from 3 to {MOST_FACETS}, got {self.facets!r}")
         if self.polygon not in POLYGONS:
             raise InvalidProblem(f"polygon: expected one of {', '.join(POLYGONS)}, got {self.polygon!r}")

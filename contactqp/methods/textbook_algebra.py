@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.problem import ContactProblem, Matrix, Vector
+from contactqp.problem_data import read_array
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -113,14 +114,17 @@ def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: b
     InvalidProblem
         It is anything else.
     """
+    sign = "not negative" if zero else "positive"
+    expected = f"{name}: {key}: expected a {sign} finite number or {contacts} of them"
     try:
-        values = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        values = np.array(np.nan)
+        values = read_array(key, value)
+    except InvalidProblem as error:
+        raise InvalidProblem(f"{expected}; {error}") from None
+    if np.asarray(value).dtype == bool:
+        raise InvalidProblem(f"{expected}, got {value!r}")
     allowed = (values >= 0 if zero else values > 0) & np.isfinite(values)
     if values.shape not in ((), (contacts,)) or not np.all(allowed):
-        sign = "not negative" if zero else "positive"
-        raise InvalidProblem(f"{name}: {key}: expected a {sign} finite number or {contacts} of them, got {value!r}")
+        raise InvalidProblem(f"{expected}, got {value!r}")
     return np.broadcast_to(values, (contacts,)).astype(float)
 
 

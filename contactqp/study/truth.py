@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from contactqp.condensation import condense
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.problem import ContactProblem, Matrix, Vector
+from contactqp.problem_data import read_array
 from contactqp.saddle import saddle_point
 from contactqp.solution import Solution
 from contactqp.solving import solve
@@ -232,7 +233,7 @@ def _given(problem: ContactProblem, reference: Reference) -> Truth:
 
 
 def _vector(name: str, value: ArrayLike, size: int) -> Vector:
-    vector = np.array(value, dtype=float).ravel()
+    vector = read_array(f"reference: {name}", value).ravel()
     if vector.shape != (size,) or not np.all(np.isfinite(vector)):
         raise InvalidProblem(f"reference: {name}: expected {size} finite numbers, got {vector}")
     return vector

@@ -131,30 +131,37 @@ def test_a_hole_that_fits_has_no_gap():
     np.testing.assert_allclose(pairing.direction, -shaft.points / 2, atol=1e-15)
 
 
+QUAD = np.array([[0, 1, 2, 3]])
 FOLDED = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.2, 0.2, 0.0], [0.0, 1.0, 0.0]]
 
 
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        (surface(SQUARE, np.zeros((0, 4), dtype=int)), "side: facets: expected shape .* at least one facet"),
-        (surface(SQUARE, [[0, 1, 2, 7]]), "facet 0: expected nodes from 0 to 3, got 7"),
-        (surface(SQUARE, [[0, 1, 2, 3], [0, 1, 2, -1]]), "facet 1: expected nodes from 0 to 3, got -1"),
-        (surface(SQUARE, [[0.0, 1.0, 2.0]]), "facets: expected whole numbers"),
-        (surface(SQUARE, [[0, 1, 2, 2]]), r"facet 0 \(nodes \[0, 1, 2, 2\]\) is degenerate or folded"),
-        (surface(SQUARE, [[0, 1, 2], [0, 1, 1]]), "facet 1 .* is degenerate"),
-        (surface(FOLDED, [[0, 1, 2, 3]]), "degenerate or folded"),
-        (surface(SQUARE, [[0, 1, 3, 2]]), "degenerate or folded"),
-        (surface(SQUARE, [[0, 1]]), "no facet has 2 nodes in 3 dimensions; known are"),
-        (surface(SQUARE[:, :1], [[0, 1]]), "points: expected shape"),
-        (surface(SQUARE * [1, 1, np.nan], [[0, 1, 2, 3]]), "node 0: expected finite coordinates"),
-        (cq.Surface(SQUARE, np.array([[0, 1, 2, 3]]), np.arange(8).reshape(4, 2)), "surface: unknowns: expected shape"),
-        (cq.Surface(SQUARE, np.array([[0, 1, 2, 3]]), -np.ones((4, 3), dtype=int)), "node 0: expected unknowns from 0"),
+        (lambda: surface(SQUARE, np.zeros((0, 4), dtype=int)), "side: facets: expected shape .* at least one facet"),
+        (lambda: surface(SQUARE, [[0, 1, 2, 7]]), "facet 0: expected nodes from 0 to 3, got 7"),
+        (lambda: surface(SQUARE, [[0, 1, 2, 3], [0, 1, 2, -1]]), "facet 1: expected nodes from 0 to 3, got -1"),
+        (lambda: surface(SQUARE, [[0.0, 1.0, 2.0]]), "facets: expected whole numbers"),
+        (lambda: surface(SQUARE, [[0, 1, 2, 2]]), r"facet 0 \(nodes \[0, 1, 2, 2\]\) is degenerate or folded"),
+        (lambda: surface(SQUARE, [[0, 1, 2], [0, 1, 1]]), "facet 1 .* is degenerate"),
+        (lambda: surface(FOLDED, [[0, 1, 2, 3]]), "degenerate or folded"),
+        (lambda: surface(SQUARE, [[0, 1, 3, 2]]), "degenerate or folded"),
+        (lambda: surface(SQUARE, [[0, 1]]), "no facet has 2 nodes in 3 dimensions; known are"),
+        (lambda: surface(SQUARE[:, :1], [[0, 1]]), "points: expected shape"),
+        (lambda: surface(SQUARE * [1, 1, np.nan], [[0, 1, 2, 3]]), "node 0: expected finite coordinates"),
+        (
+            lambda: cq.Surface(SQUARE, np.array([[0, 1, 2, 3]]), np.arange(8).reshape(4, 2)),
+            "surface: unknowns: expected shape",
+        ),
+        (
+            lambda: cq.Surface(SQUARE, np.array([[0, 1, 2, 3]]), -np.ones((4, 3), dtype=int)),
+            "node 0: expected unknowns from 0",
+        ),
     ],
 )
 def test_surfaces_that_are_none_are_refused(broken, message):
     with pytest.raises(InvalidProblem, match=message):
-        cq.pair(broken, cq.Plane(point=[0.0, 0.0, -1.0], normal=[0.0, 0.0, 1.0]))
+        cq.pair(broken(), cq.Plane(point=[0.0, 0.0, -1.0], normal=[0.0, 0.0, 1.0]))
 
 
 def test_a_middle_node_off_the_middle_is_refused():

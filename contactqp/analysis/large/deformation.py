@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.problem import Vector
+from contactqp.problem_data import ReadOnly, read_only
 from contactqp.solution import Solution
 
 
@@ -75,7 +76,7 @@ class LargeSolution(Solution):
 
 
 @dataclass(frozen=True, eq=False)
-class LimitPoint:
+class LimitPoint(ReadOnly):
     """Where the load that a path carries is greatest or least."""
 
     kind: str  # "maximum" or "minimum"
@@ -146,7 +147,7 @@ class LargeHistory(History):
     @property
     def stable(self) -> NDArray[np.bool_]:
         """(steps,) whether each equilibrium is."""
-        return np.array([solution.stable for solution in self._found])
+        return read_only(np.array([solution.stable for solution in self._found]))
 
     @property
     def _found(self) -> Sequence[LargeSolution]:

@@ -20,7 +20,7 @@ from contactqp.certificate import certify, contact_status
 from contactqp.errors import Unsupported
 from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import read_only
+from contactqp.problem_data import ReadOnly, read_only
 from contactqp.solution import Solution
 
 
@@ -118,7 +118,7 @@ def _refuse_to_go_on(*_: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Known(ReadOnly):
     """A load at the instants of a motion."""
 
     times: tuple[float, ...]

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class Parts(ReadOnly):
     """Floats in the shapes of a `Solution`; `friction_force` and `slip` are None where nothing rubs."""
 
     displacement: Floats  # (n,)
