@@ -125,7 +125,7 @@ class StateSystem:
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
         right = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
-        found = lu_solve(self._factor, right) if self._inverse is None else self._inverse @ right
+        found = lu_solve(self._factor, right, check_finite=False) if self._inverse is None else self._inverse @ right
         y = np.zeros(p + self._count)
         y[:p], y[p + self._kept] = found[:p], found[p:]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))

@@ -94,13 +94,13 @@ class NullSpace:
         rows = (np.concatenate([e, a]).T * self._row_scale).T
         x = np.zeros_like(r)
         if self.independent.size:
-            x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T")
+            x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T", check_finite=False)
         if self._hessian is not None:
             step = self._N @ self._hessian.solve(self._N.T @ (r - self._S @ x))
             x = x + step - self.free @ (self.free.T @ step)
         force = np.zeros_like(rows)
         if self.independent.size:
-            force[self.independent] = solve_triangular(self._R, self._Y.T @ (r - self._S @ x))
+            force[self.independent] = solve_triangular(self._R, self._Y.T @ (r - self._S @ x), check_finite=False)
         force = (force.T * self._row_scale).T
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 

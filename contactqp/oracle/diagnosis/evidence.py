@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from contactqp.certificate import Certificate
 from contactqp.condensation import unknown_scale
-from contactqp.errors import ContactQPError
+from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import judge
@@ -58,7 +58,10 @@ class Evidence:
 
     @cached_property
     def weights(self) -> dict[str, Any]:
-        """The scale of each part [root of energy per its unit]."""
+        """The scale of each part [root of energy per its unit], as a part of the largest of displacements or forces.
+
+        What is compared are ratios, and with weights of at most one no value that is a double becomes infinite.
+        """
         D = unknown_scale(self.problem)
         problem = self.problem
 
@@ -68,11 +71,13 @@ class Evidence:
         friction = None
         if problem.tangent is not None and problem.slip_origin is not None:
             friction = of(problem.tangent).reshape(problem.slip_origin.shape)
+        normal, tie = of(problem.normal), of(problem.tie)
+        largest = max(_largest(part) for part in (normal, friction, tie) if part is not None)
         return {
-            "displacement": 1 / D,
-            "normal_force": of(problem.normal),
-            "friction_force": friction,
-            "tie_force": of(problem.tie),
+            "displacement": np.min(D) / D,
+            "normal_force": normal / largest,
+            "friction_force": None if friction is None else friction / largest,
+            "tie_force": tie / largest,
         }
 
     @cached_property
@@ -132,6 +137,7 @@ class Evidence:
 
     def _of_resultants(self, one: GivenAnswer, other: Solution | Answer) -> float:
         D = unknown_scale(self.problem)
+        D = D / np.max(D)
         mine, right = (D * self.resultant(answer) for answer in (one.filled(self.problem), other))
         return _relative(mine - right, right, mine, 0.0)
 
@@ -158,6 +164,17 @@ class Evidence:
             return False
         return found.passed
 
+    def passes_with(self, **changes: Any) -> bool:
+        """Whether the answer as it was given is right for the problem with other data.
+
+        Data that no problem may have explain nothing: factors may be of any size, and make them infinite.
+        """
+        try:
+            changed = self.problem.replace(**changes)
+        except InvalidProblem:
+            return False
+        return self.passes(self.given, changed)
+
     def with_parts(self, **changes: Any) -> GivenAnswer:
         """What was given, some parts of it changed."""
         return replace(self.given, **changes)
@@ -165,6 +182,11 @@ class Evidence:
     def then(self, undone: GivenAnswer, left: float) -> str:
         """What is to be said of the answer with its mistake undone."""
         return "this answer is right" if self.passes(undone) else f"it agrees with the right one to {digits(left)}"
+
+
+def _largest(values: Any) -> float:
+    """Return the largest size, at least the least normal number, that one can divide by."""
+    return max(float(np.max(abs(np.asarray(values)), initial=0.0)), float(np.finfo(float).tiny))
 
 
 def _relative(difference: Any, right: Any, mine: Any, floor: float) -> float:

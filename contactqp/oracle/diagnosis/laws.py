@@ -125,7 +125,7 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
     inner = (extended_rows(problem).stiffness @ extend(u)).double()
     part = _multiple(r, problem.load)
-    if part is not None and evidence.passes(evidence.given, problem.replace(load=(1 - part) * problem.load)):
+    if part is not None and evidence.passes_with(load=(1 - part) * problem.load):
         factor = 1 - part
         said = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
         text = f"it is the right answer to {said.get(round(factor, 6), f'{factor:.4g} times the load')}"
@@ -134,7 +134,7 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     missing &= problem.load != 0
     if np.any(missing) and np.all(abs(r[~missing]) <= MET * found.meeting[~missing]):
         without = np.where(missing, 0.0, problem.load)
-        if evidence.passes(evidence.given, problem.replace(load=without)):
+        if evidence.passes_with(load=without):
             names = ", ".join(problem.dof_name(int(j)) for j in np.flatnonzero(missing)[:5])
             text = f"it is the right answer without the load of {names}"
             yield Explanation(Finding("load-missing", text, True), 0.0)
@@ -157,16 +157,17 @@ def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 
 def _passes_with(evidence: Evidence, stiffness: Any) -> bool:
-    return evidence.passes(evidence.given, evidence.problem.replace(stiffness=sp.csr_matrix(stiffness)))
+    return evidence.passes_with(stiffness=sp.csr_matrix(stiffness))
 
 
 def _multiple(vector: Vector, of: Vector) -> float | None:
     """c with vector = c of, None if there is none."""
-    size = float(of @ of)
-    if size == 0 or not np.any(vector):
+    largest, scale = (float(np.max(abs(one), initial=0.0)) for one in (vector, of))
+    if not (0 < largest < np.inf and 0 < scale < np.inf):
         return None
-    part = float(vector @ of) / size
-    return part if float(np.max(abs(vector - part * of))) <= OBEYS * float(np.max(abs(vector))) else None
+    shape, along = vector / largest, of / scale  # the squares of values that are doubles need not be
+    part = float(shape @ along) / float(along @ along)
+    return part * (largest / scale) if float(np.max(abs(shape - part * along))) <= OBEYS else None
 
 
 def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
@@ -214,7 +215,7 @@ def _other_cone(
     factor = float(np.median(ratio))
     if abs(factor - 1) > OBEYS and np.max(abs(ratio - factor)) <= OBEYS * factor:
         other = factor * problem.friction
-        if evidence.passes(evidence.given, problem.replace(friction=other)):
+        if evidence.passes_with(friction=other):
             values = np.unique(np.round(other[other > 0], 9))
             said = f"mu = {values[0]:.4g}" if len(values) == 1 else f"{factor:.4g} times mu"
             mine = f"{problem.friction[sliding][0]:.4g}"

@@ -31,17 +31,31 @@ def factors(evidence: Evidence) -> dict[str, float] | None:
     """
     found: dict[str, float] = {}
     for name, (mine, right) in _compared(evidence).items():
-        size = float(right @ right)
-        factor = float(mine @ right) / size if size > 0 else 1.0
-        largest = np.max(abs(right), initial=0.0) * max(abs(factor), 1e-300) or 1.0
-        if factor != 0 and np.max(abs(mine - factor * right), initial=0.0) > LEFT * largest:
-            return None
-        if factor == 0 and np.any(mine):
+        factor = _proportion(mine, right)
+        if factor is None:
             return None
         found[name] = 1.0 if abs(factor - 1) <= 1e-12 else factor
     if evidence.shared:
         found = {name: found.get(name, found.get("forces", 1.0)) for name in evidence.given_parts}
     return found
+
+
+def _proportion(mine: Vector, right: Vector) -> float | None:
+    """Return c with mine = c right to LEFT of the largest, one where right is zero; None where no double is that.
+
+    Both are divided by their largest entries first: the squares of values that are doubles need not be.
+    """
+    size, scale = (float(np.max(abs(part), initial=0.0)) for part in (mine, right))
+    if not scale > 0:
+        return 1.0 if np.isfinite(size) and scale == 0 else None
+    if size == 0:
+        return 0.0
+    shape, along = mine / size, right / scale
+    part = float(shape @ along) / float(along @ along)
+    factor = part * (size / scale)
+    if factor == 0 or not np.isfinite(factor):
+        return None
+    return factor if float(np.max(abs(shape - part * along))) <= LEFT * abs(part) else None
 
 
 def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
@@ -52,6 +66,7 @@ def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
     if evidence.shared and "normal_force" in names and right is not None:
         D = unknown_scale(evidence.problem)
         filled = evidence.given.filled(evidence.problem)
+        D = D / np.max(D)
         pairs["forces"] = D * evidence.resultant(filled), D * evidence.resultant(right)
         names = tuple(name for name in names if name == "displacement")
     for name in names:
@@ -106,7 +121,7 @@ def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanatio
     problem, factor = evidence.problem, next(iter(meant.values()))
     if len(set(meant.values())) > 1 or not np.any(problem.load):
         return
-    if evidence.passes(evidence.given, problem.replace(load=factor * problem.load)):
+    if evidence.passes_with(load=factor * problem.load):
         text = f"it is the right answer to {factor:.6g} times the load"
         yield Explanation(Finding("load", text, True), 0.0)
 

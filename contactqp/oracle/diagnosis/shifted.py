@@ -36,7 +36,7 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
     offset = float(np.median(found.gap[pushing]))
     if not np.isfinite(offset) or np.max(abs(found.gap[pushing] - offset)) > LEFT * abs(offset):
         return
-    if evidence.passes(evidence.given, problem.replace(gap=problem.gap - offset)):
+    if evidence.passes_with(gap=problem.gap - offset):
         size = f"{abs(offset):.4g}{unit_of(problem.units.length)}"
         text = (
             f"it is the right answer with every gap {'smaller' if offset > 0 else 'larger'} by {size}: a thickness, an "

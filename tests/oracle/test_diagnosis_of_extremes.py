@@ -1,0 +1,90 @@
+"""A diagnosis compares ratios: values whose squares are no doubles have the same causes as others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.oracle.diagnosis.scales import _proportion
+
+K = np.array([[4.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
+CAUSES: dict[str, tuple[float, float]] = {
+    "sign": (1.0, -1.0),
+    "unit": (1.0, 1000.0),
+    "unit of lengths": (1000.0, 1.0),
+    "half": (1.0, 0.5),
+    "everything": (2.0, 2.0),
+    "nothing": (1.0, 0.0),
+}
+
+
+def scaled(length: float, force: float) -> cq.ContactProblem:
+    """Three springs on two stops, in other units."""
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return cq.ContactProblem(K * (force / length), np.array([3.0, 1.0, 2.0]) * force, rows, np.full(2, 0.1) * length)
+
+
+def findings(length: float, force: float, factors: tuple[float, float]) -> list[str]:
+    problem = scaled(length, force)
+    right = cq.solve(problem)
+    judged = cq.certify(problem, factors[0] * right.displacement, factors[1] * right.normal_force)
+    assert not judged.passed
+    return [finding.kind for finding in judged.findings]
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("powers", [(0, 560), (0, -560), (300, 300), (-300, 300), (-300, -300)])
+def test_a_cause_is_named_in_any_units(cause: str, powers: tuple[int, int]) -> None:
+    """Powers of two: not a digit of the problem changes."""
+    length, force = (2.0**power for power in powers)
+    expected = findings(1.0, 1.0, CAUSES[cause])
+    assert expected
+    assert findings(length, force, CAUSES[cause]) == expected
+
+
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("factors", [(1e300, -1.0), (1.0, 1e300), (1.7e308, 1.7e308), (5e-324, 1.0), (-1.0, 1.7e308)])
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e-8, 1e150), (1e-160, 1e-8), (1e120, 1e-120)])
+def test_no_size_of_an_answer_ends_in_somebody_elses_error(
+    length: float, force: float, factors: tuple[float, float], friction: bool
+) -> None:
+    rough: dict[str, Any] = dict(tangent=[[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], friction=0.3) if friction else {}
+    problem = scaled(length, force)
+    if friction:
+        problem = cq.ContactProblem(problem.stiffness, problem.load, [[1.0, 0, 0], [0, 1.0, 0]], problem.gap, **rough)
+    with np.errstate(over="ignore"):
+        u = np.clip(np.array([0.1, 0.2, 0.1]) * length * factors[0], -1.7e308, 1.7e308)
+        push = np.clip(np.array([2.0, 1.0]) * force * factors[1], -1.7e308, 1.7e308)
+    judged = cq.certify(problem, u, push, 0.1 * push if friction else None)
+    assert not judged.passed
+    assert judged.diagnosis
+    assert judged.table()
+
+
+@pytest.mark.parametrize("factors", [(1e300, -1.0), (1e300, 1.0), (-1e200, 1e100), (1e-300, 1e150), (1.0, 1e157)])
+@pytest.mark.parametrize(("length", "force"), [(1.0, 1.0), (1e-8, 1e150), (1e-160, 1e-8), (1e-100, 1e100)])
+def test_a_right_answer_times_any_number_is_explained(
+    length: float, force: float, factors: tuple[float, float]
+) -> None:
+    """The factor was infinite where only its square is no double, and its power of ten no number."""
+    problem = scaled(length, force)
+    right = cq.solve(problem)
+    judged = cq.certify(problem, factors[0] * right.displacement, factors[1] * right.normal_force)
+    assert not judged.passed
+    assert judged.findings
+    assert judged.diagnosis
+
+
+def test_what_is_proportional_is_told_from_what_is_not() -> None:
+    one, other = np.array([1.0, -2.0, 3.0]), np.array([1.0, -2.0, 3.1])
+    for size in (1e-300, 1.0, 1e300):
+        factor = _proportion(1e3 * size * one, size * one)
+        assert factor == pytest.approx(1e3, rel=1e-12)
+        assert _proportion(size * other, size * one) is None
+        assert _proportion(0 * one, size * one) == 0.0
+        assert _proportion(size * one, 0 * one) == 1.0
+    assert _proportion(1e300 * one, 1e-300 * one) is None  # that factor is no double
+    assert _proportion(np.array([1.0, 0.0]), np.array([0.0, 1.0])) is None
