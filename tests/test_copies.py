@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
-from tests.public_objects import bars, content, errors, example, objects, parts
+from tests.public_objects import bars, content, errors, example, objects, parts, rubbing, tied
 
 
 class _Plain(pickle.Pickler):
@@ -90,12 +91,54 @@ def test_a_missing_backend_keeps_the_name_that_an_import_error_has() -> None:
     assert (again.name, again.msg) == ("it", "pip install it")
 
 
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", ["bars", "rubbing", "tied", "part", "summed", "tie left out", "floating"])
+def test_the_verdict_on_a_copy_is_the_same_to_the_last_bit(name: str, way: str) -> None:
+    floating = cq.ContactProblem(
+        sp.csr_array([[1.5, -1.5], [-1.5, 1.5]]), [0.7, 0.0], [[0.0, 1.0]], [0.5], near_null_space=[[1.0], [1.0]]
+    )
+    own = {"bars": bars(), "rubbing": rubbing(), "tied": tied(), "floating": floating}
+    problem = own.get(name) or objects()[name]
+    solution = cq.solve(problem)
+    forces = (solution.normal_force, solution.friction_force, solution.tie_force)
+    for part in (1.0, 1 + 1e-5):  # right, and a forgery
+        given = (part * solution.displacement, *forces)
+        verdict, again = (cq.certify(one, *given) for one in (copy.copy(problem), WAYS[way](problem)))
+        assert verdict.passed == (part == 1.0)
+        assert content(again) == content(verdict)
+        assert (str(again), again.diagnosis) == (str(verdict), verdict.diagnosis)
+
+
 def test_a_copy_keeps_the_sizes_that_add_up_to_a_load_and_the_numbers_of_ties() -> None:
     summed = bars().with_load_sum(np.array([0.0, 1.0]), np.array([20.0, 1.0]))
     two = cq.ContactProblem([[2.0]], [1.0], [[1.0]], [0.5], tie=[[1.0], [2.0]]).with_ties(np.array([1]))
     for way in WAYS.values():
         np.testing.assert_array_equal(way(summed).load_size, [20.0, 1.0])
         assert way(two).tie_name(0) == "tie 1"
+
+
+KINDS = sorted(errors(), key=lambda kind: kind.__name__)
+
+
+def _raises(number: int) -> None:
+    for kind in KINDS:
+        copyreg.dispatch_table.pop(kind, None)
+    raise example(KINDS[number])
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="nothing forks here")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_a_pool_hands_on_every_public_exception() -> None:
+    expected = [example(kind) for kind in KINDS]
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        waiting = [pool.map_async(_raises, [number]) for number in range(len(KINDS))]
+        for kind, one, error in zip(KINDS, waiting, expected, strict=True):
+            with pytest.raises(kind, match="what came") as caught:
+                one.get(timeout=60)
+            kept, should = vars(caught.value), vars(error)
+            assert {name: type(value) for name, value in kept.items() if name != "__notes__"} == {
+                name: type(value) for name, value in should.items()
+            }
 
 
 def _refused(number: int) -> float:
