@@ -14,6 +14,7 @@ import pytest
 import contactqp as cq
 from contactqp import blas_threads
 from contactqp.analysis.history import History
+from contactqp.study.running import cluster
 from tests.public_objects import bars, rubbing
 
 pytestmark = [
@@ -94,6 +95,20 @@ def test_the_limit_of_threads_of_blas(monkeypatch) -> None:
     problem = bars()
     with held_elsewhere(blas_threads._LIMIT._lock):
         assert in_forked_child(lambda: cq.solve(problem).certificate.passed)
+
+
+def test_what_a_worker_of_a_cluster_asks_its_processes() -> None:
+    """The child has processes of its own: those of its parent answer the parent."""
+    theirs = cluster._CHILDREN[-1]
+
+    def own() -> bool:
+        with cluster._LOCK:
+            return cluster._CHILDREN[-1] is not theirs
+
+    with held_elsewhere(cluster._LOCK, theirs._lock):
+        assert in_forked_child(own)
+        assert in_forked_child(lambda: cluster.stop_children() is None)
+    assert cluster._CHILDREN[-1] is theirs
 
 
 def test_what_is_computed_when_looked_at() -> None:

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem
+from contactqp.forking import renew_in_child
 from contactqp.study.digest import source_digest
 from contactqp.study.running.child import Children
 from contactqp.study.running.workers import ONE_THREAD, Crew
@@ -89,6 +90,16 @@ def stop_children() -> None:
 # Of a worker, one for all of its threads.
 _LOCK = threading.Lock()
 _CHILDREN = [Children()]
+
+
+def _renew() -> None:
+    """Start anew in a process that was forked: the processes that its parent has started answer the parent."""
+    global _LOCK
+    _LOCK = threading.Lock()
+    _CHILDREN[:] = [Children()]
+
+
+renew_in_child(_renew)
 
 
 class Cluster:
