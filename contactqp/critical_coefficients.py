@@ -23,7 +23,7 @@ from contactqp.condensation import Condensation, condense
 from contactqp.contact_compliance import ContactCompliance, contact_compliance
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.factorization import Array
-from contactqp.floating_point import own_floating_point
+from contactqp.floating_point import computes, own_floating_point
 from contactqp.iteration import iterated
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly, read_only
@@ -41,6 +41,7 @@ DEPENDENT = 1e-11
 OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class CriticalFriction(ReadOnly):
     """What the bodies' compliance says of friction, whatever the load."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
+from functools import cached_property, wraps
+from inspect import isfunction
 from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
+C = TypeVar("C", bound=type)
 
 
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
@@ -25,3 +27,17 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return computing
+
+
+def computes(kind: C) -> C:
+    """Give the constructor and all public methods and properties of a class settings of their own, as above."""
+    for name, value in tuple(vars(kind).items()):
+        if name.startswith("_") and name != "__post_init__":
+            continue
+        if isfunction(value):
+            setattr(kind, name, own_floating_point(value))
+        elif isinstance(value, cached_property):
+            value.func = own_floating_point(value.func)
+        elif isinstance(value, property) and value.fget is not None:
+            setattr(kind, name, property(own_floating_point(value.fget), doc=value.__doc__))
+    return kind

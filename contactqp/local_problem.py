@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.extended import SparseRows, extend
-from contactqp.floating_point import own_floating_point
+from contactqp.floating_point import computes, own_floating_point
 from contactqp.problem_data import (
     Matrix,
     ReadOnly,
@@ -41,6 +41,7 @@ INDEFINITE = 1e-5
 DEFINITENESS_CHECK_SIZE = 300
 
 
+@computes
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class LocalProblem(ReadOnly):
     """One frictional contact problem in local form.

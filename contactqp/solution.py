@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.floating_point import computes
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly, read_only
 
@@ -94,6 +95,7 @@ class Final:
     contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Solution(ReadOnly):
     """Displacement and forces of one ContactProblem, with the certificate that judged them.

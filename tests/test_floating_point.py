@@ -15,6 +15,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from tests.blocks_in_space import on_paraboloid
 from tests.examples import truss
+from tests.public_objects import solid
 
 # Functions that read, write, and draw.
 NOT_COMPUTING = {
@@ -166,6 +167,45 @@ def test_local_problems(compliance: float, size: float) -> None:
             looked_at(cq.certify_local(problem, force))
             for error in (cq.acary_bremond_huber_error, cq.fclib_merit_1, cq.siconos_local_error):
                 outcome(lambda error=error, force=force: error(problem, force))
+
+
+def shapes(size: float) -> dict[str, Callable[[], Any]]:
+    """What bodies, obstacles and pairings compute at coordinates of a size, call by call."""
+    points, edge, u = np.full((1, 2), size), np.array([[0.0, 0.0], [size, 0.0]]), size * np.linspace(-1.0, 1.0, 8)
+    nodes, bars = np.array([[-size, 0.0], [0.0, size / 5], [size, 0.0]]), [[0, 1], [1, 2]]
+    round_ones: tuple[Any, ...] = (cq.Circle([0.0, 0.0], 1.0), cq.Paraboloid([0.0, 0.0], [0.0, 1.0], 1.0))
+
+    def truss() -> cq.NonlinearTruss:
+        return cq.NonlinearTruss(nodes, bars, modulus=100.0, area=1.0)
+
+    def pressed() -> Any:
+        surface = cq.Surface(edge, np.array([[0, 1]]), np.arange(4).reshape(2, 2))
+        return cq.pair(surface, cq.Plane([0.0, -1.0], [0.0, 1.0])).pressure([1e-300, 1e300])
+
+    def least() -> Any:
+        cable = cq.Cable("cable", {"w": 1.0}, 8.0, slack=0.1 * size)
+        return looked_at(cq.ConstrainedEnergy(["w"], [[2.0]], [3.0 * size], parts=[cable]).solve())
+
+    return {
+        "truss": lambda: truss().tangent(u[:6]),
+        "updated truss": lambda: cq.UpdatedTruss(truss()).internal_force(u[:6]),
+        "supported": lambda: cq.Supported(truss(), held=[0, 1, 4, 5]).support_forces(u[:2]),
+        "solid": lambda: solid().internal_force(u),
+        "pressure": pressed,
+        "energy": least,
+        "contact": lambda: cq.ObstacleContact([[0.0, 2.0]], round_ones[0]).state(u[:2]),
+        **{f"gap of {type(one).__name__}": lambda one=one: one.distance(points) for one in round_ones},
+        **{f"normal of {type(one).__name__}": lambda one=one: one.normals(points) for one in round_ones},
+        "velocity": lambda: cq.LocalProblem(np.eye(2), [0.0, 0.0], 0.3, 2).velocity(np.full((1, 2), size)),
+    }
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-160, 1.0, 1e160, 1e300])
+@pytest.mark.parametrize("name", shapes(1.0))
+def test_what_bodies_and_obstacles_compute_too(name: str, size: float) -> None:
+    work = shapes(size)[name]
+    with strict():
+        outcome(work)
 
 
 def test_the_callers_settings_stay_as_they_are() -> None:

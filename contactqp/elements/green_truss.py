@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.bar_law import LAWS, BarLaw
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 from contactqp.problem_data import ReadOnly, read_only, read_whole
 
 Array = NDArray[np.float64]
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class NonlinearTruss(ReadOnly):
     """Bars between nodes, each with the energy E A0 L0 w(eps): by default 1/2 E A0 L0 eps^2.

@@ -16,11 +16,13 @@ from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHook
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 
 Array = NDArray[np.float64]
 LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class NonlinearSolid:
     """A body of a hyperelastic material: energy, internal force and tangent by Gauss quadrature over its mesh at rest.

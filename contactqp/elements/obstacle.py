@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import Numbers, unit_vector
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 
 
 class Obstacle(Protocol):
@@ -26,6 +27,7 @@ class Obstacle(Protocol):
         """The unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Plane:
     """The rigid half-space behind the plane through `point`; bodies are on the side that `normal` points to.

@@ -18,12 +18,14 @@ from contactqp.elements.paraboloid import Paraboloid
 from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 from contactqp.problem_data import ReadOnly, read_only
 
 # Of a coordinate: a few operations lie between it and a gap.
 ROUNDING = 16 * np.finfo(float).eps
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class ObstacleContact(ReadOnly):
     """Nodes that may touch one rigid obstacle: `cq.pair` with the points where they are now.
@@ -107,6 +109,7 @@ class ObstacleContact(ReadOnly):
         return np.asarray(np.einsum("pij,pj->pi", frames, x - anchor))
 
 
+@computes
 class ContactGroup:
     """Several contact geometries of one u, one after the other: for bodies that may touch several obstacles.
 

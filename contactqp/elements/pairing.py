@@ -17,12 +17,13 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import own_floating_point
+from contactqp.floating_point import computes, own_floating_point
 from contactqp.problem_data import ReadOnly, read_whole
 
 __all__ = ["Pairing", "Plane", "pair"]
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Pairing(ReadOnly):
     """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``; unpacks as ``E_N, g, E_T``.

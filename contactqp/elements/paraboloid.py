@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import unit_vector
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 
 Measure = Literal["axis", "normal"]
 # Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
 NEWTON_STEPS = 100
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Paraboloid:
     """The rigid obstacle behind z = -r^2 / (2 R): z along the axis from the apex, r the distance from the axis.

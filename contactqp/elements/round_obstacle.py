@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import unit_vector
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class _Ball(ABC):
     """What a circle and a sphere share: only the dimension differs."""
@@ -89,6 +91,7 @@ class Sphere(_Ball):
         return 3
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Cylinder:
     """The rigid round bar of infinite length about an axis, or the bore that it leaves.

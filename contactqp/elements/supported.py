@@ -14,11 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, Vector
 from contactqp.elements.reading import real_array, real_number
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 from contactqp.problem_data import ReadOnly, is_whole, read_only
 
 Index = NDArray[np.int64]
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class Supported(ReadOnly):
     """A body with supports: unknown j is unknown free[j] of the body, the others keep their values.
@@ -110,6 +112,7 @@ def _of(what: str, values: ArrayLike, size: int) -> Vector:
     return read
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class SupportedContact:
     """Contacts of a supported body: only the free unknowns move them."""

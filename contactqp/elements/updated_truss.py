@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.green_truss import NonlinearTruss
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 
 Array = NDArray[np.float64]
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class UpdatedTruss:
     """The bars of a truss seen from where they are: the same forces and tangents as its total Lagrangian form.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.certificate import Certificate
 from contactqp.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
+from contactqp.floating_point import computes
 from contactqp.problem import ContactProblem, Units, Vector
 from contactqp.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
 from contactqp.solution import Solution
@@ -25,6 +26,7 @@ from contactqp.solving import solve
 DENSE_SIZE = 64
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedEnergy:
     """min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
@@ -168,6 +170,7 @@ class ConstrainedEnergy:
         return ConstrainedMinimum(self, solution)
 
 
+@computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedMinimum(ReadOnly):
     """Where the energy is least, and what its parts carry there; `minimum["x"]` is an unknown."""
