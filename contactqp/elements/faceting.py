@@ -29,7 +29,7 @@ def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ..
     """
     errors = deviation(slave), deviation(master)
     largest = float(np.max(np.abs(gap), initial=0.0))
-    if min(errors) == 0 or sum(errors) < TOLD * largest or _matching(slave, master):
+    if min(errors) == 0 or sum(errors) < TOLD * largest or nodes_over(slave, master) is not None:
         return ()
     return (
         f"{slave.name} on {master.name}: both sides are curved and their facets do not match: they are off by up to "
@@ -62,11 +62,21 @@ def deviation(surface: Surface) -> float:
     return worst / (32 if kind.quadratic else 8)
 
 
-def _matching(slave: Surface, master: Surface) -> bool:
-    """Whether each slave node stands over a master node as far as the master goes: offsets along the side vanish."""
+def same_facets(slave: Surface, master: Surface) -> bool:
+    """Whether a facet of the master with as many nodes, each at its place, faces each facet of the slave."""
+    over = nodes_over(slave, master)
+    if over is None or slave.facets.shape[1] != master.facets.shape[1]:
+        return False
+    partner = np.sort(over[np.searchsorted(slave.nodes, slave.facets)], axis=1)
+    both = np.concatenate([np.unique(np.sort(master.facets, axis=1), axis=0), np.unique(partner, axis=0)])
+    return len(np.unique(both, axis=0)) == len(master.facets)
+
+
+def nodes_over(slave: Surface, master: Surface) -> NDArray[np.int64] | None:
+    """The master node that faces each of `slave.nodes`, where each has one: offsets along the side vanish."""
     points, others, normals = slave.points[slave.nodes], master.points[master.nodes], node_normals(slave)
     _, nearest = cKDTree(others).query(points)
     apart = others[nearest] - points
     along = apart - (apart * normals).sum(axis=1, keepdims=True) * normals
     spacing = cKDTree(points).query(points, k=2)[0][:, 1]
-    return bool((np.linalg.norm(along, axis=1) <= MATCHING * spacing).all())
+    return master.nodes[nearest] if (np.linalg.norm(along, axis=1) <= MATCHING * spacing).all() else None

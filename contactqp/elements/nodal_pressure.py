@@ -10,18 +10,26 @@ projection with functions biorthogonal to psi (Wohlmuth 2000), as the mortar has
 M p = F, is not solved: it enlarges what is uneven from node to node several times, and the forces of meshes that do not
 match, of linear simplices and of one-sided contact at quadratic corners are uneven.
 
+Such a mean belongs to the middle x_j = int psi_j x dA / int psi_j dA, which at the end of a side is a third of a facet
+away from the node, and off the node too where facets of two sizes meet. The value at node i is therefore
+
+    p_i = sum_j (C_ij + D_ij) q_j,    sum_j C_ij = 1,    sum_j D_ij = 0,    sum_j (C_ij + D_ij) x_j = x_i,
+
+the last along the side, with the smallest D over the functions around the node, so that a pressure that varies linearly
+over a flat side is exact at every node, its ends included. D q is at most half of C q. So the pressure has the sign of
+the forces and is zero where they are, also where it falls to zero within a facet, or from the pole at a punch's edge.
+
 dA carries the thickness of a plane body and 2 pi r of a revolved one, as the forces do. The functions psi by facet:
 
     line2, line3, tri3, quad4, quad9    N_i of each node.
     tri6     One function for each middle of an edge, where alone a constant pressure has forces: its N, and equal
-             shares of those of the corners beside it. The value in a corner is the mean over its facets of the plane
-             through the three middles.
+             shares of those of the corners beside it, whose value is the mean of the middles beside them.
     quad8    The bilinear functions of the corners, as combinations of the eight: a constant pressure pulls at the
              corners, where a one-sided contact lets go instead, and only sums over corner and middles still are
              right. A middle's value is the mean of its two corners.
-    revolved A node on the axis has no area of its own on line3, and little on line2. A smooth pressure has no slope
-             there, which ties the value p_0 on the axis to those of the rest of its facet: p_0 = p_1 on line2,
-             p_0 = (4 p_middle - p_1) / 3 on line3.
+    revolved A node on the axis has no area of its own on line3, and little on line2: it hands its force to the nearest
+             node of its facet, and begins with that node's value. A smooth pressure varies with r^2 there, so that D
+             is the smallest with sum_j (C_ij + D_ij) int psi_j r^2 dA / int psi_j dA = 0: a parabola is exact.
 
 Where nodes meet the facets of another mesh, how the force is shared between a corner and a middle depends on where the
 other nodes are. There every quadratic facet has the linear functions of its corners.
@@ -39,7 +47,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.facet import KINDS, FacetKind, diameters, kind_of
 from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
-from contactqp.elements.tributary import shape_integrals
+from contactqp.elements.tributary import nodal_moments, node_normals, shape_integrals
 from contactqp.errors import InvalidProblem
 from contactqp.problem_data import ReadOnly
 
@@ -47,6 +55,11 @@ Vector = NDArray[np.float64]
 Index = NDArray[np.int64]
 # A node is on the axis of symmetry if it is nearer to it than so many diameters of its facet.
 ON_AXIS = 1e-9
+# The change from a mean to the node is at most this part of it: forces that are uneven or fall to zero beside the node
+# would show as a pull or as no pressure where a contact presses.
+LARGEST_CHANGE = 0.5
+# Offsets of less than this part of the distances between the middles are rounding, as are the squares of spreads.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +69,22 @@ class NodalPressure(ReadOnly):
     Attributes
     ----------
     collected : (p, q) sparse array
-        C, the functions psi in those of the nodes [-].
+        C, the functions psi in those of the nodes, and so also the mean at each node of the values beside it [-].
     integral : (p,) array
         a, the nodal forces of a unit pressure [area].
-    evaluated : (p, q) sparse array
-        The value at each node from the q values of the projection [-].
+    change : (p, q) sparse array
+        D, from the middle of each function to the node [-].
     """
 
     collected: Any
     integral: Vector
-    evaluated: Any
+    change: Any
 
     def of(self, force: ArrayLike) -> Vector:
         """Forces per area at the nodes, of either sign, (p,) [force / area].
 
         A force that is not known, NaN, is left out with its part of the area, and the value at its node is NaN. So is
-        one whose functions have no known node.
+        one whose functions have no known node; beside it D is left out.
         """
         given = real_array("force", force)
         known = np.isfinite(given)
@@ -80,17 +93,20 @@ class NodalPressure(ReadOnly):
         there = area > np.finfo(float).eps * least
         moment = self.collected.T @ np.where(known, given, 0.0)
         value = np.where(there, moment / np.where(there, area, 1.0), np.nan)
-        return np.where(known, self.evaluated @ value, np.nan)
+        nodal = self.collected @ value
+        largest = np.where(abs(self.change) @ (~there).astype(float) > 0, 0.0, LARGEST_CHANGE * np.abs(nodal))
+        change = np.clip(self.change @ np.where(there, value, 0.0), -largest, largest)
+        return np.where(known, nodal + change, np.nan)
 
 
 def from_areas(area: Vector) -> NodalPressure:
     """Of forces that each have an area of their own: force / area."""
     each = sp.csr_array(sp.identity(len(area), format="csr"))
-    return NodalPressure(each, area, each)
+    return NodalPressure(each, area, 0 * each)
 
 
 def nodal_pressure(
-    surface: Surface, nodes: Index, *, covered: Vector | None = None, linear: bool = False
+    surface: Surface, nodes: Index, *, covered: Vector | None = None, uneven: bool = False
 ) -> NodalPressure:
     """The projection for some nodes of a surface, those that have a contact; on the others there is no pressure.
 
@@ -104,8 +120,9 @@ def nodal_pressure(
         Ascending.
     covered : (facets,) array, optional
         Which part of each facet has a partner [-]; by default all of them all.
-    linear : bool
-        Whether quadratic facets have the linear functions of their corners, whatever their kind.
+    uneven : bool
+        Whether the forces are those of nodes on facets of another mesh: quadratic facets have the linear functions of
+        their corners, whatever their kind, and D, which would enlarge what is uneven at the ends, is left out.
 
     Raises
     ------
@@ -114,7 +131,7 @@ def nodal_pressure(
     """
     facets = np.searchsorted(surface.nodes, surface.facets)
     size, at = len(surface.nodes), np.searchsorted(surface.nodes, nodes)
-    collected, evaluated = _functions(surface, facets, size, linear)
+    collected = _functions(surface, facets, size, uneven)
     integral = shape_integrals(surface)
     if covered is not None:
         integral = integral * covered[:, np.newaxis]
@@ -128,26 +145,75 @@ def nodal_pressure(
             "its facets are too distorted"
         )
     mine = np.isin(facets, at)
-    handed = np.where(mine, 0.0, integral).sum(axis=1, keepdims=True) / np.maximum(mine.sum(axis=1, keepdims=True), 1)
-    whole = np.bincount(facets.ravel(), np.where(mine, integral + handed, 0.0).ravel(), minlength=size)
-    return NodalPressure(collected[at][:, used], whole[at].astype(np.float64), evaluated[at][:, used])
+    part = nodal_moments(surface)
+    if covered is not None:
+        part = part * covered[:, np.newaxis, np.newaxis]
+    part = _handed(part, mine)
+    moments = np.zeros((size, part.shape[2]))
+    np.add.at(moments, facets, part)
+    change = 0 * collected if uneven else _change(surface, facets, collected, moments)
+    return NodalPressure(collected[at][:, used], moments[at, 0], change[at][:, used])
+
+
+def _handed(part: Vector, mine: NDArray[np.bool_]) -> Vector:
+    """The parts (f, k, c) of a facet's nodes without contact, in equal shares to those that have one, `mine` (f, k)."""
+    kept = mine[:, :, np.newaxis]
+    handed = np.where(kept, 0.0, part).sum(axis=1, keepdims=True) / np.maximum(kept.sum(axis=1, keepdims=True), 1)
+    return np.where(kept, part + handed, 0.0)
+
+
+def _change(surface: Surface, facets: Index, collected: Any, moments: Vector) -> Any:
+    """D of all nodes from the integrals of N_i, N_i x and N_i x_0^2, (size, 2 + d): least squares along the side.
+
+    The functions at a node i are those of its facets and of their neighbours, since fewer would enlarge what is uneven,
+    and all but its own, since the root or the pole at an end has no slope. With the offsets c_ij of their middles x_j
+    from the mean of these, H_i = sum_j c_ij c_ij', and the offset r_i = sum_j C_ij x_j - x_i of C's own middle from the
+    node, D_ij = -c_ij . H_i^+ r_i. On the axis r^2 takes the place of x.
+    """
+    size, d, on_axis = len(surface.nodes), surface.dimension, _on_axis(surface)[:, np.newaxis]
+    x, normals = (np.where(on_axis, 0.0, each) for each in (surface.points[surface.nodes], node_normals(surface)))
+    moments = collected.T @ moments
+    there = moments[:, 0] > 0
+    mean = moments[:, 1:] / np.where(there, moments[:, 0], 1.0)[:, np.newaxis]
+    middle, squared = mean[:, :d], mean[:, d:] * np.eye(d)[0]
+    beside = sp.coo_array((np.ones(facets.size), (facets.ravel(), np.arange(facets.size) // facets.shape[1]))).tocsr()
+    reach = beside @ (beside.T @ beside) @ (beside.T @ sp.diags_array(there.astype(float)))
+    i, j = np.stack(reach.nonzero())
+    i, j = i[i != j], j[i != j]
+
+    def over(values: Vector) -> Vector:
+        return np.stack([np.bincount(i, column, minlength=size) for column in values.T], axis=1)
+
+    def along(vectors: Vector, normal: Vector) -> Vector:
+        tangential: Vector = vectors - (vectors * normal).sum(axis=1, keepdims=True) * normal
+        return tangential
+
+    place = np.where(on_axis[i], squared[j], middle[j])
+    centre = over(place) / np.maximum(np.bincount(i, minlength=size), 1)[:, np.newaxis]
+    c = along(place - centre[i], normals[i])
+    H = over((c[:, :, np.newaxis] * c[:, np.newaxis, :]).reshape(-1, d * d)).reshape(-1, d, d)
+    r = along(np.where(on_axis, collected @ squared, collected @ middle) - x, normals)
+    r[np.linalg.norm(r, axis=1) <= ROUNDING * np.sqrt(np.trace(H, axis1=1, axis2=2))] = 0.0
+    slope = np.einsum("iab,ib->ia", np.linalg.pinv(H, rcond=ROUNDING, hermitian=True), r)
+    changed = np.any(r != 0, axis=1)[i]
+    return _sparse(i[changed], j[changed], -(c * slope[i]).sum(axis=1)[changed], size)
 
 
 def _sparse(rows: Index, columns: Index, values: Vector, size: int) -> Any:
     return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=(size, size)))
 
 
-def _functions(surface: Surface, facets: Index, size: int, linear: bool) -> tuple[Any, Any]:
-    """C and the values at the nodes, as NodalPressure has them, over all nodes of the surface."""
+def _functions(surface: Surface, facets: Index, size: int, uneven: bool) -> Any:
+    """C over all nodes of the surface."""
     kind = kind_of(surface)
-    if kind.name == "tri6" and not linear:
+    if kind.name == "tri6" and not uneven:
         return _middles(facets, size)
-    of_corners = kind.name == "quad8" or (linear and kind.quadratic)
+    of_corners = kind.name == "quad8" or (uneven and kind.quadratic)
     each = np.arange(size)
     functions = _corners(kind, facets, size) if of_corners else _sparse(each, each, np.ones(size), size)
     if surface.revolved:
         functions = functions @ _without_axis(surface, facets[:, :2] if of_corners else facets, size)
-    return functions, functions
+    return functions
 
 
 def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
@@ -160,33 +226,31 @@ def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
     return _sparse(entries[:, 0], entries[:, 1], np.tile(values[node, corner], len(facets))[first], size)
 
 
-def _middles(facets: Index, size: int) -> tuple[Any, Any]:
-    """Corners hand their forces to the middles beside them, and have their values from them; facets (p, 6)."""
-    corner, after, opposite = facets[:, :3], facets[:, 3:], np.roll(facets[:, 3:], -1, axis=1)
-    before = np.roll(after, 1, axis=1)
-    beside = np.unique(np.column_stack([np.tile(corner.ravel(), 2), np.r_[after.ravel(), before.ravel()]]), axis=0)
-    share = 1 / np.bincount(beside[:, 0], minlength=size)[beside[:, 0]]
-    middle = np.unique(after)
-    rows, columns = np.concatenate([beside, np.column_stack([middle, middle])]).T
-    collected = _sparse(rows, columns, np.concatenate([share, np.ones(len(middle))]), size)
-    mean = 1 / np.bincount(corner.ravel(), minlength=size)[corner]
-    rows = np.concatenate([np.tile(corner.ravel(), 3), middle])
-    columns = np.concatenate([after.ravel(), before.ravel(), opposite.ravel(), middle])
-    values = np.concatenate([mean.ravel(), mean.ravel(), -mean.ravel(), np.ones(len(middle))])
-    return collected, _sparse(rows, columns, values, size)
+def _middles(facets: Index, size: int) -> Any:
+    """Corners hand their forces to the middles beside them, and have their mean; facets (p, 6)."""
+    after = facets[:, 3:]
+    pairs = np.column_stack(
+        [np.tile(facets[:, :3].ravel(), 2), np.r_[after.ravel(), np.roll(after, 1, axis=1).ravel()]]
+    )
+    corner, beside = np.unique(pairs, axis=0).T
+    share, middle = 1 / np.bincount(corner, minlength=size)[corner], np.unique(after)
+    rows, columns = np.concatenate([corner, middle]), np.concatenate([beside, middle])
+    return _sparse(rows, columns, np.concatenate([share, np.ones(len(middle))]), size)
 
 
 def _without_axis(surface: Surface, facets: Index, size: int) -> Any:
-    """Each node has its own value but those on the axis, which have no slope along their facet; facets (p, 2 or 3)."""
-    r = surface.points[surface.facets[:, :2], 0]
-    on_axis = np.abs(r) <= ON_AXIS * diameters(surface.points[surface.facets])[:, np.newaxis]
+    """Nodes on the axis have the value of the nearest node of their facet, the middle if it has one; facets (p, k)."""
+    on_axis = _on_axis(surface)[facets[:, :2]]
     facet, end = np.nonzero(on_axis & ~on_axis[:, ::-1])
-    axis, other = facets[facet, end], facets[facet, 1 - end]
+    axis, nearest = facets[facet, end], facets[facet, 2 if facets.shape[1] == 3 else 1 - end]
     single = np.setdiff1d(np.arange(size), axis)
-    rows, columns, values = [single, axis], [single, other], [np.ones(len(single)), np.ones(len(axis))]
-    if facets.shape[1] == 3:
-        values[1] = np.full(len(axis), -1 / 3)
-        rows.append(axis)
-        columns.append(facets[facet, 2])
-        values.append(np.full(len(axis), 4 / 3))
-    return _sparse(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), size)
+    return _sparse(np.r_[single, axis], np.r_[single, nearest], np.ones(len(single) + len(axis)), size)
+
+
+def _on_axis(surface: Surface) -> NDArray[np.bool_]:
+    """Which of `surface.nodes` lie on the axis of a revolved surface."""
+    if not surface.revolved:
+        return np.zeros(len(surface.nodes), dtype=bool)
+    size = np.zeros(len(surface.points))
+    np.maximum.at(size, surface.facets, diameters(surface.points[surface.facets])[:, np.newaxis])
+    return np.asarray(np.abs(surface.points[surface.nodes, 0]) <= ON_AXIS * size[surface.nodes])

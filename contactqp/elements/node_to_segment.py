@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.facet import diameters, kind_of, middle_normals
-from contactqp.elements.faceting import faceting_notes
+from contactqp.elements.faceting import faceting_notes, same_facets
 from contactqp.elements.nearest_facet import Partners, nearest_facets
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.obstacle import tangent_frames
@@ -101,6 +101,8 @@ def pair_node_to_segment(
         (len(held), n),
     )
     unpaired = np.setdiff1d(nodes, nodes[held])
+    covered = _covered(slave, master, nodes[held], reach)
+    uneven = len(held) < len(nodes) or not same_facets(slave, master)
     return Pairing(
         E_N,
         partners.gap[held],
@@ -110,7 +112,7 @@ def pair_node_to_segment(
         normals,
         unpaired,
         tributary_areas(slave)[held],
-        nodal_pressure(slave, nodes[held], covered=_covered(slave, master, nodes[held], reach), linear=True),
+        nodal_pressure(slave, nodes[held], covered=covered, uneven=uneven),
         faceting_notes(slave, master, partners.gap[held]),
     )
 

@@ -30,7 +30,7 @@ def pair_scalar(
     """Hold a scalar field on one side of an obstacle at the nodes: s (u - height) >= 0, s = 1 above and -1 below.
 
     E_N = -s at the node's unknown and gap = -s height, so that gap - E_N u = s (u - height). The multiplier is the
-    force on the membrane at the node, positive along s [force]; divided by the node's area it is the contact pressure.
+    force on the membrane at the node, positive along s [force]; a pressure is its projection onto the surface.
 
     Parameters
     ----------

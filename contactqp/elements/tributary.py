@@ -55,6 +55,15 @@ def shape_integrals(surface: Surface) -> NDArray[np.float64]:
     return elements @ shape
 
 
+def nodal_moments(surface: Surface) -> NDArray[np.float64]:
+    """int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d)."""
+    shape, elements = _surface_elements(surface)
+    x = np.einsum("qk,pkd->pqd", shape, surface.points[surface.facets])
+    functions = np.concatenate([np.ones_like(x[:, :, :1]), x, x[:, :, :1] ** 2], axis=2)
+    moments: NDArray[np.float64] = np.einsum("pq,qk,pqc->pkc", elements, shape, functions, optimize=True)
+    return moments
+
+
 def node_normals(surface: Surface) -> NDArray[np.float64]:
     """The unit vectors along the sum of the normals of the facets at each of `surface.nodes`, (nodes, d).
 
