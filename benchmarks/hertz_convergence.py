@@ -65,7 +65,7 @@ def level(divisions: int, approaches: Iterable[float] = APPROACHES) -> Level:
         force = float(model.normal_forces("foot", solution).sum())
         peak = (6 * force * effective**2 / (np.pi**3 * RADIUS**2)) ** (1 / 3)
         forces.append(force)
-        errors.append(abs(float(model.pressures("foot", solution).max()) / peak - 1))
+        errors.append(abs(float(np.nanmax(model.pressures("foot", solution))) / peak - 1))
         unknowns = model.problem.dimension
     return Level(divisions, unknowns, np.array(forces), float(np.mean(errors)))
 

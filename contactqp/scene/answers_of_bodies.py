@@ -34,7 +34,10 @@ class BodyAnswer:
     instant: Instant
 
     def value_of(self, claim: Claim) -> float | str:
-        """The claim's quantity in the scene's units, or words; NaN where nothing presses and a width is asked for."""
+        """The claim's quantity in the scene's units, or words.
+
+        NaN where nothing presses and a width is asked for, and for the pressure at a node that supports hold.
+        """
         return _READERS[claim.quantity](claim, self)
 
     def contact(self, claim: Claim) -> PairedContact:
@@ -97,8 +100,8 @@ def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
 
 
 def _friction_traction(claim: Claim, answer: BodyAnswer) -> float:
-    tractions = answer.contact(claim).pairing.per_area(_friction(claim, answer))
-    return float(tractions[answer.contact_node(claim)])
+    tractions = answer.model.friction_tractions(str(claim.at), answer.solution)
+    return float(tractions[answer.contact_node(claim), answer.scene.axes.index(str(claim.along))])
 
 
 def _energy(_: Claim, answer: BodyAnswer) -> float:
@@ -135,7 +138,7 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "stress": _stress,
     "contact force": lambda claim, answer: float(answer.model.normal_forces(str(claim.at), answer.solution).sum()),
     "contact resultant": _contact_resultant,
-    "peak pressure": lambda claim, answer: float(_pressures(claim, answer).max()),
+    "peak pressure": lambda claim, answer: float(np.fmax.reduce(_pressures(claim, answer))),
     "contact pressure": lambda claim, answer: float(_pressures(claim, answer)[answer.contact_node(claim)]),
     "contact half-width": lambda claim, answer: _half_width(
         claim, answer, answer.model.closed(str(claim.at), answer.solution)

@@ -90,10 +90,17 @@ class ContactEntries(ABC):
     def pressures(self, name: str, solution: ContactAnswer) -> Vector:
         """At each paired node of one entry, (p,) [force / length^2], positive in compression; `Pairing.pressure`.
 
-        0 where only supported nodes meet, whose forces nobody knows.
+        NaN where only supported nodes meet, whose forces nobody knows.
         """
         known = self.of_entry(name, solution.normal_force, np.nan)
-        return np.nan_to_num(self.contacts[self.place(name)].pairing.pressure(known))
+        return self.contacts[self.place(name)].pairing.pressure(known)
+
+    def friction_tractions(self, name: str, solution: ContactAnswer) -> Vector:
+        """lambda_T per area of each paired node along the axes, (p, d) [force / length^2]; NaN where unknown."""
+        unknown = np.isnan(self.of_entry(name, solution.normal_force, np.nan))
+        vectors = np.where(unknown[:, np.newaxis], np.nan, self.friction_vectors(name, solution))
+        pairing = self.contacts[self.place(name)].pairing
+        return np.column_stack([pairing.per_area(component) for component in vectors.T])
 
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
         """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""

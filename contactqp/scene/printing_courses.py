@@ -62,7 +62,7 @@ def _pressures(judgement: Judgement) -> Iterator[Course]:
         return
     system = model.scene.system
     for contact in model.contacts:
-        points, pressures = contact.pairing.points, model.pressures(contact.name, solution)
+        points, pressures = contact.pairing.points, np.nan_to_num(model.pressures(contact.name, solution))
         if len(points) < 2 or not np.any(pressures > 0):
             continue
         axis = int(np.argmax(np.ptp(points, axis=0)))

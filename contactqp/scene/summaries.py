@@ -99,7 +99,7 @@ def _contacts(model: BodyModel | DistributedBodyModel, solution: Any) -> list[di
                 "nodes": len(contact.pairing.gap),
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
-                "peak_pressure": float(model.pressures(contact.name, solution).max()),
+                "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
                 "smallest_gap": float(known.min()) if known.size else 0.0,
             }
         )

@@ -12,8 +12,8 @@ from contactqp.scene.schema import Scene
 KINDS = ["tri3", "quad4", "tri6", "quad8", "quad9"]
 
 
-def pressed(kind, model, near):
-    """A block or a cylinder on a floor under 5 MPa: its pressure at some points, and the largest."""
+def pressed(kind, model, near, held="x"):
+    """A block or a cylinder on a floor under 5 MPa: its pressure at some points, and the largest; `held`: its left."""
     shape = {"kind": "rectangle", "element": kind, "size": ["2 mm", "1 mm"], "divisions": [4, 2], "grading": 3}
     body = {"name": "block", "shape": shape, "model": model, "modulus": "210 GPa", "poisson": 0.3}
     thick = {} if model == "axisymmetric" else {"thickness": "0.5 mm"}
@@ -25,7 +25,7 @@ def pressed(kind, model, near):
         bodies=[body | thick],
         obstacles=[{"name": "floor", "point": ["0 mm", "0 mm"], "normal": [0, 1]}],
         contacts=[{"name": "foot", "side": "block.bottom", "obstacle": "floor"}],
-        supports=[{"name": "symmetry", "on": "block.left", "axis": "x"}],
+        supports=[{"name": f"left {axis}", "on": "block.left", "axis": axis} for axis in held],
         pressures=[{"name": "press", "side": "block.top", "value": "5 MPa"}],
         expect=[
             *({"quantity": "contact pressure", "near": [f"{x} mm", "0 mm"]} | probe for x in near),
@@ -40,6 +40,14 @@ def pressed(kind, model, near):
 def test_a_uniform_pressure_is_claimed_at_the_axis_and_at_the_edge(kind, model):
     judgement = pressed(kind, model, [0, 2])
     assert [row.ok for row in judgement.expectations] == [True] * 3
+
+
+def test_no_pressure_is_claimed_where_a_support_holds_the_node():
+    """It may carry anything: a claim of 0 would pass."""
+    (held, beside, peak) = pressed("quad4", "plane-stress", [0, 2], held="xy").expectations
+    assert np.isnan(held.got)
+    assert not held.ok
+    assert np.isfinite([beside.got, peak.got]).all()
 
 
 def ring(inner, outer, cells):
