@@ -11,7 +11,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import facet_normals, node_normals
 
 Array = NDArray[np.float64]
-# A pressure follows the interference: an error of this part of it is worth a word.
+# An error of the pressure of this part of it is worth a word.
 TOLD = 0.1
 # Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
 EDGE = np.cos(np.pi / 6)
@@ -22,19 +22,27 @@ FLAT = 1e-9
 
 
 def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ...]:
-    """A sentence, where both sides are curved, do not match, and their facets' error is a tenth of the gaps or more.
+    """A sentence, where both sides are curved, do not match, and their facets change the pressure by a tenth or more.
 
-    The error is that of the chord, L theta / 8 on linear facets of length L whose ends' normals differ by theta: the
-    sagitta L^2 / (8 R) of a circle. Quadratic facets are off by what is left of the kinks between them (`deviation`).
+    Facets of length L that are off by the sagitta f = L theta / 8, with the angle theta = L / R that they span, overlap
+    by about f more where a corner meets the middle of another. Over a length L that takes the pressure E f / L, while
+    to close a gap or interference g of the bodies takes E g / R. From node to node the pressure changes by the part
+    (f / theta) / g of that, though its mean by f / g alone. Quadratic facets are off by what is left of the kinks
+    between them (`deviation`).
     """
-    errors = deviation(slave), deviation(master)
     largest = float(np.max(np.abs(gap), initial=0.0))
-    if min(errors) == 0 or sum(errors) < TOLD * largest or nodes_over(slave, master) is not None:
+    errors = deviation(slave), deviation(master)
+    if min(errors) == 0 or nodes_over(slave, master) is not None:
         return ()
+    wave = sum(float(np.max(bow / np.maximum(turn, FLAT))) for bow, turn in (_bows(slave), _bows(master)))
+    if wave < TOLD * largest:
+        return ()
+    part = f"about {wave / largest:.2g} times what it takes to close that" if largest > 0 else "as much as itself"
     return (
         f"{slave.name} on {master.name}: both sides are curved and their facets do not match: they are off by up to "
         f"{errors[0]:.3g} and {errors[1]:.3g} [length] where gap or interference is at most {largest:.3g}, so that the "
-        "facets decide the pressures; finer or quadratic elements, or facets that match, are needed",
+        f"facets change the pressure by {part} from node to node; finer or quadratic elements, or facets that match, "
+        "are needed",
     )
 
 
@@ -46,20 +54,28 @@ def deviation(surface: Surface) -> float:
     middle. On quadratic facets, which have a node there, by k.t L s (1 - s) (1 - 2 s)^2, a quarter of that. Edges of
     more than 30 degrees are no curvature.
     """
-    kind = kind_of(surface)
-    corners = kind.corners
+    return float(np.max(_bows(surface)[0]))
+
+
+def _bows(surface: Surface) -> tuple[Array, Array]:
+    """How far each line between two corners of a facet is off the smooth surface [length], and its normal's turn."""
+    kind, kink = kind_of(surface), kinks(surface)
+    smooth = facet_normals(surface)[:, : kind.corners] + kink
+    i, j = np.triu_indices(kind.corners, 1)
+    line = surface.points[surface.facets[:, j]] - surface.points[surface.facets[:, i]]
+    bend = np.abs((kink[:, i] * line).sum(axis=2)) + np.abs((kink[:, j] * line).sum(axis=2))
+    bend[bend <= FLAT * np.linalg.norm(line, axis=2)] = 0.0
+    return bend / (32 if kind.quadratic else 8), np.linalg.norm(smooth[:, i] - smooth[:, j], axis=2)
+
+
+def kinks(surface: Surface) -> Array:
+    """n - n_f in each corner of each facet, (f, corners, d): zero where it has no neighbour, or at a true edge."""
+    corners = kind_of(surface).corners
     smooth = np.zeros(surface.points.shape)
     smooth[surface.nodes] = node_normals(surface)
-    own = facet_normals(surface)[:, :corners]
-    kink = smooth[surface.facets[:, :corners]] - own
+    kink: Array = smooth[surface.facets[:, :corners]] - facet_normals(surface)[:, :corners]
     kink[(kink**2).sum(axis=2) > 2 * (1 - EDGE)] = 0.0
-    worst = 0.0
-    for i, j in zip(*np.triu_indices(corners, 1), strict=True):
-        line = surface.points[surface.facets[:, j]] - surface.points[surface.facets[:, i]]
-        length = np.linalg.norm(line, axis=1)
-        bend = np.abs((kink[:, i] * line).sum(axis=1)) + np.abs((kink[:, j] * line).sum(axis=1))
-        worst = max(worst, float(np.max(np.where(bend > FLAT * length, bend, 0.0))))
-    return worst / (32 if kind.quadratic else 8)
+    return kink
 
 
 def same_facets(slave: Surface, master: Surface) -> bool:

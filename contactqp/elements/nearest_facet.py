@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from contactqp.elements.closest_point import Foot, closest_point
 from contactqp.elements.contact_search import bounding_balls, overlapping_balls
 from contactqp.elements.facet import FacetKind, diameters, kind_of, middle_normals, normal_vectors, tangent_vectors
+from contactqp.elements.faceting import kinks
 from contactqp.elements.surface import Surface
 
 Array = NDArray[np.float64]
@@ -23,6 +24,9 @@ FACING = 1e-6
 SAME = 1e-9
 # A point may stand over the end of a surface by this part of the facet: meshes of flush bodies differ by rounding.
 FLUSH = 1e-6
+# A curved side's normal at its end is off the last facet's by about the kink at that facet's other end, by twice that
+# where the facet is much longer than its neighbour. A point in the direction of the true normal stands over the end.
+BENT = 2.0
 # Points times facets looked at together: some 300 MB where every facet has to be looked at.
 PAIRS = 20_000_000
 
@@ -144,7 +148,9 @@ def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
     side = np.where((apart[c] * mean[has]).sum(axis=1) < 0, -1.0, 1.0)[:, np.newaxis]
     direction = np.where(is_upright[:, np.newaxis], upright[has], side * apart[c])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    ends = _over_the_end(kind, surface, j, foot.xi, tangents, normals, apart, FLUSH * size)
+    kink = np.linalg.norm(kinks(surface), axis=2).max(axis=1)[j]
+    flush = FLUSH * size + BENT * kink * np.linalg.norm(apart, axis=1)
+    ends = _over_the_end(kind, surface, j, foot.xi, tangents, normals, apart, flush)
     beyond = np.zeros(p, dtype=bool)
     beyond[i[same & ends]] = True
     normal, gap, xi, facet = np.zeros((p, d)), np.zeros(p), np.zeros((p, d - 1)), np.full(p, -1)

@@ -264,7 +264,7 @@ def test_a_rigid_punch_converges_with_first_order_from_the_axis_to_half_its_radi
 
 @cache
 def punch(kind):
-    """A punch of radius 1, 10^4 times as stiff, on an axisymmetric block whose facets do not match: r, p over exact."""
+    """A punch of radius 1, 10^4 times as stiff, on an axisymmetric block whose facets do not match: r, p, F over P."""
     upper = Body(rectangle(1.0, 1.0, (24, 8), kind), replace(MATERIAL, modulus=1e4 * MODULUS), "axisymmetric", name="u")
     low = rectangle(24.0, 24.0, (60, 24), kind, grading=20.0, towards=("left", "top"), corner=(0.0, -24.0))
     structure = Structure([upper, Body(low, MATERIAL, "axisymmetric", name="l")])
@@ -272,21 +272,28 @@ def punch(kind):
     system = structure.assemble(held, [Pressure("u", "top", 1.0)])
     pairing = cq.pair_node_to_segment(structure.surface("u", "bottom"), structure.surface("l", "top"))
     solution = cq.solve(system.problem([pairing]))
-    r, pressure = pairing.points[:, 0], pairing.pressure(forces(pairing, system, solution))
-    inner = r <= 0.7
-    return r[inner], pressure[inner] * 2 * np.sqrt(1 - r[inner] ** 2)
+    r, force = pairing.points[:, 0], forces(pairing, system, solution)
+    order = np.argsort(r)
+    return r[order], pairing.pressure(force)[order], force[order] / force.sum()
 
 
 @pytest.mark.parametrize("kind", PLANE_KINDS)
-def test_a_flat_punch_has_half_its_mean_pressure_on_the_axis(kind):
-    """p = P / (2 pi a sqrt(a^2 - r^2)) (Johnson 1985, section 3.7), away from the edge, where node to segment fails.
+def test_forces_that_facets_share_unevenly_are_right_together(kind):
+    """A punch on facets that do not match: up to any r the force is P (1 - sqrt(1 - r^2)) (Johnson 1985, section 3.7).
 
-    Nodes on the facets of another mesh share the force unevenly: this pairing's error, some tenths on linear facets and
-    less than one in the sums over quadratic ones. The axis is no worse than other nodes: it was 100 and 47 % low.
+    Node to segment decides anew on each facet which nodes carry the pressure on it, so that the sum is right to what
+    one facet of each side carries. The error of single nodes does not fall with the mesh, and their limits here are
+    those that were found: 0.3 on linear facets and 0.1 on quadratic ones, 0.2 and 0.03 on the axis (1 and 0.47 before).
     """
-    r, pressure = punch(kind)
-    error, on_axis = np.abs(pressure - 1), np.argmin(r)
-    assert error.max() <= (0.3 if kind in LINEAR else 0.1)
+    r, pressure, shares = punch(kind)
+    total = np.concatenate([[0.0], np.cumsum(shares)])
+    between = np.concatenate([[0.0], (r[1:] + r[:-1]) / 2])
+    exact = 1 - np.sqrt(1 - between**2)
+    one = (1 / 24 + 0.1) * between / np.sqrt(1 - between**2) + (1 / 24) ** 2  # the facets below are 0.1 wide at most
+    inner = between <= 0.7
+    assert np.all(np.abs(total[: len(between)] - exact)[inner] <= one[inner])
+    error, on_axis = np.abs(pressure * 2 * np.sqrt(1 - np.minimum(r, 0.7) ** 2) - 1), np.argmin(r)
+    assert error[r <= 0.7].max() <= (0.3 if kind in LINEAR else 0.1)
     assert error[on_axis] <= (0.2 if kind in LINEAR else 0.03)
 
 
@@ -318,13 +325,64 @@ def press_fit(kind, cells, interference, pairing="node-to-segment", model="plane
     return found, found.pressure(forces(found, system, solution)) / exact
 
 
+@pytest.mark.parametrize(("model", "kind"), CASES)
+def test_a_uniform_pressure_on_a_floor(model, kind):
+    """Facets of different sizes, the axis and the ends included. The corners of hex20 would have to pull: its answer is
+    not uniform, as the guide says."""
+    if model == "3d":
+        mesh = box((1.0, 1.5, 1.0), (3, 2, 2), kind, grading=3.0, towards=("left",))
+    else:
+        mesh = rectangle(1.0, 1.0, (6, 2), kind, grading=3.0, towards=("left",))
+    structure = Structure([Body(mesh, MATERIAL, model, name="body")])
+    held = [Support("body", name, axis) for axis, name in enumerate(("left", "front")[: mesh.points.shape[1] - 1])]
+    system, up = structure.assemble(held, [Pressure("body", "top", 7.0)]), np.eye(mesh.points.shape[1])[-1]
+    pairing = cq.pair(structure.surface("body", "bottom"), cq.Plane(point=0 * up, normal=up), dimension=structure.size)
+    pressure = pairing.pressure(forces(pairing, system, cq.solve(system.problem([pairing]))))
+    np.testing.assert_allclose(pressure, 7.0, rtol=0.08 if kind == "hex20" else 1e-11)
+
+
+@cache
+def uneven(kind, model, *cells):
+    """What node to segment is off by where a block of so many facets presses uniformly on another: the worst node."""
+    upper, lower = (rectangle(1.0, 1.0, (n, 2), kind, corner=(0.0, y)) for n, y in zip(cells, (0.0, -1.0), strict=True))
+    structure = Structure([Body(upper, MATERIAL, model, name="upper"), Body(lower, MATERIAL, model, name="lower")])
+    held = [Support("upper", "left", 0), Support("lower", "left", 0), Support("lower", "bottom", 1)]
+    system = structure.assemble(held, [Pressure("upper", "top", 1.0)])
+    pairing = cq.pair_node_to_segment(structure.surface("upper", "bottom"), structure.surface("lower", "top"))
+    return float(np.abs(pairing.pressure(forces(pairing, system, cq.solve(system.problem([pairing])))) - 1).max())
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("kind", PLANE_KINDS)
+def test_a_uniform_pressure_between_facets_of_two_bodies(kind, model):
+    """Exact where they match. Where they do not, node to segment fails the patch test by what the guide says."""
+    assert uneven(kind, model, 5, 5) <= 1e-12
+    assert max(uneven(kind, model, *cells) for cells in ((8, 5), (5, 8), (11, 16), (24, 17))) <= (
+        0.15 if kind in LINEAR else 0.03
+    )
+
+
 @pytest.mark.parametrize(("model", "kind"), [("plane-stress", k) for k in PLANE_KINDS[2:]] + [("3d", "hex27")])
 @pytest.mark.parametrize("cells", [(11, 8), (8, 11)])
 def test_lames_press_fit_at_every_node(model, kind, cells):
-    """Quadratic facets that do not match, ends included; no word on them."""
+    """Quadratic facets that do not match, ends included, are as uneven as flat ones are, and are worth no word."""
     found, pressure = press_fit(kind, cells, 1e-3, model=model)
-    assert np.abs(pressure - 1).max() <= 0.08
-    assert abs(pressure.mean() - 1) <= 0.012
+    assert len(found.unpaired) == 0
+    assert np.abs(pressure - 1).max() <= 0.03
+    assert abs(pressure.mean() - 1) <= 0.03 / np.sqrt(len(pressure))
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize("kind", ["quad4", "quad8", "quad9"])
+@pytest.mark.parametrize("cells", [5, 10, 40])
+def test_lames_press_fit_on_facets_that_match(kind, cells):
+    """Polygons that fit are off by h^2 / 8 R of the radius where they press, the rings by (h_r / r)^2 / 12 with four
+    elements or two across, and 1e-3 of interference by itself: as exact as that at all nodes, ends included, where a
+    node of a convex polygon is over the end of the facet that it meets."""
+    found, pressure = press_fit(kind, (cells, cells), 1e-3)
+    assert len(found.unpaired) == 0
+    across = (0.25 / 1) ** 2 / 12 if kind == "quad4" else 0.0
+    assert np.abs(pressure - 1).max() <= (np.pi / 2 / cells) ** 2 / 8 + across + 1e-3
     assert found.notes == ()
 
 
@@ -336,12 +394,15 @@ def test_lames_press_fit_on_linear_facets_that_match():
 
 @pytest.mark.parametrize("pairing", ["mortar", "node-to-segment"])
 def test_facets_as_coarse_as_their_interference_are_told(pairing):
-    """On 11 and 8 linear facets the pressure is off by more than a half; nine times finer ones are worth no word."""
-    found, pressure = press_fit("quad4", (11, 8), 1e-3, pairing)
-    assert np.abs(pressure - 1).max() > 0.5
-    (note,) = found.notes
-    assert "both sides are curved and their facets do not match" in note
-    assert press_fit("quad4", (99, 72), 1e-3, pairing)[0].notes == ()
+    """On 11 and 8 linear facets the pressure is off by several times itself, and nine times finer ones have the right
+    mean but change from node to node as much. Quadratic facets are worth no word."""
+    for cells, mean in (((11, 8), np.inf), ((99, 72), 0.1)):
+        found, pressure = press_fit("quad4", cells, 1e-3, pairing)
+        assert np.abs(pressure - 1).max() > 0.5
+        assert abs(pressure.mean() - 1) < mean
+        (note,) = found.notes
+        assert "both sides are curved and their facets do not match" in note
+    assert "times what it takes to close that from node to node" in note
 
 
 def test_the_deviation_of_facets_is_the_sagitta():
