@@ -16,8 +16,10 @@ away from the node, and off the node too where facets of two sizes meet. The val
     p_i = sum_j (C_ij + D_ij) q_j,    sum_j C_ij = 1,    sum_j D_ij = 0,    sum_j (C_ij + D_ij) x_j = x_i,
 
 the last along the side, with the smallest D over the functions around the node, so that a pressure that varies linearly
-over a flat side is exact at every node, its ends included. D q is at most half of C q. So the pressure has the sign of
-the forces and is zero where they are, also where it falls to zero within a facet, or from the pole at a punch's edge.
+over a flat side is exact at every node, its ends included. There are two: over the facets at the node, and over their
+neighbours too but without the node's own function. The smaller D q of one sign counts: the first sees the slope vanish
+at a plane of symmetry, the second is not led on by the pole at a punch's edge. And it is at most half of C q, so that
+the pressure has the sign of the forces and is zero where they are, also where it falls to zero within a facet.
 
 dA carries the thickness of a plane body and 2 pi r of a revolved one, as the forces do. The functions psi by facet:
 
@@ -72,13 +74,14 @@ class NodalPressure(ReadOnly):
         C, the functions psi in those of the nodes, and so also the mean at each node of the values beside it [-].
     integral : (p,) array
         a, the nodal forces of a unit pressure [area].
-    change : (p, q) sparse array
-        D, from the middle of each function to the node [-].
+    near, far : (p, q) sparse arrays
+        The two D, from the middle of each function to the node [-].
     """
 
     collected: Any
     integral: Vector
-    change: Any
+    near: Any
+    far: Any
 
     def of(self, force: ArrayLike) -> Vector:
         """Forces per area at the nodes, of either sign, (p,) [force / area].
@@ -94,15 +97,17 @@ class NodalPressure(ReadOnly):
         moment = self.collected.T @ np.where(known, given, 0.0)
         value = np.where(there, moment / np.where(there, area, 1.0), np.nan)
         nodal = self.collected @ value
-        largest = np.where(abs(self.change) @ (~there).astype(float) > 0, 0.0, LARGEST_CHANGE * np.abs(nodal))
-        change = np.clip(self.change @ np.where(there, value, 0.0), -largest, largest)
+        near, far = (D @ np.where(there, value, 0.0) for D in (self.near, self.far))
+        size = np.minimum(np.minimum(np.abs(near), np.abs(far)), LARGEST_CHANGE * np.abs(nodal))
+        whole = (abs(self.near) + abs(self.far)) @ (~there).astype(float) == 0
+        change = np.where(whole & (np.sign(near) == np.sign(far)), np.sign(near) * size, 0.0)
         return np.where(known, nodal + change, np.nan)
 
 
 def from_areas(area: Vector) -> NodalPressure:
     """Of forces that each have an area of their own: force / area."""
     each = sp.csr_array(sp.identity(len(area), format="csr"))
-    return NodalPressure(each, area, 0 * each)
+    return NodalPressure(each, area, 0 * each, 0 * each)
 
 
 def nodal_pressure(
@@ -151,8 +156,11 @@ def nodal_pressure(
     part = _handed(part, mine)
     moments = np.zeros((size, part.shape[2]))
     np.add.at(moments, facets, part)
-    change = 0 * collected if uneven else _change(surface, facets, collected, moments)
-    return NodalPressure(collected[at][:, used], moments[at, 0], change[at][:, used])
+    if uneven:
+        near = far = 0 * collected
+    else:
+        near, far = (_change(surface, facets, collected, moments, far=far) for far in (False, True))
+    return NodalPressure(collected[at][:, used], moments[at, 0], near[at][:, used], far[at][:, used])
 
 
 def _handed(part: Vector, mine: NDArray[np.bool_]) -> Vector:
@@ -162,13 +170,13 @@ def _handed(part: Vector, mine: NDArray[np.bool_]) -> Vector:
     return np.where(kept, part + handed, 0.0)
 
 
-def _change(surface: Surface, facets: Index, collected: Any, moments: Vector) -> Any:
+def _change(surface: Surface, facets: Index, collected: Any, moments: Vector, *, far: bool) -> Any:
     """D of all nodes from the integrals of N_i, N_i x and N_i x_0^2, (size, 2 + d): least squares along the side.
 
-    The functions at a node i are those of its facets and of their neighbours, since fewer would enlarge what is uneven,
-    and all but its own, since the root or the pole at an end has no slope. With the offsets c_ij of their middles x_j
-    from the mean of these, H_i = sum_j c_ij c_ij', and the offset r_i = sum_j C_ij x_j - x_i of C's own middle from the
-    node, D_ij = -c_ij . H_i^+ r_i. On the axis r^2 takes the place of x.
+    The functions at a node i are those of its facets, or those of their neighbours too (`far`) but for its own. With
+    the offsets c_ij of their middles x_j from the mean of these, H_i = sum_j c_ij c_ij', and the offset
+    r_i = sum_j C_ij x_j - x_i of C's own middle from the node, D_ij = -c_ij . H_i^+ r_i. On the axis r^2 takes the
+    place of x, and the neighbours are always taken.
     """
     size, d, on_axis = len(surface.nodes), surface.dimension, _on_axis(surface)[:, np.newaxis]
     x, normals = (np.where(on_axis, 0.0, each) for each in (surface.points[surface.nodes], node_normals(surface)))
@@ -177,9 +185,11 @@ def _change(surface: Surface, facets: Index, collected: Any, moments: Vector) ->
     mean = moments[:, 1:] / np.where(there, moments[:, 0], 1.0)[:, np.newaxis]
     middle, squared = mean[:, :d], mean[:, d:] * np.eye(d)[0]
     beside = sp.coo_array((np.ones(facets.size), (facets.ravel(), np.arange(facets.size) // facets.shape[1]))).tocsr()
-    reach = beside @ (beside.T @ beside) @ (beside.T @ sp.diags_array(there.astype(float)))
-    i, j = np.stack(reach.nonzero())
-    i, j = i[i != j], j[i != j]
+    around = beside @ (beside.T @ sp.diags_array(there.astype(float)))
+    wide = sp.diags_array((far | on_axis[:, 0]).astype(float))
+    i, j = np.stack((around + wide @ (beside @ (beside.T @ around))).nonzero())
+    if far:
+        i, j = i[i != j], j[i != j]
 
     def over(values: Vector) -> Vector:
         return np.stack([np.bincount(i, column, minlength=size) for column in values.T], axis=1)
