@@ -49,7 +49,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.facet import KINDS, FacetKind, diameters, kind_of
 from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
-from contactqp.elements.tributary import nodal_moments, node_normals, shape_integrals
+from contactqp.elements.tributary import nodal_moments, node_normals
 from contactqp.errors import InvalidProblem
 from contactqp.problem_data import ReadOnly
 
@@ -137,10 +137,10 @@ def nodal_pressure(
     facets = np.searchsorted(surface.nodes, surface.facets)
     size, at = len(surface.nodes), np.searchsorted(surface.nodes, nodes)
     collected = _functions(surface, facets, size, uneven)
-    integral = shape_integrals(surface)
+    part = nodal_moments(surface)
     if covered is not None:
-        integral = integral * covered[:, np.newaxis]
-    whole = np.bincount(facets.ravel(), integral.ravel(), minlength=size)
+        part = part * covered[:, np.newaxis, np.newaxis]
+    whole = np.bincount(facets.ravel(), part[:, :, 0].ravel(), minlength=size)
     used = np.flatnonzero(abs(collected).sum(axis=0))
     area = (collected.T @ whole)[used]
     if area.min() <= 0 and covered is None:
@@ -149,13 +149,8 @@ def nodal_pressure(
             f"{surface.name}: node {node}: expected a positive area that its pressure acts on, got {area.min():.3g}: "
             "its facets are too distorted"
         )
-    mine = np.isin(facets, at)
-    part = nodal_moments(surface)
-    if covered is not None:
-        part = part * covered[:, np.newaxis, np.newaxis]
-    part = _handed(part, mine)
     moments = np.zeros((size, part.shape[2]))
-    np.add.at(moments, facets, part)
+    np.add.at(moments, facets, _handed(part, np.isin(facets, at)))
     if uneven:
         near = far = 0 * collected
     else:

@@ -49,14 +49,8 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
     return areas
 
 
-def shape_integrals(surface: Surface) -> NDArray[np.float64]:
-    """int N_i dA over each facet, (p, k), of either sign: the nodal forces of a unit pressure [area]."""
-    shape, elements = _surface_elements(surface)
-    return elements @ shape
-
-
 def nodal_moments(surface: Surface) -> NDArray[np.float64]:
-    """int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d)."""
+    """int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d): first the nodal forces of a unit pressure [area]."""
     shape, elements = _surface_elements(surface)
     x = np.einsum("qk,pkd->pqd", shape, surface.points[surface.facets])
     functions = np.concatenate([np.ones_like(x[:, :, :1]), x, x[:, :, :1] ** 2], axis=2)

@@ -34,7 +34,7 @@ from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.elements.tributary import shape_integrals
+from contactqp.elements.tributary import nodal_moments
 from contactqp.errors import InvalidProblem
 
 
@@ -51,7 +51,7 @@ def side(model, kind, thickness=1.0):
 
 def nodal_forces(surface):
     """Those of a unit pressure."""
-    total = np.bincount(surface.facets.ravel(), shape_integrals(surface).ravel(), minlength=len(surface.points))
+    total = np.bincount(surface.facets.ravel(), nodal_moments(surface)[:, :, 0].ravel(), minlength=len(surface.points))
     return total[surface.nodes]
 
 
