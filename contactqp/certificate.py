@@ -15,12 +15,20 @@ from contactqp.condensation import Condensation, condense
 from contactqp.coulomb_residual import IMPLIED, coulomb_residual
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.factorization import RigidMotions
-from contactqp.failures import failed_bounds, failed_figures, failed_law, not_finite_parts, notes
+from contactqp.failures import (
+    failed_bounds,
+    failed_figures,
+    failed_law,
+    not_finite_parts,
+    notes,
+    said_of_dependent_ties,
+)
 from contactqp.floating_point import own_floating_point
 from contactqp.idle_rows import acting_rows
 from contactqp.iteration import iterated, iteration
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly, is_number, read_array
+from contactqp.saddle import dependent_ties
 from contactqp.stages import CERTIFY, stage
 from contactqp.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
 from contactqp.uniqueness import UNKNOWN, uniqueness
@@ -189,6 +197,8 @@ def _judged(
     failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
     failures += state.failures
     grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
+    dependent = () if condensation is None or problem.ties < 2 else dependent_ties(problem, condensation)
+    said = (*notes(problem, grazing, known), *said_of_dependent_ties(problem, dependent))
     return Certificate(
         **figures,
         natural_map=None if law is None else float(np.max(law, initial=0.0)),
@@ -198,7 +208,7 @@ def _judged(
         reasons=known.reasons,
         grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
         failures=tuple(failures),
-        notes=(*notes(problem, grazing, known), *others.notes, *state.notes),
+        notes=(*said, *others.notes, *state.notes),
         uniqueness=others.findings,
         contraction=others.contraction,
         tolerance=tolerance,

@@ -173,6 +173,23 @@ def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) ->
     return (*said, *said_of_estimates(known))
 
 
+def said_of_dependent_ties(
+    problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]
+) -> tuple[str, ...]:
+    """Which ties depend on which: `dependent` are their numbers, and those of the others."""
+    said = []
+    for i, others in dependent[:MOST_NAMED]:
+        names = [problem.tie_name(int(j)) for j in others[:MOST_NAMED]]
+        more = f" and {len(others) - len(names)} more" if len(others) > len(names) else ""
+        said.append(
+            f"{problem.tie_name(i)} depends on {', '.join(names)}{more}: it is set aside where these are met, and how "
+            "they share their force is not unique"
+        )
+    if len(dependent) > MOST_NAMED:
+        said.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
+    return tuple(said)
+
+
 def said_of_grazing(names: Sequence[str]) -> tuple[str, ...]:
     return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
 

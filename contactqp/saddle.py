@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.factorization import Array, DenseCholesky, orthonormal
-from contactqp.problem import Vector
+from contactqp.problem import ContactProblem, Vector
 from contactqp.range_space import REGULAR, RangeSpace
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13
+# A row that makes less than this part of another takes no part in it, both of unit length.
+NO_PART = 1e-9
 # Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
 KEPT = 6
 # The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
@@ -172,6 +174,24 @@ def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]
     basis, _ = np.linalg.qr(rows[chosen].T)
     beyond = rows[others] - (rows[others] @ basis) @ basis.T
     return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
+
+
+def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+    """The ties that depend on others, and on which; found once for the rows of a problem.
+
+    They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
+    """
+    shared = problem._shared
+    if "dependent_ties" not in shared:
+        rows = condensation.tie * condensation.scale
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        kept = independent_rows(rows)
+        others = np.setdiff1d(np.arange(len(rows)), kept)
+        shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
+        taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
+        shared["dependent_ties"] = tuple(zip(others.tolist(), taking_part, strict=True))
+    found: tuple[tuple[int, NDArray[np.intp]], ...] = shared["dependent_ties"]
+    return found
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:

@@ -1,0 +1,78 @@
+"""Ties that depend on others: those whose values agree are set aside and named, those that conflict are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+K = np.diag([2.0, 3.0, 5.0, 7.0])
+LOAD = np.array([1.0, -2.0, 0.5, 0.0])
+FAR = np.array([[1.0, 0.0, 0.0, 0.0]])
+# Of the chords of a ring any three make the fourth.
+RING = np.array([[-1.0, 1, 0, 0], [0, -1, 1, 0], [0, 0, -1, 1], [1, 0, 0, -1]])
+
+
+def ring(excess: float, scale: float = 1.0, **arguments) -> cq.ContactProblem:
+    value = scale * np.array([0.25, 0.5, -0.125, -0.625])
+    value[3] += excess
+    return cq.ContactProblem(K, LOAD, FAR, [1e3 * scale], tie=RING, tie_value=value, **arguments)
+
+
+def test_a_tie_that_depends_on_others_is_named_with_those():
+    solution = cq.solve(ring(0.0))
+    assert solution.certificate.passed
+    (note,) = [note for note in solution.certificate.notes if "depends on" in note]
+    (unused,) = np.flatnonzero(solution.tie_force == 0)
+    assert note.startswith(f"tie {unused} depends on ")
+    assert all(f"tie {j}" in note for j in range(4))
+
+
+def test_only_the_ties_that_take_part_are_named():
+    rows = np.vstack([np.eye(4)[2], 3 * RING[0], RING[0]])
+    problem = cq.ContactProblem(K, LOAD, FAR, [1e3], tie=rows, tie_value=[0.1, 0.75, 0.25])
+    (note,) = [note for note in cq.solve(problem).certificate.notes if "depends on" in note]
+    assert "tie 0" not in note
+    assert "tie 1" in note
+    assert "tie 2" in note
+
+
+def test_independent_ties_are_not_spoken_of():
+    problem = cq.ContactProblem(K, LOAD, FAR, [1e3], tie=RING[:3], tie_value=[0.25, 0.5, -0.125])
+    assert not any("depends on" in note for note in cq.solve(problem).certificate.notes)
+
+
+def test_of_many_dependent_ties_the_first_are_named_and_the_others_counted():
+    problem = cq.ContactProblem(K, LOAD, FAR, [1e3], tie=np.tile(RING[0], (12, 1)), tie_value=np.full(12, 0.25))
+    notes = [note for note in cq.solve(problem).certificate.notes if "depend" in note]
+    assert len(notes) == 9
+    assert notes[-1] == "3 more ties depend on others"
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
+@pytest.mark.parametrize("excess", [1e-3, 1e-6, 1e-9, -1e-9])
+@pytest.mark.parametrize("scale", [1.0, 1e5])
+def test_a_conflict_of_ties_is_proven_however_small(method, excess, scale):
+    with pytest.raises(cq.NoEquilibrium, match="no displacement satisfies these constraints together") as refused:
+        cq.solve(ring(excess * scale, scale), method)
+    proof = refused.value.proof
+    assert proof.exact
+    assert proof.excess == pytest.approx(abs(excess) * scale, rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
+@pytest.mark.parametrize("excess", [1e-3, 1e-9])
+def test_a_conflict_of_contacts_is_proven_however_small(method, excess):
+    """A ring of gaps whose sum is negative, on bodies that float."""
+    chain = np.array([[1.0, -1, 0, 0], [-1, 2, -1, 0], [0, -1, 2, -1], [0, 0, -1, 1]])
+    gap = np.array([0.25, 0.5, -0.125, -0.625 - excess, 0.0])
+    problem = cq.ContactProblem(chain, [-1.0, 0, 0, 0], np.vstack([RING, [-1.0, 0, 0, 0]]), gap)
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1, contact 2, contact 3 "):
+        cq.solve(problem, method)
+
+
+def test_what_rounding_makes_of_agreeing_values_is_no_conflict():
+    value = np.array([0.1, 0.2, 0.3])
+    problem = cq.ContactProblem(K, LOAD, FAR, [1e3], tie=RING, tie_value=[*value, -float(np.sum(value))])
+    assert cq.solve(problem).certificate.passed
