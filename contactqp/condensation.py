@@ -347,7 +347,7 @@ def condense(problem: ContactProblem) -> Condensation:
     if any(np.any(idle) for idle in problem.idle_rows()):
         raise Unsupported(
             "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "
-            "solve, certify and equilibria leave them out; here, leave them out yourself"
+            "solve, certify, equilibria, paths and motions leave them out; here, leave them out yourself"
         )
     if "condensation" not in shared:
         with stage(CONDENSE):

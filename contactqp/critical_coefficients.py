@@ -14,7 +14,7 @@ of all combinations of open, stick and slip have one sign. For one contact that 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +93,14 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     (array([0.5]), 1.6, False)
     """
     refuse_other("critical_friction", problem, ContactProblem)
-    if not problem.frictional:
+    if not problem.frictional or problem.friction is None:
         raise InvalidProblem("critical_friction: expected a problem with friction")
+    idle, idle_ties = problem.idle_rows()
+    if np.any(idle) or np.any(idle_ties):
+        found = critical_friction(problem.with_contacts(np.flatnonzero(~idle)).with_ties(np.flatnonzero(~idle_ties)))
+        single = np.full(problem.contacts, np.inf)  # what never closes is never critical
+        single[~idle] = found.single
+        return replace(found, single=single, _friction=problem.friction)
     if iterated(problem):
         raise Unsupported("critical_friction: a body this large is not factorised")
     with problem.lock:

@@ -45,6 +45,12 @@ class ActingRows:
     ties: NDArray[np.intp]
     problem: ContactProblem
 
+    @property
+    def met(self) -> bool:
+        """Whether every row of zeros is met."""
+        contacts, ties = _others(self.whole.contacts, self.contacts), _others(self.whole.ties, self.ties)
+        return not (np.any(self.whole.gap[contacts] < 0) or np.any(self.whole.tie_value[ties] != 0))
+
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium where a row of zeros is not met: 0 <= g < 0, or 0 = b."""
         whole = self.whole
@@ -75,24 +81,52 @@ class ActingRows:
         forces = dict(normal_force=solution.normal_force[self.contacts], friction_force=friction)
         return replace(solution, problem=self.problem, tie_force=solution.tie_force[self.ties], **forces)
 
+    def at(self, step: ContactProblem) -> ActingRows:
+        """The same rows at a step: a problem with these rows, its own load and its own slip origin."""
+        changes: dict[str, Any] = dict(load=step.load)
+        if self.whole.slip_origin is not None and step.slip_origin is not None:
+            changes["slip_origin"] = np.array(self.whole.slip_origin)
+            changes["slip_origin"][self.contacts] = step.slip_origin
+        return replace(self, whole=self.whole.replace(**changes), problem=step)
+
     def solution(self, found: Any) -> Any:
         """A solution of the problem with the rows that act, as one of the whole problem."""
+        changed = self.forces(found) | dict(certificate=self._judged(found))
+        if found.raw is not None:
+            changed["raw"] = replace(found.raw, **self._both(found.raw), certificate=self._judged(found.raw))
+        return replace(found, **changed)
+
+    def forces(self, found: Any) -> dict[str, Any]:
+        """The problem, the forces and the states of the contacts of a solution, as those of the whole problem."""
         whole = self.whole
         status = np.full(whole.contacts, "open", dtype=found.contact_status.dtype)
         status[self.contacts] = found.contact_status
-        origin = whole.slip_origin
-        friction = None if origin is None or found.friction_force is None else np.zeros_like(origin)
-        if friction is not None:
-            friction[self.contacts] = found.friction_force
-        changed = dict(problem=whole, contact_status=status, friction_force=friction, **self._forces(found))
-        if found.raw is not None:
-            changed["raw"] = replace(found.raw, **self._forces(found.raw))
-        return replace(found, **changed)
+        friction = None if found.friction_force is None else self.friction(found.friction_force)
+        return dict(problem=whole, contact_status=status, friction_force=friction, **self._both(found))
 
-    def _forces(self, found: Any) -> dict[str, Any]:
-        normal, tie = self._contacts(found.normal_force), _spread(self.whole.ties, self.ties, found.tie_force)
-        nothing = Answer(found.displacement, np.zeros(len(normal)), None, np.zeros(len(tie)))
-        return dict(normal_force=normal, tie_force=tie, certificate=self.certificate(found.certificate, nothing))
+    def friction(self, force: Any) -> Any:
+        """Friction forces (..., m, d-1) of the contacts that act, as those of all."""
+        origin = self.whole.slip_origin
+        if origin is None:
+            return None
+        every = np.zeros((*force.shape[:-2], *origin.shape))
+        every[..., self.contacts, :] = force
+        return every
+
+    def normal(self, force: Any) -> Any:
+        """Contact forces (..., m) of the contacts that act, as those of all."""
+        return _spread(self.whole.contacts, self.contacts, force)
+
+    def tie(self, force: Any) -> Any:
+        """Forces (..., k) of the ties that act, as those of all."""
+        return _spread(self.whole.ties, self.ties, force)
+
+    def _both(self, found: Any) -> dict[str, Any]:
+        return dict(normal_force=self.normal(found.normal_force), tie_force=self.tie(found.tie_force))
+
+    def _judged(self, found: Any) -> Any:
+        nothing = Answer(found.displacement, np.zeros(self.whole.contacts), None, np.zeros(self.whole.ties))
+        return self.certificate(found.certificate, nothing)
 
     def certificate(self, certificate: Any, answer: Answer) -> Any:
         """The certificate of the rows that act, as that of an answer (of the whole problem) with forces on the others.
@@ -121,7 +155,7 @@ class ActingRows:
         )
 
     def _contacts(self, values: Vector, others: Vector | None = None) -> Vector:
-        return _spread(self.whole.contacts, self.contacts, values, others)
+        return np.asarray(_spread(self.whole.contacts, self.contacts, values, others))
 
     def _violations(self, found: Violations, answer: Answer) -> Violations:
         """Every figure for all rows: those that constrain nothing are measured by what pushes there."""
@@ -192,9 +226,9 @@ def _others(count: int, members: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.setdiff1d(np.arange(count), members)
 
 
-def _spread(count: int, members: NDArray[np.intp], values: Vector, others: Vector | None = None) -> Vector:
-    everywhere = np.zeros(count) if others is None else np.array(others, dtype=float)
-    everywhere[members] = values
+def _spread(count: int, members: NDArray[np.intp], values: Any, others: Vector | None = None) -> Any:
+    everywhere = np.zeros((*np.shape(values)[:-1], count)) if others is None else np.array(others, dtype=float)
+    everywhere[..., members] = values
     return everywhere
 
 

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactqp.analysis.idle_history import MotionOfAllRows
 from contactqp.analysis.motion.history import MotionHistory
 from contactqp.analysis.motion.mass import massless, read_mass, redistributed_mass, touched
 from contactqp.analysis.motion.run import MotionRun
 from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
 from contactqp.analysis.motion.schemes.scheme import Body
 from contactqp.certificate import refuse_not_positive
-from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
 from contactqp.floating_point import own_floating_point
+from contactqp.idle_rows import ActingRows, acting_rows
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import is_number, read_vector
@@ -128,6 +130,20 @@ def impact(
         raise InvalidProblem(f"time_step: expected a step whose square is a number, got {time_step!r}")
     if not is_number(start_time) or not np.isfinite(start_time):
         raise InvalidProblem(f"start_time: expected a finite number, got {start_time!r}")
+    if (rows := acting_rows(problem)) is not None:
+        given: dict[str, Any] = dict(scheme=scheme, load=load, theta=theta, restitution=restitution, penalty=penalty)
+        return _without_idle_rows(
+            rows,
+            mass,
+            displacement,
+            velocity,
+            duration,
+            time_step,
+            **given,
+            start_time=start_time,
+            method=method,
+            **options,
+        )
     n = problem.dimension
     u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
     _refuse_start(problem, u, v)
@@ -143,6 +159,17 @@ def impact(
         run.mind_critical_step(penalty)
     run.start(u, v)
     return run.lasting(duration)
+
+
+def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHistory:
+    """The motion of a problem by that of the problem without the rows that constrain nothing."""
+    rows.refuse_conflict()
+    try:
+        return MotionOfAllRows(rows, impact(rows.problem, *start, **given))
+    except NotConverged as error:
+        if isinstance(error.history, MotionHistory):
+            error.history = MotionOfAllRows(rows, error.history)
+        raise
 
 
 def _kind(scheme: str) -> Kind:

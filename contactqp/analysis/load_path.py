@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from contactqp.analysis.events import events_of_leg
 from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.history import Event, History
+from contactqp.analysis.idle_history import of_all_rows
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.candidates import first_candidates
 from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.floating_point import own_floating_point
+from contactqp.idle_rows import acting_rows
 from contactqp.iteration import iterated
 from contactqp.methods import find
 from contactqp.problem import ContactProblem, Vector
@@ -114,6 +116,9 @@ def follow_path(
     count = steps if steps is not None else (DEFAULT_STEPS if events is None else 1)
     if not is_whole(count) or count < 1:
         raise InvalidProblem(f"steps: expected a positive integer, got {count!r}")
+    if (rows := acting_rows(problem)) is not None:
+        rows.refuse_conflict()
+        return of_all_rows(rows, follow_path(rows.problem, loads, steps, events, method, **options))
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
     with problem.lock:

@@ -8,11 +8,12 @@ from typing import Any
 
 from contactqp.errors import InvalidProblem
 from contactqp.floating_point import own_floating_point
+from contactqp.idle_rows import ActingRows, acting_rows
 from contactqp.problem import ContactProblem
 from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
 from contactqp.study.rungs import chosen_methods, single_rungs
-from contactqp.study.truth import Reference, truth_of
+from contactqp.study.truth import Reference, given, truth_of
 
 
 @dataclass(frozen=True)
@@ -82,11 +83,20 @@ def compare(
     [('active-set', 'right', '0e+00'), ('penalty', 'approximate', '2e-03')]
     """
     chosen = chosen_methods(methods)
-    given = dict(knobs or {})
-    for name in given:
+    values = dict(knobs or {})
+    for name in values:
         if name not in {method.name for method in chosen if method.knob}:
             raise InvalidProblem(f"knobs: {name!r} is no compared method with a knob")
+    if (rows := acting_rows(problem)) is not None and rows.met:
+        problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
     truth = truth_of(problem, reference)
-    rungs = (rung for method in chosen for rung in single_rungs(problem, method, given.get(method.name)))
+    rungs = (rung for method in chosen for rung in single_rungs(problem, method, values.get(method.name)))
     source = "nothing, as the active-set method proves no answer" if truth is None else truth.source
     return Comparison(tuple(attempt(problem, rung, truth) for rung in rungs), source)
+
+
+def _on_acting_rows(rows: ActingRows, reference: Reference) -> Reference:
+    """What a reference of the whole problem says of the rows that constrain something."""
+    whole = given(rows.whole, reference)
+    ties = () if whole.tie_force is None else (whole.tie_force[rows.ties],)
+    return (whole.displacement, whole.normal_force[rows.contacts], *ties)

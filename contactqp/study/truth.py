@@ -183,7 +183,7 @@ def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Tru
     own = proven_solution(problem)
     if reference is None:
         return None if own is None else of_solution(own)
-    truth = _given(problem, reference)
+    truth = given(problem, reference)
     if own is None:
         return truth
     return replace(truth, unique_forces=_unique(own), free=bool(own.free_motions))
@@ -217,7 +217,14 @@ def _unique(solution: Solution) -> bool:
     return not saddle_point(condense(solution.problem), closed).redundant
 
 
-def _given(problem: ContactProblem, reference: Reference) -> Truth:
+def given(problem: ContactProblem, reference: Reference) -> Truth:
+    """A reference as a truth.
+
+    Raises
+    ------
+    InvalidProblem
+        It has wrong shapes, or values that are not finite.
+    """
     if isinstance(reference, Solution):
         values: tuple[ArrayLike, ...] = (reference.displacement, reference.normal_force, reference.tie_force)
         source = f"reference by {reference.method}"
