@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.elimination import eliminate
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.extended import ExtendedRows
 from contactqp.factorization import (
     SUSPICIOUS_PIVOT,
     Array,
@@ -62,7 +63,7 @@ class Condensation:
             Any
         ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
         self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
-        self.cleared: Any = None  # filled by `polishing` where K's rounding along rigid motions matters
+        self._cleared: ExtendedRows | None = None
         self.factorisations = 0
         self._spent = 0  # half back-substitutions of eliminations that were given up
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
@@ -244,6 +245,14 @@ class Condensation:
         reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
         return reduced
 
+    def cleared_rows(self, rows: ExtendedRows) -> ExtendedRows:
+        """Rows whose stiffness is zero along the rigid motions, for where K's rounding along these matters."""
+        if self._cleared is None:
+            weight = np.sqrt(self._diagonal)
+            inverse = np.asarray(np.linalg.pinv(weight[:, None] * self.rigid.motions) * weight, dtype=float)
+            self._cleared = rows.cleared(self.rigid.motions, inverse)
+        return self._cleared
+
     def idle_motions(self) -> Array:
         """An orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists at all."""
         rows = np.vstack([self.normal, self.tie]) * self.scale
@@ -281,7 +290,7 @@ class Condensation:
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
-        twin.cleared = None
+        twin._cleared = None
         twin._retain_all(reduced)
         return twin
 
@@ -290,7 +299,7 @@ class Condensation:
         """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
         made = object.__new__(cls)
         made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
-        made.cleared = None
+        made._cleared = None
         made.rigid, made.scale, made._schur_factor = rigid, scale, None
         made._retain_all(problem)
         made.schur = made._elimination.schur

@@ -19,7 +19,7 @@ import numpy as np
 from contactqp.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.coulomb_cone import directions as directions_of
 from contactqp.coulomb_cone import lengths
-from contactqp.extended import Extended, extend, extended_rows, two_product
+from contactqp.extended import Extended, ExtendedRows, extend, extended_rows, two_product
 from contactqp.factorization import Array
 from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
@@ -29,7 +29,7 @@ from contactqp.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.statuses import SLIP_ON as SLIP_ON
 from contactqp.statuses import STICK as STICK
 from contactqp.statuses import Status as Status
-from contactqp.violations import FIGURES, Answer, residuals, residuals_of, violations
+from contactqp.violations import BALANCED, FIGURES, Answer, imbalance, residuals, residuals_of, violations
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12
@@ -188,9 +188,26 @@ def refined_in(
 ) -> RefinedState:
     """The answer of one combination, refined from `start`; `independent` as in `StateSystem`.
 
-    In space slip directions are those of the start to begin with.
+    In space slip directions are those of the start to begin with. K is taken as it is stated unless its rounding along
+    rigid motions spoils the resultants of the forces, as in `polishing.answer_on`.
     """
     exact = extended_rows(problem)
+    found = _refined(exact, problem, condensation, rows, status, start, independent)
+    if imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
+        return found
+    return _refined(condensation.cleared_rows(exact), problem, condensation, rows, status, start, independent)
+
+
+def _refined(
+    exact: ExtendedRows,
+    problem: ContactProblem,
+    condensation: Condensation,
+    rows: FrictionalRows,
+    status: Status,
+    start: Answer,
+    independent: bool,
+) -> RefinedState:
+    """`refined_in` with the products of these rows."""
     u, tie = extend(start.displacement), extend(start.tie_force)
     force = extend(np.where(status != OPEN, start.normal_force, 0.0))
     stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())

@@ -20,14 +20,14 @@ from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
 from contactqp.saddle import SaddlePoint, free_motions, saddle_point
 from contactqp.violations import (
+    BALANCED,
     Answer,
     Residuals,
     force_measure,
     forces_that_meet,
+    imbalance,
     lengths_that_meet,
-    outer_forces,
     own_compliance,
-    ratio,
     residuals_of,
 )
 
@@ -41,8 +41,6 @@ LEAST_CONTRACTION = float(np.finfo(float).eps)
 CAUTION = 1e4
 # What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
 NEGLIGIBLE = 1e-22
-# Resultants of forces that are this part of the forces balance.
-BALANCED = 1e-12
 # What double precision cannot tell from zero, relative to the lengths or forces that meet.
 WITHIN_ROUNDING = 8 * np.finfo(float).eps
 
@@ -87,10 +85,11 @@ def answer_on(
     """
     rows = extended_rows(problem)
     found = _refined(rows, problem, condensation, closed, start, left, caution)
-    missed = _imbalance(problem, condensation, found)
+    doubles = Answer(found.displacement.double(), found.normal_force.double(), None, found.tie_force.double())
+    missed = imbalance(problem, doubles, condensation.rigid)
     if missed <= BALANCED:
         return found
-    rows = _cleared_rows(problem, condensation, rows)
+    rows = condensation.cleared_rows(rows)
     return replace(_refined(rows, problem, condensation, closed, start, None, caution), cleared=missed)
 
 
@@ -133,27 +132,6 @@ def _refined(
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
     return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
-
-
-def _imbalance(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> float:
-    """The part by which the forces miss balance on the worst rigid motion, of those that act along it."""
-    rows, motions = extended_rows(problem), condensation.rigid.motions
-    if not motions.shape[1]:
-        return 0.0
-    outer = (extend(problem.load) - rows.contact_force(answer.normal_force, answer.tie_force)).double()
-    doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
-    size = abs(motions).T @ outer_forces(problem, doubles)
-    return float(np.max(ratio(abs(motions.T @ outer), size)))
-
-
-def _cleared_rows(problem: ContactProblem, condensation: Condensation, rows: ExtendedRows) -> ExtendedRows:
-    """Rows whose stiffness is zero along the rigid motions, made once for a condensation."""
-    if condensation.cleared is None:
-        weight = np.sqrt(problem.diagonal)
-        inverse = np.asarray(np.linalg.pinv(weight[:, None] * condensation.rigid.motions) * weight, dtype=float)
-        condensation.cleared = rows.cleared(condensation.rigid.motions, inverse)
-    cleared: ExtendedRows = condensation.cleared
-    return cleared
 
 
 class _CorrectionSize:

@@ -29,6 +29,8 @@ FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity"
 
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
+# Resultants of forces that are this part of the forces balance.
+BALANCED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +234,16 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     if problem.tangent is not None and answer.friction_force is not None:
         outer = outer + row_sizes(problem, problem.tangent).transposed @ abs(answer.friction_force).ravel()
     return np.asarray(outer)
+
+
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """The part by which the outer forces miss balance on the worst rigid motion of a basis, of those along it."""
+    rows, motions = extended_rows(problem), rigid.motions
+    if not motions.shape[1]:
+        return 0.0
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
+    return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
 
 
 def lengths_that_meet(

@@ -208,3 +208,32 @@ def test_who_names_a_limit_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(solving, "find", _spoiling("active-set"))
     with pytest.raises(cq.NotCertified):
         cq.solve(problem, time_limit=10.0)
+
+
+def rough(seed: int, decades: float) -> cq.ContactProblem:
+    """A stack whose contacts rub, pushed sideways at its top by a hundredth of its weight or less."""
+    smooth, rng = stack(seed, decades), np.random.default_rng(seed)
+    normal = smooth.normal.toarray()
+    tangent = np.zeros_like(normal)
+    tangent[:, ::2] = normal[:, 1::2]
+    load = smooth.load.copy()
+    load[-2] += rng.uniform(-1, 1) * 0.01 * np.sum(abs(load))
+    gap = np.where(rng.random(len(normal)) < 0.7, 0.0, smooth.gap)
+    return cq.ContactProblem(smooth.stiffness, load, normal, gap, tangent=tangent, friction=rng.choice([0.2, 0.6]))
+
+
+@pytest.mark.parametrize("seed", range(2, 9))
+def test_stiff_blocks_on_soft_ones_that_rub(seed: int) -> None:
+    problem = rough(seed, 10.0)
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    force, friction = solution.normal_force, solution.friction_force
+    assert friction is not None
+    floor = np.flatnonzero(np.count_nonzero(problem.normal.toarray(), axis=1) == 1)
+    assert np.sum(force[floor]) == pytest.approx(-np.sum(problem.load[1::2]), rel=1e-12)
+    assert np.sum(friction[floor]) == pytest.approx(-np.sum(problem.load[::2]), rel=1e-9)
+    largest = np.argmax(force)
+    for name in ("normal", "friction"):
+        spoiled = {"normal": force.copy(), "friction": friction.copy()}
+        spoiled[name][largest] *= 1 + 1e-5
+        assert not cq.certify(problem, solution.displacement, spoiled["normal"], spoiled["friction"]).passed
