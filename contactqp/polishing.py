@@ -27,7 +27,6 @@ from contactqp.violations import (
     forces_that_meet,
     imbalance,
     lengths_that_meet,
-    own_compliance,
     residuals_of,
 )
 
@@ -139,7 +138,7 @@ class _CorrectionSize:
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
         compliance = np.sqrt(delassus(condensation).compliance)
-        self._unknown = np.sqrt(np.maximum(problem.diagonal, 0.0))
+        self._unknown = 1.0 / unknown_scale(problem)
         self._row = np.concatenate([compliance[closed], compliance[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
@@ -201,7 +200,7 @@ def polish(
             reached, driven = _reached_by_drive(problem, condensation, answer)
             if not (tension.size or penetrated.size or driven):
                 holding = answer, corrections, True
-                proposal = _decided(condensation, answer, closed)
+                proposal = _decided(problem, condensation, answer, closed)
                 if proposal is None or np.array_equal(proposal, closed):
                     return holding
         if proposal is None:
@@ -257,13 +256,25 @@ def _regular(answer: OnSet) -> bool:
     return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
 
 
-def _decided(condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]) -> NDArray[np.intp] | None:
+def _decided(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]
+) -> NDArray[np.intp] | None:
     """The set that follows from signs in extended precision, beneath what doubles tell from zero; None where a set is
-    redundant or nearly so, or bodies float: there rounding of the data decides."""
+    redundant or nearly so, or bodies float: there rounding of the data decides.
+
+    What refinement may have left undecided is refined further.
+    """
     if condensation.rigid.count or not _regular(answer):
         return None
     compliance = delassus(condensation).compliance[: len(answer.normal_force)]
-    noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
+    settled = answer.nothing[: len(compliance)]
+    noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
+    length = np.where(
+        np.isin(np.arange(len(noise)), closed), answer.normal_force.double() * compliance, answer.gap.double()
+    )
+    if np.any((abs(length) > settled) & (abs(length) <= noise)):
+        answer = answer_on(problem, condensation, closed, caution=CAUTION)
+        noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
     tension = np.flatnonzero(answer.normal_force.double() * compliance < -noise)
     penetrated = np.flatnonzero(answer.gap.double() < -noise)
     return np.union1d(np.setdiff1d(closed, tension), np.setdiff1d(penetrated, closed)).astype(np.intp)
@@ -358,8 +369,9 @@ def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, ans
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
-    motion_size = np.max(np.sqrt(problem.diagonal)[:, None] * abs(free))
-    stays = np.linalg.norm(rows, axis=1) > UNRESISTED * np.sqrt(own_compliance(problem, problem.normal)) * motion_size
+    scale = unknown_scale(problem)
+    felt = np.sqrt(problem.normal.power(2) @ scale**2) * np.max(abs(free) / scale[:, None])
+    stays = np.linalg.norm(rows, axis=1) > UNRESISTED * felt
     if np.any(stays):
         gap = problem.gap - problem.normal @ answer.displacement
         shift = shift_within_gaps(rows[stays], gap[stays], shift)
