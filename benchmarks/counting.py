@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.judging import REPRESENTABLE, Report
+from benchmarks.judging import REPRESENTABLE, SLACK, Report
 from contactqp.methods import find
 
 # Ratios of bound and true error are taken of errors that are well above rounding.
@@ -51,7 +51,7 @@ def ratios(reports: Iterable[Report]) -> dict[tuple[str, str], np.ndarray]:
     found: dict[tuple[str, str], list[float]] = defaultdict(list)
     for report in reports:
         for b in report.bounds if report.well_posed else ():
-            if b.error >= MEANINGFUL and b.bound < np.inf:
+            if b.error >= MEANINGFUL * max(1.0, b.slack / SLACK) and b.bound < np.inf:
                 found[b.figure, b.kind].append(b.bound / b.largest)
     return {key: np.array(values) for key, values in sorted(found.items())}
 

@@ -9,7 +9,7 @@ the package is used here.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,13 +18,15 @@ import numpy as np
 from flint import arb, arb_mat, fmpq_mat
 
 from contactqp.oracle.exact.complementarity import Reduced, reduce_problem
-from contactqp.oracle.exact.exact_problem import of_floats
+from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
 from contactqp.oracle.exact.rational import column, floats, matrix, solve_any, stack, take
 
 # Bits for norms of rational vectors: their cancellation costs at most twice the digits of the condition number.
 PRECISION = 600
 # A true size below this part of the size of the whole problem is judged absolutely.
 TINY = 1e-12
+# Eigenvalues of a stiffness with unit diagonal beneath this are those of rigid motions, to rounding.
+SINGULAR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Errors:
     force: float  # |l - l*|_W / |l*|_W
     readings: dict[str, tuple[float, ...]]  # "energy_error", "force_error": what a bound of it may mean
     contact: np.ndarray | None  # (m,) |l_i - l_i*|, None where the forces are not unique
+    blurred: float = 0.0  # what the rounding of K along rigid motions makes of an error, relative
 
     @property
     def worst(self) -> float:
@@ -56,6 +59,18 @@ class Truth:
     free: int  # motions that neither K, A nor a closed contact resists
     pivots: int  # 0 where a guess was right
     reduced: Reduced
+    projected: bool  # K is singular to rounding, and was made so exactly
+    condition: float  # kappa(K), see `condition`
+
+    def _blurred(self, displacement: np.ndarray) -> float:
+        """What the rounding of K along rigid motions makes of an error, relative; zero where K is as it stands."""
+        if not self.projected:
+            return 0.0
+        data = self.reduced.data
+        diagonal = floats(column(data.K[j, j] for j in range(data.unknowns)))
+        moved = abs(floats(self.displacement)) + abs(displacement)
+        size = float(np.linalg.norm(np.sqrt(abs(diagonal)) * moved))
+        return float(np.finfo(float).eps) * max(1.0, size / self._sizes[0] if self._sizes[0] > 0 else 1.0)
 
     @cached_property
     def _sizes(self) -> tuple[float, float]:
@@ -109,7 +124,8 @@ class Truth:
             "energy_error": self._readings(energy, 0, []),
             "force_error": self._readings(pushed, 1, loose),
         }
-        return Errors(_ratio(energy, scales[0]), _ratio(pushed, scales[1]), readings, contact)
+        sizes = _ratio(energy, scales[0]), _ratio(pushed, scales[1])
+        return Errors(*sizes, readings, contact, self._blurred(displacement))
 
     def _readings(self, error: float, which: int, others: list[float]) -> tuple[float, ...]:
         """The least that a bound must exceed, and the largest that it may be compared with.
@@ -154,7 +170,7 @@ def find_truth(problem: Any, guesses: Iterable[np.ndarray] = (), max_pivots: int
     Undecided
         `max_pivots` did not suffice.
     """
-    reduced = reduce_problem(of_floats(problem))
+    reduced = reduce_problem(_data(problem))
     pivots = 0
     for found in _candidates(reduced, guesses):
         if reduced.holds(*found):
@@ -165,6 +181,19 @@ def find_truth(problem: Any, guesses: Iterable[np.ndarray] = (), max_pivots: int
         if not reduced.holds(*found):
             raise ArithmeticError("the complementary solution fails the exact check")
     return _truth(problem, reduced, *found, pivots)
+
+
+def _data(problem: Any) -> RationalProblem:
+    """The floats as they stand; K that is singular to rounding for motions Z is P K P, P = I - Z (Z'Z)^-1 Z'."""
+    data, K = of_floats(problem), problem.stiffness_rows.toarray()
+    root = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
+    values, vectors = np.linalg.eigh(K / np.outer(root, root))
+    Z = matrix(vectors[:, values < SINGULAR] / root[:, None])
+    if data.K.rank() + Z.ncols() <= data.unknowns:
+        return data
+    along = Z * (Z.transpose() * Z).solve(Z.transpose() * data.K)
+    left = data.K - along
+    return replace(data, K=left - (left * Z) * (Z.transpose() * Z).solve(Z.transpose()))
 
 
 def _candidates(reduced: Reduced, guesses: Iterable[np.ndarray]) -> Iterator[tuple[fmpq_mat, fmpq_mat]]:
@@ -210,6 +239,8 @@ def _truth(problem: Any, reduced: Reduced, force: fmpq_mat, motion: fmpq_mat, pi
         free=data.K.nrows() - held.rank(),
         pivots=pivots,
         reduced=reduced,
+        projected=matrix(problem.stiffness) != data.K,
+        condition=condition(problem, data.K.nrows() - data.K.rank()),
     )
 
 

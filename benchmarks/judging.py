@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import contactqp as cq
-from benchmarks.exact_truth import Truth, condition, find_truth
+from benchmarks.exact_truth import Truth, find_truth
 from benchmarks.problem_families import FAMILIES, family
 from contactqp.methods import Settings, find
 from contactqp.oracle.exact.rational import NoSolution, Undecided, floats, rational
@@ -23,6 +23,8 @@ EPS = float(np.finfo(float).eps)
 WRONG, PER_CONDITION = 1e-6, 100 * EPS
 # What rounding to floats may take from a bound: relative to the bound itself, and to the size of the truth.
 SLACK = 16 * EPS
+# Where the truth is that of a stiffness which was made singular exactly: so many roundings of it, times kappa.
+BLUR = 1e3
 # An exact answer that floats cannot hold to this is no well-posed problem for a method that returns floats.
 REPRESENTABLE = 1e-7
 VERDICTS = ("right", "refused", "wrong", "denied", "crashed", "unsupported")
@@ -53,6 +55,7 @@ class Bounded:
     bound: float
     error: float  # what it must exceed
     largest: float  # the largest error that it may mean, where the truth is next to nothing
+    slack: float = SLACK  # what rounding may take from it
 
     @property
     def kind(self) -> str:
@@ -63,7 +66,7 @@ class Bounded:
 
     @property
     def below(self) -> bool:
-        return self.bound < self.error * (1 - SLACK) - SLACK
+        return self.bound < self.error * (1 - self.slack) - self.slack
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ def judge(family_name: str, seed: int, methods: tuple[str, ...]) -> Report:
         if truth is None:
             outcomes = tuple(_without_truth(problem, method, known) for method in methods)
             return Report(family_name, seed, known, outcomes=outcomes)
-        threshold = WRONG + PER_CONDITION * (kappa := condition(problem, truth.nullity))
+        threshold = WRONG + PER_CONDITION * (kappa := truth.condition)
         bounds: list[Bounded] = []
         outcomes = tuple(_outcome(problem, method, truth, threshold, bounds) for method in methods)
         passed, refused = _spoil(problem, truth, threshold, seed, bounds)
@@ -196,14 +199,15 @@ def _raw_is_wrong(
 
 def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterator[Bounded]:
     """The certificate's bounds with the true errors they are to exceed; a tiny truth may be meant absolutely."""
+    slack = SLACK + BLUR * truth.condition * errors.blurred
     for figure, readings in errors.readings.items():
         if (bound := getattr(certificate, figure)) is not None:
-            yield Bounded(figure, source, float(bound), min(readings), max(readings))
+            yield Bounded(figure, source, float(bound), min(readings), max(readings), slack)
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
         scale = truth.force_size
         worst = int(np.argmax(errors.contact - certificate.force_bound))
         bound, error = float(certificate.force_bound[worst]) / scale, float(errors.contact[worst]) / scale
-        yield Bounded("force_bound", source, bound, error, error)
+        yield Bounded("force_bound", source, bound, error, error, slack)
 
 
 def _without_truth(problem: cq.ContactProblem, method: str, known: str) -> Outcome:

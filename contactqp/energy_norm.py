@@ -115,9 +115,8 @@ def _left_along(
     size = abs(load.double())
     taken = size + abs(motions) @ (abs(motions).T @ size)
     norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
-    return (
-        max(RIGID_ROUNDING, _resisted(problem, motions) if held else 0.0) * norm / np.sqrt(condensation.rigid.softest)
-    )
+    known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
+    return float(known * norm / np.sqrt(condensation.rigid.softest))
 
 
 def _resisted(problem: ContactProblem, motions: Vector) -> float:

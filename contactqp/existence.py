@@ -38,6 +38,8 @@ MOST_EXACT = 60
 # Loads that balance to less than this of their size were meant to balance: the message says how to make them.
 MEANT_TO_BALANCE = 1e-4
 NAMES_IN_A_MESSAGE = 8
+# A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
+RECOGNISED = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +91,7 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
         return None
     Z = Z / np.max(abs(Z), axis=0)
     drive = problem.load @ Z
-    if np.all(abs(drive) <= max(BALANCED, condensation.rigid.uncertainty) * (problem.load_size @ abs(Z))):
+    if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
         return None
     normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
     coordinates = _steepest(drive, normal, tie)
@@ -102,9 +104,15 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     return _proven_drive(problem, condensation, motion / np.max(abs(motion)))
 
 
+def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
+    """How much of elastic motions a rigid one may contain; one that was recognised in printed digits, more."""
+    recognised = RECOGNISED * problem.rigid_change if problem.near_null_space is None else 0.0
+    return max(condensation.rigid.uncertainty, recognised)
+
+
 def _proven_drive(problem: ContactProblem, condensation: Condensation, z: Vector) -> DrivenMotion | None:
     """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
-    uncertainty, scale = condensation.rigid.uncertainty, unknown_scale(problem)
+    uncertainty, scale = _uncertainty(problem, condensation), unknown_scale(problem)
     still = scale * float(np.max(abs(z) / scale))  # rounding of z is no more than a part of this
     for rows, signed in ((problem.stiffness_rows, False), (problem.normal, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()

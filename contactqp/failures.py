@@ -170,6 +170,8 @@ def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) ->
             f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
             f"{known.cleared:.2g} of the forces there"
         )
+    if problem.rigid_change > 0:
+        said.append(said_of_printing(problem))
     return (*said, *said_of_estimates(known))
 
 
@@ -188,6 +190,14 @@ def said_of_dependent_ties(
     if len(dependent) > MOST_NAMED:
         said.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
     return tuple(said)
+
+
+def said_of_printing(problem: ContactProblem) -> str:
+    """How much of the stiffness was taken for the rounding of printed digits."""
+    return (
+        f"the stiffness was changed by {problem.rigid_change:.2g} of its diagonal at most, the rounding of printed "
+        "digits, so that rigid motions cost no energy"
+    )
 
 
 def said_of_grazing(names: Sequence[str]) -> tuple[str, ...]:

@@ -42,6 +42,8 @@ from contactqp.problem_data import (
 OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
 # Where a problem with some of the ties of another keeps their numbers there.
 TIE_NUMBERS = "tie_numbers"
+# What reading a stiffness has found.
+MEASURED = ("asymmetry", "rigid_change")
 # What is kept beside the fields of a problem and is no result: a copy has it too.
 STATED = ("load_size", TIE_NUMBERS)
 
@@ -62,7 +64,9 @@ class ContactProblem:
     ----------
     stiffness : (n, n) array or sparse matrix
         K, symmetric positive semidefinite [force / length]. Symmetrised when its asymmetry
-        max |K_ij - K_ji| / sqrt(K_ii K_jj) is at most 1e-6 (`asymmetry` keeps the value), refused beyond it.
+        max |K_ij - K_ji| / sqrt(K_ii K_jj) is at most 1e-6 (`asymmetry` keeps the value), refused beyond it. Where its
+        digits were lost in print and bodies float, K is changed by no more than these digits, so that rigid motions
+        (those of `near_null_space`, or recognised) cost no energy: `rigid_change` is max |dK_ij| / sqrt(K_ii K_jj).
     load : (n,) array
         f [force].
     normal : (m, n) array or sparse matrix
@@ -84,8 +88,9 @@ class ContactProblem:
         Used in every message and table.
     units : Units or mapping with the keys ``length`` and ``force``, optional
     near_null_space : (n, q) array, optional
-        Motions that cost little energy, one a column: the rigid-body motions of elastic bodies. A hint for multigrid
-        on large problems, never part of the answer.
+        Motions that cost little energy, one a column: the rigid-body motions of elastic bodies. Those that K resists
+        by nothing but the rounding of its entries, be they doubles or printed digits, are taken as rigid; the others
+        are a hint for multigrid on large problems.
 
     Raises
     ------
@@ -113,6 +118,7 @@ class ContactProblem:
     units: Units
     near_null_space: NDArray[np.float64] | None
     asymmetry: float
+    rigid_change: float
     _shared: dict[str, Any]
 
     @own_floating_point
@@ -132,7 +138,7 @@ class ContactProblem:
         units: Units | Mapping[str, str] | None = None,
         near_null_space: ArrayLike | None = None,
     ) -> None:
-        K, asymmetry = read_stiffness(stiffness)
+        K, asymmetry, rigid_change = read_stiffness(stiffness, near_null_space)
         n = K.shape[0]
         E_N = read_rows("normal", normal, n)
         m = E_N.shape[0]
@@ -143,6 +149,7 @@ class ContactProblem:
         values = dict(
             stiffness=K,
             asymmetry=asymmetry,
+            rigid_change=rigid_change,
             load=read_vector("load", load, n),
             normal=E_N,
             gap=read_gap(gap, m),
@@ -189,7 +196,7 @@ class ContactProblem:
         `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
         indefinite by a few digits of what it was before; it still is this problem.
         """
-        kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0)
+        kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
@@ -244,14 +251,17 @@ class ContactProblem:
         >>> float(problem.replace(load=[3.0]).load[0])
         3.0
         """
-        known = {f.name for f in fields(self)} - {"asymmetry", "_shared"}
+        known = {f.name for f in fields(self)} - {*MEASURED, "_shared"}
         unknown = set(changes) - known
         if unknown:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
         if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
-            return ContactProblem(**{name: getattr(self, name) for name in known} | changes)
+            made = ContactProblem(**{name: getattr(self, name) for name in known} | changes)
+            for name in MEASURED if "stiffness" not in changes else ():
+                object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
+            return made
         n, m, k = self.dimension, self.contacts, self.ties
-        checked: dict[str, Any] = {name: getattr(self, name) for name in known} | {"asymmetry": self.asymmetry}
+        checked: dict[str, Any] = {name: getattr(self, name) for name in (*known, *MEASURED)}
         for name, size in (("load", n), ("tie_value", k)):
             if name in changes:
                 checked[name] = read_vector(name, changes[name], size)

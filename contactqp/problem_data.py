@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.printed_stiffness import clear_of_printing
 
 Vector = NDArray[np.float64]
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
@@ -206,7 +207,8 @@ def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Call
         )
 
 
-def read_stiffness(value: Any) -> tuple[Matrix, float]:
+def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
+    """K, how far from symmetric it was, and how much of it was rounding of digits along rigid motions."""
     dense = not sp.issparse(value)
     K = _sparse("stiffness", value)
     n = K.shape[0]
@@ -239,11 +241,11 @@ def read_stiffness(value: Any) -> tuple[Matrix, float]:
                 f"of sqrt(K[{i}, {i}] K[{j}, {j}]) (at most {SYMMETRY_TOLERANCE:g} is symmetrised)"
             )
         K = sp.csr_array((K + K.T) / 2)
+    cleared = clear_of_printing(K, read_motions("near_null_space", motions, n))
+    K, change = (K, 0.0) if cleared is None else (cleared.stiffness, cleared.change)
     if n <= DEFINITENESS_CHECK_SIZE:
         _refuse_indefinite(K.toarray())
-    if dense:
-        return read_only(K.toarray()), asymmetry
-    return sp.csc_array(K), asymmetry
+    return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, change
 
 
 def _symmetric(K: Any) -> bool:
@@ -261,8 +263,15 @@ def _refuse_indefinite(K: NDArray[np.float64]) -> None:
     if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
-            "after scaling its diagonal to one)"
+            f"after scaling its diagonal to one){_of_lost_digits(eigenvalues[0])}"
         )
+
+
+def _of_lost_digits(eigenvalue: float) -> str:
+    """What may be done about an eigenvalue that lost digits may have made."""
+    if eigenvalue < -SYMMETRY_TOLERANCE * 10:
+        return ""
+    return "; if it was printed with few digits, print more, or state the rigid motions as near_null_space"
 
 
 def read_friction(

@@ -19,6 +19,7 @@ LAYERS = (
     "whole_file",
     "stages",
     "forking",
+    "printed_stiffness",
     "problem_data",
     "problem",
     "statuses",

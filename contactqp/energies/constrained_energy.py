@@ -150,7 +150,7 @@ class ConstrainedEnergy:
         own = len(self.names)
         if self.stiffness is None:
             return sp.csc_matrix((n, n))
-        K, _ = read_stiffness(self.stiffness)
+        K, *_ = read_stiffness(self.stiffness)
         if K.shape != (own, own):
             raise InvalidProblem(f"stiffness: expected shape {(own, own)}, got {K.shape}")
         entries = sp.coo_matrix(K)

@@ -18,7 +18,7 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
-from contactqp.problem import ContactProblem
+from contactqp.problem import MEASURED, ContactProblem
 from contactqp.solution import Solution
 from contactqp.solving import solve
 from contactqp.study import rows
@@ -137,7 +137,7 @@ def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outco
 
 def _fresh(problem: ContactProblem) -> ContactProblem:
     """The same problem that shares no factorisation."""
-    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in ("asymmetry", "_shared")}
+    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in (*MEASURED, "_shared")}
     return ContactProblem(**values)
 
 

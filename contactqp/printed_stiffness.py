@@ -1,0 +1,327 @@
+"""Free bodies whose stiffness was printed: K z of a rigid motion z is the rounding of the digits, and is taken away.
+
+A matrix that went through a file keeps six to twelve digits of every entry, and a motion z that should cost nothing
+meets the forces K z that the lost digits make: springs of either sign that hold or drive the body. Where motions are
+rigid but for that, K + d takes the place of K, d being the least change on the pattern of K with
+
+    (K + d) Z = 0,    d = d',    sum_ij (d_ij / w_ij)^2 = min,    w_ij the rounding of K_ij.
+
+a least-squares problem of as many equations as there are unknowns times motions, solved by LSQR and refined.
+
+A motion is stated by the user, or recognised: K has few decimal digits, and the motion is among those of least energy.
+It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, and has signs that
+follow no rule: a spring or a soft bed that holds the body has not, and stays what it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EPS = float(np.finfo(float).eps)
+# Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.
+EXACT = 256 * EPS
+# The rounding of entries, relative, where digits cannot be counted: some unit was changed after they were printed.
+COARSEST = 1e-6
+# Energies of motions, K scaled to unit diagonal, that are looked at.
+SOFT = 1e-4
+# The part of the unknowns at which lost digits show, at least.
+WIDESPREAD = 0.25
+# Forces K z of so many roundings of the entries: a motion that is itself known to the digits of K has a few.
+INEXACT = 8.0
+# Standard deviations beyond which the energy of a motion is no sum of roundings.
+DEVIATIONS = 4.0
+# Springs push back where they are moved to: of the work z_j (K z)_j of lost digits this part has the other sign.
+OTHER_SIGN = 0.01
+# Decimal digits of a printed matrix, at most, and entries that are looked at first.
+MOST_DIGITS, LOOKED_AT = 12, 64
+# A change of so many roundings of the largest entries, the diagonal being one, is no rounding of them.
+MOST_ROUNDINGS = 32.0
+# Entries of a single motion that are so near to 0, 1 or -1 are that.
+SNAPPED = 1e-3
+# Rotations beside so many translations: of a beam, in the plane, in space.
+TURNS = {1: 1, 2: 1, 3: 3}
+# Unknowns up to which motions are looked for that nobody stated.
+RECOGNISED_UP_TO = 20_000
+# Motions of one body that are looked for; rigid ones are six at most, mechanisms may be more.
+MOST_MOTIONS = 12
+# Refinements of the change, each by LSQR to this part, and its steps.
+REFINEMENTS, SOLVED, MOST_STEPS = 4, 1e-8, 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Cleared:
+    """A stiffness without the rounding of its digits along rigid motions."""
+
+    stiffness: Any  # (n, n) CSR
+    change: float  # max |d_ij| / sqrt(K_ii K_jj)
+
+
+def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
+    """The matrix K (n, n; CSR, symmetric) without what lost digits make of rigid motions; None where nothing is to do.
+
+    Parameters
+    ----------
+    stiffness : CSR matrix
+    stated : (n, q) array, optional
+        Motions that may be rigid; without them they are recognised where K has few digits.
+    """
+    roundings = []
+    if (known := _rounding_of_digits(stiffness)) is not None:
+        roundings.append(known)
+    if stated is not None and _noisy(stiffness, stated):
+        roundings.append(COARSEST * abs(stiffness))
+    if not roundings or (stated is None and stiffness.shape[0] > RECOGNISED_UP_TO):
+        return None
+    root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))
+    scale: Array = np.exp2(-np.round(np.log2(root)))  # powers of two scale without rounding
+    changes, largest = [], 0.0
+    for members in _bodies(stiffness):
+        unit = scale[members]
+        body = _scaled(stiffness, members, scale)
+        for rounding in roundings:
+            weight = _scaled(rounding, members, scale)
+            motions = _recognised(body, weight, unit) if stated is None else stated[members] / unit[:, None]
+            if (found := _change(body, weight, motions)) is not None:
+                change = found.tocoo()
+                i, j = members[change.row], members[change.col]
+                values = change.data / (scale[i] * scale[j])
+                largest = max(largest, float(np.max(abs(values) / (root[i] * root[j]))))
+                changes.append((values, i, j))
+                break
+    if not changes:
+        return None
+    values, rows, columns = (np.concatenate(parts) for parts in zip(*changes, strict=True))
+    return Cleared(sp.csr_array(stiffness + sp.csr_array((values, (rows, columns)), shape=stiffness.shape)), largest)
+
+
+def _noisy(stiffness: Any, motions: Array) -> bool:
+    """Whether forces K z beyond the rounding of doubles act at many unknowns; they act at few where a body is held."""
+    root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))[:, None]
+    forces = abs(stiffness @ motions) / root
+    felt = forces > 8 * EXACT * np.max(root * abs(motions), axis=0)
+    return bool(np.mean(np.any(felt, axis=1)) >= WIDESPREAD / 4)
+
+
+def _bodies(stiffness: Any) -> Iterator[NDArray[np.intp]]:
+    """The unknowns of each connected part of more than one."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(stiffness, directed=False)
+    order = np.argsort(label, kind="stable")
+    for members in np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1]):
+        if len(members) > 1:
+            yield members
+
+
+def _scaled(matrix: Any, members: NDArray[np.intp], scale: Array) -> Any:
+    part = sp.diags(scale[members])
+    whole = len(members) == matrix.shape[0]
+    return sp.csr_matrix(part @ (matrix if whole else matrix[members][:, members]) @ part)
+
+
+def _rounding_of_digits(stiffness: Any) -> Any | None:
+    """Half a unit of the last printed digit of each entry, on the pattern of K; None where entries have all digits.
+
+    Digits are counted from the first of each entry, or, where all have as many after the point, from there.
+    """
+    entries = abs(stiffness.data)
+    sample = entries[:: max(1, len(entries) // LOOKED_AT)]
+    if not len(entries) or not _has_digits(sample, MOST_DIGITS):
+        return None
+    for digits in range(1, MOST_DIGITS + 1):
+        if _has_digits(entries, digits):
+            break
+    else:
+        return None
+    half = 0.5 * 10.0 ** (np.floor(np.log10(entries)) - digits + 1)
+    places = _places(entries)
+    rounding = sp.csr_matrix(stiffness, copy=True)
+    rounding.data = half if places is None else np.maximum(half, 0.5 * 10.0**-places)
+    return rounding
+
+
+def _has_digits(entries: Array, digits: int) -> bool:
+    """Whether a decimal of so many digits is the nearest to each of some positive numbers, to rounding."""
+    unit = 10.0 ** (np.floor(np.log10(entries)) - digits + 1)
+    return bool(np.all(abs(np.round(entries / unit) * unit - entries) <= 4 * EPS * entries))
+
+
+def _places(entries: Array) -> int | None:
+    """The places after the point that all entries have at most, if these are some and few enough."""
+    for places in range(1, MOST_DIGITS + 1):
+        if np.max(entries) * 10.0**places > 1 / EPS:
+            return None
+        if np.all(abs(np.round(entries * 10.0**places) / 10.0**places - entries) <= 4 * EPS * entries):
+            return places
+    return None
+
+
+def _recognised(body: Any, weight: Any, scale: Array) -> Array:
+    """Motions (p, q) of a body that lost digits alone resist, translations among them exact; none where none is."""
+    lowest = _lowest(body)
+    if not lowest.shape[1]:
+        return lowest
+    translations = _translations(body, weight, scale)
+    if not translations.shape[1] and lowest.shape[1] == 1:
+        single = lowest * scale[:, None]
+        single = single / np.max(abs(single))
+        whole = np.round(single)
+        translations = whole / scale[:, None] if np.all(abs(single - whole) <= SNAPPED) else translations
+    basis = _independent(translations)
+    if lowest.shape[1] - basis.shape[1] > TURNS.get(basis.shape[1], 0):
+        return lowest[:, :0]  # translations that are not known well enough to say which loads drive them
+    turns = _independent(lowest - basis @ (basis.T @ lowest), lowest.shape[1] - basis.shape[1])
+    return np.column_stack([basis, turns])
+
+
+def _translations(body: Any, weight: Any, scale: Array) -> Array:
+    """Translations (p, q) that lost digits alone resist, of unknowns node by node or direction by direction."""
+    size, found = body.shape[0], np.zeros((body.shape[0], 0))
+    for directions in (1, 2, 3, 6):
+        if size % directions:
+            continue
+        nodes = size // directions
+        for order in (np.arange(size) % directions, np.arange(size) // nodes):
+            tried = (order[:, None] == np.arange(directions)) / scale[:, None]
+            left = abs(_forces(body, tried)) <= INEXACT * (weight @ abs(tried)) + EXACT * (abs(body) @ abs(tried))
+            rigid = tried[:, np.all(left, axis=0)]
+            found = rigid if rigid.shape[1] > found.shape[1] else found
+    return found
+
+
+def _lowest(body: Any) -> Array:
+    """Motions (p, q) of next to no energy, of either sign."""
+    size = body.shape[0]
+    if size <= 600:
+        values, vectors = np.linalg.eigh(body.toarray())
+        return np.asarray(vectors[:, abs(values) <= SOFT][:, :MOST_MOTIONS])
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    try:
+        start = np.random.default_rng(0).standard_normal(size)
+        values, vectors = eigsh(body, k=MOST_MOTIONS, sigma=-2 * SOFT, which="LM", v0=start, tol=1e-10)
+    except (ArpackNoConvergence, RuntimeError):
+        return np.zeros((size, 0))
+    return np.asarray(vectors[:, abs(values) <= SOFT])
+
+
+def _change(body: Any, weight: Any, motions: Array) -> Any | None:
+    """The change d (p, p) of a body's scaled stiffness that leaves rigid motions no force; None where there are none.
+
+    `weight` holds the rounding of each entry, known from its digits or the coarsest that there may be.
+    """
+    rigid = _rigid_but_for_rounding(body, weight, motions)
+    if not rigid.shape[1]:
+        return None
+    system = _LeastChange(weight, rigid)
+    change = body * 0.0
+    for _ in range(REFINEMENTS):
+        left = _forces(body + change, rigid)
+        if np.all(abs(left) <= 2 * EPS * (abs(body) @ abs(rigid))):
+            break
+        change = sp.csr_matrix(change + system.change(-left))
+    if abs(change).max() > MOST_ROUNDINGS * weight.max() or np.any(abs(left) > EXACT * (abs(body) @ abs(rigid))):
+        return None
+    return change
+
+
+def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array) -> Array:
+    """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none."""
+    kept = _independent(motions)
+    energies, mix = np.linalg.eigh(kept.T @ (body @ kept))
+    kept = kept @ mix[:, abs(energies) <= SOFT]
+    forces, size = _forces(body, kept), abs(body) @ abs(kept)
+    within = np.all(abs(forces) <= INEXACT * (weight @ abs(kept)) + EXACT * size, axis=0)
+    kept, forces, size = kept[:, within], forces[:, within], size[:, within]
+    found: Array = kept if _of_lost_digits(kept * forces, abs(kept) * size) else kept[:, :0]
+    return found
+
+
+def _of_lost_digits(work: Array, size: Array) -> bool:
+    """Whether the works z_j (K z)_j (p, r) of motions are those of roundings, beside the works |z|_j (|K||z|)_j."""
+    felt = abs(work) > EXACT * size
+    if np.any(np.sum(work, axis=0) < -EXACT * np.sum(size, axis=0)):
+        return True  # no stiffness has a negative energy
+    if np.mean(np.any(felt, axis=1)) < WIDESPREAD:
+        return False
+    irregular = abs(np.sum(work)) <= DEVIATIONS * np.sqrt(2 * np.sum(work**2))
+    return bool(irregular and -np.sum(np.minimum(work, 0.0)) >= OTHER_SIGN * np.sum(abs(work)))
+
+
+def _independent(motions: Array, most: int | None = None) -> Array:
+    """An orthonormal basis of the span, or of the part of it that is largest."""
+    basis, values, _ = np.linalg.svd(motions, full_matrices=False)
+    kept: Array = basis[:, values > 1e-12 * np.max(values, initial=0.0)]
+    return kept[:, :most]
+
+
+def _forces(matrix: Any, motions: Array) -> Array:
+    """K z of every column, summed in the longest floats that there are."""
+    rows = sp.csr_matrix(matrix)
+    if not rows.nnz or not motions.shape[1]:
+        return np.zeros_like(motions)
+    products = rows.data.astype(np.longdouble)[:, None] * motions[rows.indices].astype(np.longdouble)
+    forces = np.zeros(motions.shape, dtype=np.longdouble)
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    forces[filled] = np.add.reduceat(products, rows.indptr[filled], axis=0)
+    return np.asarray(forces, dtype=float)
+
+
+class _LeastChange:
+    """The least change on the pattern of K that has given forces on motions Z (p, r), by LSQR.
+
+    Its unknowns are y_ij = d_ij / w_ij for i <= j; the equations of unknown i are scaled to unit covariance.
+    """
+
+    def __init__(self, weight: Any, motions: Array) -> None:
+        upper = sp.csr_matrix(sp.triu(weight, format="csr"))
+        self._i = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
+        self._j = upper.indices
+        self._weight = upper.data / np.max(upper.data)
+        self._beside = self._i != self._j
+        self._motions, self._upper = motions, upper
+        size, count = motions.shape
+        square = self._weight**2
+        blocks = np.zeros((size, count, count))
+        for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, self._beside)):
+            z = motions[other[kept]]
+            np.add.at(blocks, mine[kept], square[kept, None, None] * z[:, :, None] * z[:, None, :])
+        values, vectors = np.linalg.eigh(blocks)
+        kept = values > 1e-12 * values[:, -1:]
+        self._whiten = (vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[:, None, :]).swapaxes(
+            1, 2
+        )
+
+    def change(self, forces: Array) -> Any:
+        """d with d Z = forces (p, r)."""
+        from scipy.sparse.linalg import LinearOperator, lsqr
+
+        shape = (self._motions.size, len(self._weight))
+        operator = LinearOperator(shape, matvec=self._forces, rmatvec=self._work, dtype=float)
+        found = lsqr(operator, self._whitened(forces).ravel(), atol=SOLVED, btol=SOLVED, iter_lim=MOST_STEPS)[0]
+        return self._matrix(found)
+
+    def _matrix(self, y: Array) -> Any:
+        upper = sp.csr_matrix((self._weight * y, self._upper.indices, self._upper.indptr), shape=self._upper.shape)
+        return sp.csr_matrix(upper + sp.triu(upper, 1).T)
+
+    def _whitened(self, forces: Array) -> Array:
+        return np.asarray(np.einsum("ijk,ik->ij", self._whiten, forces))
+
+    def _forces(self, y: Array) -> Array:
+        return self._whitened(self._matrix(y.ravel()) @ self._motions).ravel()
+
+    def _work(self, multiplier: Array) -> Array:
+        m = np.einsum("ijk,ij->ik", self._whiten, multiplier.reshape(self._motions.shape))
+        i, j, z = self._i, self._j, self._motions
+        work = np.einsum("ij,ij->i", z[j], m[i])
+        work[self._beside] += np.einsum("ij,ij->i", z[i[self._beside]], m[j[self._beside]])
+        return np.asarray(self._weight * work)
