@@ -151,8 +151,7 @@ def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> B
 
 def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
     energy_scale, uncertain = _strain(problem, answer, condensation, pair)
-    judged = answer if not pair.exact else _of_pair(answer, pair)  # monstrous forces hide nothing of the right ones
-    rounding = 4 * residual_noise(problem, judged) + VANISHING * energy_scale
+    rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     # A displacement without strain has none in extended precision, but for that of its rigid part, which K's rounding
     # makes.
     rigid = rigid_rounding(problem, condensation, answer.displacement)
@@ -196,12 +195,6 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
-
-
-def _of_pair(answer: Answer, pair: AdmissiblePair) -> Answer:
-    """The pair's middle displacement and forces, in double precision."""
-    displacement = (extend(answer.displacement) + pair.to_middle).double()
-    return Answer(displacement, pair.force.double(), None, pair.tie_force.double())
 
 
 def _strain(

@@ -89,7 +89,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
         for rounding in roundings:
             weight = _scaled(rounding, members, scale)
             motions = _recognised(body, weight, unit) if stated is None else stated[members] / unit[:, None]
-            if (found := _change(body, weight, motions)) is not None:
+            if (found := _change(body, weight, motions, rounding is known)) is not None:
                 change = found.tocoo()
                 i, j = members[change.row], members[change.col]
                 values = change.data / (scale[i] * scale[j])
@@ -213,12 +213,12 @@ def _lowest(body: Any) -> Array:
     return np.asarray(vectors[:, abs(values) <= SOFT])
 
 
-def _change(body: Any, weight: Any, motions: Array) -> Any | None:
+def _change(body: Any, weight: Any, motions: Array, known: bool) -> Any | None:
     """The change d (p, p) of a body's scaled stiffness that leaves rigid motions no force; None where there are none.
 
-    `weight` holds the rounding of each entry, known from its digits or the coarsest that there may be.
+    `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be.
     """
-    rigid = _rigid_but_for_rounding(body, weight, motions)
+    rigid = _rigid_but_for_rounding(body, weight, motions, known)
     if not rigid.shape[1]:
         return None
     system = _LeastChange(weight, rigid)
@@ -233,23 +233,27 @@ def _change(body: Any, weight: Any, motions: Array) -> Any | None:
     return change
 
 
-def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array) -> Array:
-    """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none."""
+def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, known: bool) -> Array:
+    """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none.
+
+    Where no digits are known, the forces may be those of motions that were stated roughly: these cost energy.
+    """
     kept = _independent(motions)
     energies, mix = np.linalg.eigh(kept.T @ (body @ kept))
     kept = kept @ mix[:, abs(energies) <= SOFT]
     forces, size = _forces(body, kept), abs(body) @ abs(kept)
     within = np.all(abs(forces) <= INEXACT * (weight @ abs(kept)) + EXACT * size, axis=0)
     kept, forces, size = kept[:, within], forces[:, within], size[:, within]
-    found: Array = kept if _of_lost_digits(kept * forces, abs(kept) * size) else kept[:, :0]
+    found: Array = kept if _of_lost_digits(kept * forces, abs(kept) * size, known) else kept[:, :0]
     return found
 
 
-def _of_lost_digits(work: Array, size: Array) -> bool:
+def _of_lost_digits(work: Array, size: Array, known: bool) -> bool:
     """Whether the works z_j (K z)_j (p, r) of motions are those of roundings, beside the works |z|_j (|K||z|)_j."""
     felt = abs(work) > EXACT * size
-    if np.any(np.sum(work, axis=0) < -EXACT * np.sum(size, axis=0)):
-        return True  # no stiffness has a negative energy
+    impossible = bool(np.any(np.sum(work, axis=0) < -EXACT * np.sum(size, axis=0)))
+    if impossible or not known:  # no stiffness has a negative energy
+        return impossible
     if np.mean(np.any(felt, axis=1)) < WIDESPREAD:
         return False
     irregular = abs(np.sum(work)) <= DEVIATIONS * np.sqrt(2 * np.sum(work**2))

@@ -73,6 +73,12 @@ def test_a_matrix_with_all_its_digits_stays_as_it_is() -> None:
         assert problem.rigid_change == 0
 
 
+def test_motions_that_are_stated_roughly_change_no_matrix() -> None:
+    K, motions, nodes = block(9)
+    rough = motions * (1 + 1e-9 * np.random.default_rng(0).normal(size=motions.shape))
+    assert np.array_equal(pressed(K, nodes, rough).stiffness, K)
+
+
 @pytest.mark.parametrize("stated", [True, False])
 def test_springs_that_hold_a_body_stay(stated: bool) -> None:
     """A soft spring of two parts in a million, and a soft bed, are as weak as lost digits; they follow a rule."""
@@ -87,7 +93,9 @@ def test_springs_that_hold_a_body_stay(stated: bool) -> None:
 
 def test_units_that_are_changed_after_printing_hide_the_digits_and_not_the_noise() -> None:
     K, motions, nodes = block(5)
-    problem = pressed(print_and_read(K, 8) * 0.0254, nodes, motions)
+    printed = print_and_read(K, 8) * 0.0254
+    assert np.linalg.eigvalsh(printed)[0] < 0
+    problem = pressed(printed, nodes, motions)
     assert 0 < problem.rigid_change < 1e-7
     assert cq.solve(problem).certificate.passed
 

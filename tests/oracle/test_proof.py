@@ -129,8 +129,14 @@ def test_a_set_in_tension_is_not_held() -> None:
     assert list(settle(lifted, [(0,)], 0).answer.normal_force.entries()) == [0]
 
 
+def test_printed_matrices_of_floating_bodies_are_no_matter_of_rational_numbers() -> None:
+    problem = next(p for p in (family("printed_floating", seed) for seed in range(20)) if p.rigid_change > 0)
+    with pytest.raises(cq.Unsupported, match="printed"):
+        cq.exact(problem)
+
+
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", [name for name in FAMILIES if name != "printed_floating"])
 @pytest.mark.parametrize("seed", [101, 102])
 def test_families_of_hard_problems_against_an_independent_way(name: str, seed: int) -> None:
     """Without any proposal Lemke's method in rational numbers finds the same, or proves that there is nothing."""

@@ -68,7 +68,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
         Nothing could be proven.
     Unsupported
         Motions and large deformations, friction on paths of bodies or with irrational numbers, irrational slip
-        directions; a stiffness that rounding has made indefinite.
+        directions; a stiffness that rounding has made indefinite, or that was printed and is singular to rounding only.
     BackendMissing
         python-flint is not installed.
 
@@ -92,6 +92,11 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     started = time.perf_counter()
     importlib.import_module("contactqp.oracle.exact.rational")  # which says so where python-flint is missing
     if isinstance(problem, ContactProblem):
+        if problem.rigid_change > 0:
+            raise Unsupported(
+                "exact: the stiffness was printed, and its rigid motions cost no energy to rounding only, which "
+                "rational numbers take for springs; state it in numbers that are exact, or as a scene"
+            )
         return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
     if isinstance(problem, LocalProblem):
         raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")

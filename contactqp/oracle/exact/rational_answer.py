@@ -181,13 +181,10 @@ def solution_of(
 
 
 def symmetrised(problem: ContactProblem) -> tuple[str, ...]:
-    """Notes where the stiffness was given with an asymmetry that is no rounding, or with printed digits."""
-    said: tuple[str, ...] = ()
-    if problem.asymmetry > ROUNDED:
-        said += (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)
-    if problem.rigid_change > 0:
-        said += (f"the stiffness has printed digits: it is changed by {problem.rigid_change:.2g} for rigid motions",)
-    return said
+    """A note where the stiffness was given with an asymmetry that is no rounding."""
+    if problem.asymmetry <= ROUNDED:
+        return ()
+    return (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)
 
 
 def _notes(u: fmpq_mat, solution: Solution | None) -> tuple[str, ...]:
