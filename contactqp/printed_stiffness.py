@@ -6,7 +6,8 @@ rigid but for that, K + d takes the place of K, d being the least change on the 
 
     (K + d) Z = 0,    d = d',    sum_ij (d_ij / w_ij)^2 = min,    w_ij the rounding of K_ij.
 
-a least-squares problem of as many equations as there are unknowns times motions, solved by LSQR and refined.
+a least-squares problem of as many equations as there are unknowns times motions, solved by LSQR and refined. Turns that
+were recognised are known to the digits of K only, and corrected with it: K + d on a pattern with zeros has no others.
 
 A motion is stated by the user, or recognised: K has few decimal digits, and the motion is among those of least energy.
 It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, and has signs that
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 # Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.
 EXACT = 256 * EPS
+# Motions come from singular vectors: every entry carries so much of the largest.
+ROUNDED_MOTION = 16 * EPS
 # The rounding of entries, relative, where digits cannot be counted: some unit was changed after they were printed.
 COARSEST = 1e-6
 # Energies of motions, K scaled to unit diagonal, that are looked at.
@@ -52,8 +55,11 @@ TURNS = {1: 1, 2: 1, 3: 3}
 RECOGNISED_UP_TO = 20_000
 # Motions of one body that are looked for; rigid ones are six at most, mechanisms may be more.
 MOST_MOTIONS = 12
-# Refinements of the change, each by LSQR to this part, and its steps.
-REFINEMENTS, SOLVED, MOST_STEPS = 4, 1e-8, 1000
+# What it costs to correct a turn, beside the rounding of the largest entries: next to nothing.
+TURNED = 10.0
+# Refinements of the change, each by LSQR to a part between these, and its steps.
+REFINEMENTS, SOLVED, HARDLY_SOLVED, MOST_STEPS = 6, 1e-8, 0.1, 1000
+DAMPED = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +94,11 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
         body = _scaled(stiffness, members, scale)
         for rounding in roundings:
             weight = _scaled(rounding, members, scale)
-            motions = _recognised(body, weight, unit) if stated is None else stated[members] / unit[:, None]
-            if (found := _change(body, weight, motions, rounding is known)) is not None:
+            if stated is None:
+                motions, turns = _recognised(body, weight, unit)
+            else:
+                motions, turns = stated[members] / unit[:, None], 0
+            if (found := _change(body, weight, motions, turns, rounding is known)) is not None:
                 change = found.tocoo()
                 i, j = members[change.row], members[change.col]
                 values = change.data / (scale[i] * scale[j])
@@ -164,11 +173,14 @@ def _places(entries: Array) -> int | None:
     return None
 
 
-def _recognised(body: Any, weight: Any, scale: Array) -> Array:
-    """Motions (p, q) of a body that lost digits alone resist, translations among them exact; none where none is."""
+def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
+    """Motions (p, q) of a body that lost digits alone resist, none where none is, and how many of the last are turns.
+
+    Translations come first and are exact.
+    """
     lowest = _lowest(body)
     if not lowest.shape[1]:
-        return lowest
+        return lowest, 0
     translations = _translations(body, weight, scale)
     if not translations.shape[1] and lowest.shape[1] == 1:
         single = lowest * scale[:, None]
@@ -176,10 +188,11 @@ def _recognised(body: Any, weight: Any, scale: Array) -> Array:
         whole = np.round(single)
         translations = whole / scale[:, None] if np.all(abs(single - whole) <= SNAPPED) else translations
     basis = _independent(translations)
-    if lowest.shape[1] - basis.shape[1] > TURNS.get(basis.shape[1], 0):
-        return lowest[:, :0]  # translations that are not known well enough to say which loads drive them
-    turns = _independent(lowest - basis @ (basis.T @ lowest), lowest.shape[1] - basis.shape[1])
-    return np.column_stack([basis, turns])
+    count = lowest.shape[1] - basis.shape[1]
+    if count > TURNS.get(basis.shape[1], 0):
+        return lowest[:, :0], 0  # translations that are not known well enough to say which loads drive them
+    turns = _independent(lowest - basis @ (basis.T @ lowest), count)
+    return np.column_stack([basis, turns]), turns.shape[1]
 
 
 def _translations(body: Any, weight: Any, scale: Array) -> Array:
@@ -191,7 +204,7 @@ def _translations(body: Any, weight: Any, scale: Array) -> Array:
         nodes = size // directions
         for order in (np.arange(size) % directions, np.arange(size) // nodes):
             tried = (order[:, None] == np.arange(directions)) / scale[:, None]
-            left = abs(_forces(body, tried)) <= INEXACT * (weight @ abs(tried)) + EXACT * (abs(body) @ abs(tried))
+            left = abs(_forces(body, tried)) <= INEXACT * (weight @ abs(tried)) + _of_doubles(body, tried)
             rigid = tried[:, np.all(left, axis=0)]
             found = rigid if rigid.shape[1] > found.shape[1] else found
     return found
@@ -213,39 +226,48 @@ def _lowest(body: Any) -> Array:
     return np.asarray(vectors[:, abs(values) <= SOFT])
 
 
-def _change(body: Any, weight: Any, motions: Array, known: bool) -> Any | None:
+def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Any | None:
     """The change d (p, p) of a body's scaled stiffness that leaves rigid motions no force; None where there are none.
 
-    `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be.
+    `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be. The last
+    `turns` motions are known to the digits of K only, and corrected.
     """
-    rigid = _rigid_but_for_rounding(body, weight, motions, known)
+    rigid = _rigid_but_for_rounding(body, weight, motions, turns > 0, known)
     if not rigid.shape[1]:
         return None
-    system = _LeastChange(weight, rigid)
+    turns = turns if rigid.shape[1] == motions.shape[1] else 0
     change = body * 0.0
     for _ in range(REFINEMENTS):
-        left = _forces(body + change, rigid)
-        if np.all(abs(left) <= 2 * EPS * (abs(body) @ abs(rigid))):
+        left, nothing = _forces(body + change, rigid), 2 * EPS / EXACT * _of_doubles(body, rigid)
+        if np.all(abs(left) <= nothing):
             break
-        change = sp.csr_matrix(change + system.change(-left))
-    if abs(change).max() > MOST_ROUNDINGS * weight.max() or np.any(abs(left) > EXACT * (abs(body) @ abs(rigid))):
+        more, moved = _LeastChange(body + change, weight, rigid, turns).change(-left, nothing)
+        change = sp.csr_matrix(change + more)
+        rigid[:, rigid.shape[1] - turns :] += moved - rigid @ (rigid.T @ moved)
+    left = _forces(body + change, rigid)
+    if abs(change).max() > MOST_ROUNDINGS * weight.max() or np.any(abs(left) > _of_doubles(body, rigid)):
         return None
     return change
 
 
-def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, known: bool) -> Array:
+def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, inexact: bool, known: bool) -> Array:
     """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none.
 
+    The motions themselves, one after another, where all of them are.
     Where no digits are known, the forces may be those of motions that were stated roughly: these cost energy.
     """
     kept = _independent(motions)
     energies, mix = np.linalg.eigh(kept.T @ (body @ kept))
     kept = kept @ mix[:, abs(energies) <= SOFT]
-    forces, size = _forces(body, kept), abs(body) @ abs(kept)
-    within = np.all(abs(forces) <= INEXACT * (weight @ abs(kept)) + EXACT * size, axis=0)
+    forces, size = _forces(body, kept), _of_doubles(body, kept) / EXACT
+    most = INEXACT * (weight @ abs(kept)) + EXACT * size
+    if inexact:  # turns themselves are off by the rounding of K: they move what they should leave in place
+        most = most + INEXACT * weight.max() * _reach(body, kept)
+    within = np.all(abs(forces) <= most, axis=0)
     kept, forces, size = kept[:, within], forces[:, within], size[:, within]
-    found: Array = kept if _of_lost_digits(kept * forces, abs(kept) * size, known) else kept[:, :0]
-    return found
+    if not _of_lost_digits(kept * forces, abs(kept) * size, known):
+        return np.zeros((len(kept), 0))
+    return np.linalg.qr(motions)[0] if kept.shape[1] == motions.shape[1] else kept
 
 
 def _of_lost_digits(work: Array, size: Array, known: bool) -> bool:
@@ -279,39 +301,65 @@ def _forces(matrix: Any, motions: Array) -> Array:
     return np.asarray(forces, dtype=float)
 
 
+def _of_doubles(matrix: Any, motions: Array) -> Array:
+    """Forces K z (p, q) that the rounding of doubles makes: of K z, and of entries of z that ought to be zero."""
+    return np.asarray(EXACT * (abs(matrix) @ abs(motions)) + ROUNDED_MOTION * _reach(matrix, motions))
+
+
+def _reach(matrix: Any, motions: Array) -> Array:
+    """Forces (p, q) that every entry of a motion would make if it were as large as the largest."""
+    row: Array = np.asarray(abs(matrix).sum(axis=1), dtype=float).reshape(-1, 1)
+    largest: Array = np.max(abs(motions), axis=0, initial=0.0)
+    return row * largest
+
+
 class _LeastChange:
     """The least change on the pattern of K that has given forces on motions Z (p, r), by LSQR.
 
-    Its unknowns are y_ij = d_ij / w_ij for i <= j; the equations of unknown i are scaled to unit covariance.
+    Its unknowns are y_ij = d_ij / w_ij for i <= j, and corrections x of the last motions, d Z + K x: by so many
+    roundings as K has. The equations of unknown i are scaled to unit covariance.
     """
 
-    def __init__(self, weight: Any, motions: Array) -> None:
+    def __init__(self, body: Any, weight: Any, motions: Array, turns: int) -> None:
         upper = sp.csr_matrix(sp.triu(weight, format="csr"))
         self._i = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
         self._j = upper.indices
         self._weight = upper.data / np.max(upper.data)
         self._beside = self._i != self._j
-        self._motions, self._upper = motions, upper
+        self._motions, self._upper, self._turns = motions, upper, turns
+        self._body = TURNED * body
         size, count = motions.shape
         square = self._weight**2
         blocks = np.zeros((size, count, count))
         for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, self._beside)):
             z = motions[other[kept]]
             np.add.at(blocks, mine[kept], square[kept, None, None] * z[:, :, None] * z[:, None, :])
+        turned = np.arange(count - turns, count)
+        blocks[:, turned, turned] += np.asarray(self._body.multiply(self._body).sum(axis=1)).reshape(-1, 1)
         values, vectors = np.linalg.eigh(blocks)
         kept = values > 1e-12 * values[:, -1:]
         self._whiten = (vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[:, None, :]).swapaxes(
             1, 2
         )
 
-    def change(self, forces: Array) -> Any:
-        """d with d Z = forces (p, r)."""
+    def change(self, forces: Array, nothing: Array) -> tuple[Any, Array]:
+        """d and corrections x (p, turns) with d Z + K x = forces (p, r), but for what is nothing (p, r)."""
         from scipy.sparse.linalg import LinearOperator, lsqr
 
-        shape = (self._motions.size, len(self._weight))
+        shape = (self._motions.size, len(self._weight) + self._turns * len(self._motions))
         operator = LinearOperator(shape, matvec=self._forces, rmatvec=self._work, dtype=float)
-        found = lsqr(operator, self._whitened(forces).ravel(), atol=SOLVED, btol=SOLVED, iter_lim=MOST_STEPS)[0]
-        return self._matrix(found)
+        right = self._whitened(forces).ravel()
+        part = np.linalg.norm(self._whitened(nothing)) / np.linalg.norm(right)
+        solved = float(np.clip(part / 64, SOLVED, HARDLY_SOLVED))
+        # What a rounding of the entries changes by less than that of doubles is not asked for: it is noise.
+        damp = DAMPED * EPS / self._upper.data.max()
+        found = lsqr(operator, right, damp=damp, atol=EPS, btol=solved, conlim=0, iter_lim=MOST_STEPS)[0]
+        y, x = self._parts(found)
+        return self._matrix(y), TURNED * x
+
+    def _parts(self, unknowns: Array) -> tuple[Array, Array]:
+        y, x = np.split(unknowns.ravel(), [len(self._weight)])
+        return y, x.reshape(len(self._motions), self._turns)
 
     def _matrix(self, y: Array) -> Any:
         upper = sp.csr_matrix((self._weight * y, self._upper.indices, self._upper.indptr), shape=self._upper.shape)
@@ -320,12 +368,15 @@ class _LeastChange:
     def _whitened(self, forces: Array) -> Array:
         return np.asarray(np.einsum("ijk,ik->ij", self._whiten, forces))
 
-    def _forces(self, y: Array) -> Array:
-        return self._whitened(self._matrix(y.ravel()) @ self._motions).ravel()
+    def _forces(self, unknowns: Array) -> Array:
+        y, x = self._parts(unknowns)
+        forces = self._matrix(y) @ self._motions
+        forces[:, forces.shape[1] - self._turns :] += self._body @ x
+        return self._whitened(forces).ravel()
 
     def _work(self, multiplier: Array) -> Array:
         m = np.einsum("ijk,ij->ik", self._whiten, multiplier.reshape(self._motions.shape))
         i, j, z = self._i, self._j, self._motions
         work = np.einsum("ij,ij->i", z[j], m[i])
         work[self._beside] += np.einsum("ij,ij->i", z[i[self._beside]], m[j[self._beside]])
-        return np.asarray(self._weight * work)
+        return np.append(self._weight * work, (self._body.T @ m[:, m.shape[1] - self._turns :]).ravel())

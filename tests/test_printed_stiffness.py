@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.families_of_printing import print_and_read
+from benchmarks.families_of_stacks import spring_block
 from contactqp.printed_stiffness import clear_of_printing
 
 Array = np.ndarray
@@ -52,6 +53,25 @@ def test_printed_blocks_answer_as_the_unprinted_to_the_printed_digits(seed: int,
     assert found.normal_force == pytest.approx(right.normal_force, rel=100 * 10.0**-digits, abs=0)
     assert 0 < found.problem.rigid_change <= 5 * 10.0 ** (1 - digits)
     assert any("printed digits" in note for note in found.certificate.notes)
+
+
+@pytest.mark.parametrize("digits", [6, 8, 10, 12])
+@pytest.mark.parametrize("sides", [(4, 3), (3, 2, 2)])
+def test_turns_of_regular_lattices_are_recognised_with_the_zeros_of_their_stiffness(
+    sides: tuple[int, ...], digits: int
+) -> None:
+    """Springs along axes leave zeros, and K + d has no turn but the exact one: it is found together with d."""
+    nodes = np.array(list(np.ndindex(*sides)), dtype=float)
+    exact = spring_block(np.random.default_rng(digits), nodes, 1.0) / 3
+    K = sp.csr_array(print_and_read(exact, digits))
+    found = clear_of_printing(K, None)
+    assert found is not None
+    change = found.stiffness - K
+    assert np.all(abs(change.toarray()) <= 10 * 10.0**-digits * np.max(abs(exact)) * (exact != 0))
+    turns = len(sides) * (len(sides) - 1) // 2
+    values = np.linalg.eigvalsh(found.stiffness.toarray()) / np.max(exact)
+    assert np.sum(abs(values) < 1e-14) == len(sides) + turns
+    assert abs(np.linalg.eigvalsh(K.toarray()) / np.max(exact))[0] > 1e-14
 
 
 def test_rigid_motions_cost_nothing_and_no_entry_changes_by_more_than_its_digits() -> None:
