@@ -1,7 +1,12 @@
 """Proofs that a problem has no equilibrium: constraints that conflict, or a rigid motion that the load drives.
 
 Floats propose a proof; it is checked by exact sums before anything is claimed, and what rounding of the data could
-have made is no proof.
+have made is no proof. With friction a contact resists a rigid motion z unless it opens faster than it slips,
+
+    -E_N z >= mu |E_T z|,
+
+since then no force of its cone does negative work along z. In space the cone is replaced by a polyhedral one within it:
+a motion that only the rest of the cone would allow is not claimed.
 """
 
 from __future__ import annotations
@@ -11,6 +16,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.condensation import Condensation, unknown_scale
 from contactqp.errors import NoEquilibrium
@@ -40,6 +46,8 @@ MEANT_TO_BALANCE = 1e-4
 NAMES_IN_A_MESSAGE = 8
 # A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
 RECOGNISED = 1e3
+# Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
+SIDES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +63,10 @@ class Conflict(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class DrivenMotion(ReadOnly):
-    """A motion z with K z = 0, E z <= 0, A z = 0 and f'z > 0: along it the energy falls for ever."""
+    """A motion z with K z = 0, E z <= 0 (E_N z <= -mu |E_T z| with friction), A z = 0 and f'z > 0.
+
+    Along it nothing resists the load; without friction the energy falls for ever.
+    """
 
     motion: Vector  # (n,), the largest entry one
     work: float  # f'z [force]
@@ -73,9 +84,9 @@ def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) ->
             f"; the loads along it balance but for {found.work:.3g} ({found.work / size:.2g} of their size): if they "
             "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
         )
+    held = "no contact, friction or tie holds back" if problem.frictional else "no contact or tie holds back"
     raise NoEquilibrium(
-        "the load drives a rigid motion that no contact or tie holds back: "
-        f"{describe_motion(problem, found.motion)}{advice}",
+        f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{advice}",
         found,
     )
 
@@ -84,7 +95,7 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     """The rigid motion that gains energy from the load and that no row resists, if it is proven that there is one.
 
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
-    constraints' recession cone (Frank and Wolfe 1956).
+    constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
     """
     Z = condensation.rigid.motions
     if not Z.shape[1] or not np.any(problem.load):
@@ -93,15 +104,49 @@ def driven_motion(problem: ContactProblem, condensation: Condensation) -> Driven
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
         return None
-    normal, tie = _unit(problem.normal, Z), _unit(problem.tie, Z)
+    resisting = resisting_rows(problem)
+    coordinates = unresisted(drive, _unit(resisting, Z), _unit(problem.tie, Z))
+    if coordinates is None:
+        return None
+    motion = Z @ coordinates
+    return _proven_drive(problem, condensation, resisting, motion / np.max(abs(motion)))
+
+
+def resisting_rows(problem: ContactProblem) -> Any:
+    """Rows E in CSR such that no contact resists a motion z with E z <= 0: E_N, and E_N + mu t'E_T with friction.
+
+    t are the two directions of the plane, in space the corners of a polygon around the unit circle.
+    """
+    if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return problem.normal
+    width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
+    across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
+    parts = [problem.normal[problem.friction <= 0]]
+    for direction in around(width):
+        along = sum(direction[k] * across[width * rough + k] for k in range(width))
+        parts.append(problem.normal[rough] + along)
+    return sp.csr_matrix(sp.vstack(parts))
+
+
+def around(width: int) -> Array:
+    """Directions t (k, d-1) with max_t t's >= |s| for every slip s, as little more as the polygon allows."""
+    if width == 1:
+        return np.array([[1.0], [-1.0]])
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    corner: float = 1.0 / np.cos(np.pi / SIDES)
+    return corner * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
+    """Coordinates a of motions with normal a <= 0, tie a = 0 and drive'a > 0, in floats; None where there are none.
+
+    The rows are of unit size.
+    """
     coordinates = _steepest(drive, normal, tie)
     if coordinates is None:
         return None
     coordinates = _without_artefacts(coordinates, normal, tie)
-    if not drive @ coordinates > DRIVEN * np.max(abs(drive)):
-        return None
-    motion = Z @ coordinates
-    return _proven_drive(problem, condensation, motion / np.max(abs(motion)))
+    return coordinates if drive @ coordinates > DRIVEN * np.max(abs(drive)) else None
 
 
 def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
@@ -110,11 +155,13 @@ def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
     return max(condensation.rigid.uncertainty, recognised)
 
 
-def _proven_drive(problem: ContactProblem, condensation: Condensation, z: Vector) -> DrivenMotion | None:
+def _proven_drive(
+    problem: ContactProblem, condensation: Condensation, resisting: Any, z: Vector
+) -> DrivenMotion | None:
     """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
     uncertainty, scale = _uncertainty(problem, condensation), unknown_scale(problem)
     still = scale * float(np.max(abs(z) / scale))  # rounding of z is no more than a part of this
-    for rows, signed in ((problem.stiffness_rows, False), (problem.normal, True), (problem.tie, False)):
+    for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
         felt = (SparseRows(rows) @ extend(z)).double()
         rounding = max(BALANCED, uncertainty) * (abs(rows) @ abs(z)) + IDLE * (abs(rows) @ still)
         if np.any((felt if signed else abs(felt)) > rounding):

@@ -8,7 +8,7 @@ from contactqp.associated_attempt import solve_associated
 from contactqp.condensation import condense
 from contactqp.condensed_attempt import described
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
-from contactqp.existence import refuse_conflict
+from contactqp.existence import refuse_conflict, refuse_driven_motion
 from contactqp.friction.combinations import MOST_CONTACTS
 from contactqp.friction.enumeration import all_equilibria
 from contactqp.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
@@ -55,8 +55,9 @@ class FrictionAttempt(WholeAttempt, MeteredAttempt):
     def final(self, polished: bool) -> Final:
         """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         del polished
-        free = free_motions(self._problem, condense(self._problem), self._answer)
-        answer = without_noise(self._problem, at_rest(self._problem, self._answer, free))
+        way = condense(self._problem)
+        free = free_motions(self._problem, way, self._answer)
+        answer = without_noise(self._problem, at_rest(self._problem, way, self._answer, free))
         return Final(
             answer.displacement,
             answer.normal_force,
@@ -85,9 +86,10 @@ def attempt_friction(
     Raises
     ------
     NoEquilibrium
-        Enumeration finds no answer, or the constraints conflict.
+        The constraints conflict, the load drives a motion that nothing holds, or no combination of open, stick and slip
+        is an equilibrium, proven in rational numbers.
     SeveralEquilibria
-        Enumeration finds more than one.
+        Enumeration was asked for and finds more than one.
     NotConverged, BackendFailed
         The algorithm, or the convex method in it, gave up.
     Unsupported
@@ -99,43 +101,47 @@ def attempt_friction(
     if algorithm is not None and algorithm not in ALGORITHMS:
         raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
     _refuse_iterated(problem)
+    meter = Meter(problem)
+    with meter.running():
+        refuse_driven_motion(problem, condense(problem))
     if algorithm == "associated":
-        return _relaxed(problem, method, settings)
+        return _relaxed(problem, method, settings, meter)
     if algorithm == "enumeration":
         return _only(problem)
     if algorithm is None or algorithm in CONVEX:
         _refuse_method(method)
     if _in_space(problem) or algorithm not in (None, "tresca", "newton"):
         convex = algorithm is None and method.name != DEFAULT_METHOD
-        return _on_contacts(problem, method, settings, "aclm" if convex else algorithm)
+        return _on_contacts(problem, method, settings, meter, "aclm" if convex else algorithm)
     try:
         if algorithm == "newton":
-            return _by_newton(problem, settings)
+            return _by_newton(problem, settings, meter)
         if algorithm == "tresca":
-            return _by_tresca(problem, method, settings)
+            return _by_tresca(problem, method, settings, meter)
     except NotConverged:
         refuse_conflict(problem, condense(problem))
         raise
-    return _by_any(problem, method, settings)
+    return _by_any(problem, method, settings, meter)
 
 
-def _by_any(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
+def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionAttempt:
     if settings.warm_start is not None:
         with suppress(NotConverged):
-            return _by_newton(problem, settings)
+            return _by_newton(problem, settings, meter)
     try:
-        return _by_tresca(problem, method, settings)
-    except (NoEquilibrium, NotConverged) as error:
+        return _by_tresca(problem, method, settings, meter)
+    except NotConverged as error:
         refuse_conflict(problem, condense(problem))
         with suppress(NotConverged):
-            return _on_contacts(problem, method, settings, None)
+            return _on_contacts(problem, method, settings, meter, None)
         if problem.contacts > MOST_CONTACTS:
             raise error from None
-    return _only(problem)
+    return _listed(problem)[0]
 
 
-def _on_contacts(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionAttempt:
-    meter = Meter(problem)
+def _on_contacts(
+    problem: ContactProblem, method: Method, settings: Settings, meter: Meter, algorithm: str | None
+) -> FrictionAttempt:
     with meter.running():
         try:
             found = solve_on_contacts(problem, condense(problem), method, settings, algorithm)
@@ -181,7 +187,8 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]
     return tuple(FrictionAttempt(problem, one.answer, meter, "enumeration") for one in found)
 
 
-def _only(problem: ContactProblem) -> FrictionAttempt:
+def _listed(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:
+    """Every equilibrium of a small problem, at least one."""
     found = found_by_enumeration(problem)
     if not found:
         refuse_conflict(problem, condense(problem))
@@ -189,6 +196,11 @@ def _only(problem: ContactProblem) -> FrictionAttempt:
         raise NoEquilibrium(
             "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
         )
+    return found
+
+
+def _only(problem: ContactProblem) -> FrictionAttempt:
+    found = _listed(problem)
     if len(found) > 1:
         listed = "; ".join(_described(problem, one) for one in found)
         raise SeveralEquilibria(
@@ -215,8 +227,7 @@ def _described(problem: ContactProblem, attempt: FrictionAttempt) -> str:
     return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
 
 
-def _by_newton(problem: ContactProblem, settings: Settings) -> FrictionAttempt:
-    meter = Meter(problem)
+def _by_newton(problem: ContactProblem, settings: Settings, meter: Meter) -> FrictionAttempt:
     with meter.running():
         found = solve_newton(
             problem, condense(problem), settings.warm_start, settings.max_iter, time_limit=settings.time_limit
@@ -235,15 +246,13 @@ def _refuse_method(method: Method) -> None:
         )
 
 
-def _by_tresca(problem: ContactProblem, method: Method, settings: Settings) -> FrictionAttempt:
-    meter = Meter(problem)
+def _by_tresca(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionAttempt:
     with meter.running():
         found = solve_tresca(problem, condense(problem), method, settings)
     return FrictionAttempt(problem, found.answer, meter, f"tresca with {method.name}", found.changes)
 
 
-def _relaxed(problem: ContactProblem, method: Method, settings: Settings) -> AssociatedAttempt:
-    meter = Meter(problem)
+def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> AssociatedAttempt:
     with meter.running():
         answer, name = solve_associated(problem, method, settings)
     return AssociatedAttempt(problem, answer, meter, name)

@@ -132,9 +132,21 @@ def _pad(pull: float, count: int = 1) -> cq.ContactProblem:
 
 
 def test_with_friction_absence_is_proven_in_rational_numbers() -> None:
+    """The spring across keeps the pad's normal force at 10 N: no motion alone proves that 5 N along it are too much."""
+    sliding = _pad(5.0).replace(stiffness=np.diag([0.0, 1.0]))
+    for algorithm in (None, "enumeration"):
+        with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
+            cq.solve(sliding, algorithm=algorithm)
+    assert cq.exact_equilibria(sliding) == ()
+
+
+def test_with_friction_a_driven_motion_proves_absence() -> None:
     sliding = _pad(5.0).replace(stiffness=np.zeros((2, 2)))
-    with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
-        cq.solve(sliding, algorithm="enumeration")
+    with pytest.raises(cq.NoEquilibrium, match="no contact, friction or tie holds back") as found:
+        cq.solve(sliding)
+    motion = found.value.proof.motion
+    assert sliding.load @ motion > 0
+    assert motion[1] >= 0.3 * abs(motion[0])
     assert cq.exact_equilibria(sliding) == ()
 
 

@@ -9,25 +9,54 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.coulomb_cone import lengths
-from contactqp.errors import NoEquilibrium
+from contactqp.errors import BackendFailed, NoEquilibrium
+from contactqp.existence import around, unresisted
+from contactqp.extended import SparseRows, extend
 from contactqp.factorization import Array
 from contactqp.friction.conic import ConicProgram, diagonal_rows, solve_conic
 from contactqp.friction.local_form import LocalForm
 from contactqp.methods import Settings
+from contactqp.problem_data import Vector
+from contactqp.saddle import BALANCED
 
-# The direction of an unbalanced motion is believed where cones and load miss it by less than this part.
-SURE = 1e-6
 SOLVER, SETTINGS = "clarabel", Settings(tolerance=1e-9)
-# It may give up early if too much is asked of it; where less is, only motions of this part of the load are believed.
-PROOFS = ((SETTINGS, SURE), (Settings(tolerance=1e-5), 1e-4))
 
 
-def refuse_unbalanced(form: LocalForm) -> Array | None:
-    """Forces (m, d) in their cones that balance the load along free motions, V'r = -s; None where no load drives any.
+def refuse_unbalanced(form: LocalForm) -> None:
+    """Raise NoEquilibrium if the load of a local problem drives free joints in a way that no force of a cone resists.
 
-    Where there are none it raises NoEquilibrium. The proof is a motion g along which no such force does negative work
-    while the load does: V g in K*, g's > 0.
+    The proof is a motion g of joints without compliance with V g in K* at every contact and s'g > 0: all forces r of
+    the cones have r'V g >= 0, but balance asks for r'V g = -s'g. It is looked for within polyhedra in K* and checked by
+    sums in extended precision.
+    """
+    hard = np.flatnonzero(form.joint_signs < 0)
+    V, s = form.V[:, hard], form.s[hard]
+    if not np.any(s) or np.any(form.R[:, hard]):
+        return
+    rows = _resisting(V.reshape(form.m, form.d, len(hard)), form.mu)
+    size = np.max(abs(rows), axis=1, keepdims=True)
+    motion = unresisted(s, rows / np.where(size > 0, size, 1.0), np.zeros((0, len(hard))))
+    if motion is None:
+        return
+    resisted = (SparseRows(sp.csr_matrix(rows)) @ extend(motion)).double()
+    if np.any(resisted > BALANCED * (abs(rows) @ abs(motion))):
+        return
+    if extend(s).dot(extend(motion)) > BALANCED * float(abs(s) @ abs(motion)):
+        raise NoEquilibrium("friction: the load drives a rigid motion that neither contacts nor friction hold")
+
+
+def _resisting(V: Array, mu: Vector) -> Array:
+    """Rows of which none is positive where V g (m, d) lies in all K*, (m, d, p) given."""
+    parts = [
+        -V[:, 0] + mu[:, None] * np.einsum("w,iwp->ip", direction, V[:, 1:]) for direction in around(V.shape[1] - 1)
+    ]
+    return np.vstack(parts)
+
+
+def balancing_forces(form: LocalForm) -> Array | None:
+    """Forces (m, d) in their cones that balance the load along free motions best, V'r = -s; None where there is none.
+
+    Nothing is said of whether they balance it.
     """
     hard = np.flatnonzero(form.joint_signs < 0)
     V, s = form.V[:, hard], form.s[hard]
@@ -37,31 +66,23 @@ def refuse_unbalanced(form: LocalForm) -> Array | None:
     slope = np.ones((form.m, form.d))
     slope[:, 0] = form.mu
     normal = sp.csr_array((-np.ones(form.m), (np.arange(form.m), form.d * np.arange(form.m))), shape=(form.m, size))
-    # min 1/2 |w|^2 over w = V'r + s: sparse, as 1/2 |V'r + s|^2 is not.
+    # min 1/2 |w|^2 over w = (V'r + s) / |s|: sparse, as 1/2 |V'r + s|^2 is not.
+    load = float(np.linalg.norm(s))
     cones = sp.hstack([sp.vstack([normal, -diagonal_rows(slope)]), sp.csr_array((form.m + size, p))])
     program = ConicProgram(
         P=sp.csc_array(sp.diags(np.append(np.zeros(size), np.ones(p)))),
         c=np.zeros(size + p),
         A=sp.csc_array(sp.vstack([sp.hstack([sp.csr_array(V.T), -sp.identity(p)]), cones])),
-        b=np.append(-s, np.zeros(form.m + size)),
+        b=np.append(-s / load, np.zeros(form.m + size)),
         zeros=p,
         nonnegatives=form.m,
         cones=form.m,
         width=form.d,
     )
-    load = float(np.linalg.norm(s))
-    for settings, seen in PROOFS:
-        r = solve_conic(program, SOLVER, settings)[0][:size]
-        motion = V.T @ r + s
-        far = float(np.linalg.norm(motion))
-        if far <= SURE * load:
-            break
-        moves = (V @ motion).reshape(form.m, form.d)
-        into = form.mu * lengths(moves[:, 1:]) - moves[:, 0]
-        reach = np.max(abs(V) @ abs(motion), initial=0.0)
-        opposed = float(motion @ s) > SURE * far * load and np.max(into, initial=0.0) <= SURE * reach
-        if opposed and far > seen * load:
-            raise NoEquilibrium("friction: the load drives a rigid motion that neither contacts nor friction hold")
+    try:
+        r = load * solve_conic(program, SOLVER, SETTINGS)[0][:size]
+    except BackendFailed:
+        return None
     return r.reshape(form.m, form.d)
 
 

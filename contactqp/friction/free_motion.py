@@ -8,13 +8,18 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.condensation import UNRESISTED, Condensation
+from contactqp.coulomb_cone import lengths
 from contactqp.factorization import Array
-from contactqp.friction_states import holds
+from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem
-from contactqp.violations import Answer, force_measure, forces_that_meet
+from contactqp.row_sizes import row_sizes
+from contactqp.violations import Answer, force_measure, forces_that_meet, rounded_slips
 
 # A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
 NOISE = 1e-15
+# A displacement that free motions make so many times longer leaves their rounding behind when they are taken away.
+CANCELLED = 100.0
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
@@ -37,13 +42,31 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
     return np.asarray(basis @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 
-def at_rest(problem: ContactProblem, answer: Answer, free: Array) -> Answer:
-    """The answer of least norm along its free motions, where contacts that do not push leave room for it."""
+def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer, free: Array) -> Answer:
+    """The answer of least norm along its free motions, where contacts that do not push leave room for it.
+
+    Where the motion was larger than what is left by orders of magnitude, its rounding is refined away.
+    """
     if not free.shape[1]:
         return answer
     u = answer.displacement
     resting = replace(answer, displacement=u - free @ (free.T @ u))
+    if np.max(abs(u)) > CANCELLED * np.max(abs(resting.displacement)):
+        rows = FrictionalRows(problem, condensation)
+        better = answer_in(problem, condensation, rows, _combination(problem, answer), resting)
+        resting = better if holds(problem, better) else resting
     return resting if holds(problem, resting) else answer
+
+
+def _combination(problem: ContactProblem, answer: Answer) -> Status:
+    """(m,) open where nothing pushes; sticking where the slip is no more than rounding of the displacement."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
+    way = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)
+    closed = np.where(lengths(slip) <= rounding, STICK, way)
+    return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
 
 
 def without_noise(problem: ContactProblem, answer: Answer) -> Answer:

@@ -113,7 +113,12 @@ def run_algorithm(
                 return Outcome(kept, name, True, steps)
             if last:
                 break
-    except (NoEquilibrium, BackendFailed) as error:
+    except NoEquilibrium as error:
+        # Of a convex step, in scaled forces: whether the load drives a motion is proven elsewhere.
+        raise NotConverged(
+            f"{name}: the convex problem of a step has no answer that floats find", tuple(history)
+        ) from error
+    except BackendFailed as error:
         if not history:
             raise
         raise NotConverged(f"{name}: {error}", tuple(history)) from error

@@ -71,8 +71,6 @@ def solve_tresca(
     ------
     NotConverged
         The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
-    NoEquilibrium
-        The bodies are held neither without friction nor with all contacts stuck.
     """
     run = _Run(problem, condensation, method, settings)
     bound = run.first_bound()
@@ -137,7 +135,14 @@ class _Run:
         try:
             return self.bound_of(self.with_bound(np.zeros(self._problem.contacts)))
         except NoEquilibrium:
+            pass
+        try:
             return self.bound_of(self._stuck())
+        except NoEquilibrium as error:
+            # In scaled unknowns, which would be misleading names.
+            raise NotConverged(
+                "tresca: neither without friction nor with all contacts stuck are the bodies held"
+            ) from error
 
     def bound_of(self, step: _Step) -> Vector:
         """mu l_N."""

@@ -76,7 +76,7 @@ def test_numpy_integers_count() -> None:
         cq.solve(space, algorithm="tresca", facets=10**6)
 
 
-def test_tresca_does_not_name_unknowns_that_the_problem_has_not() -> None:
+def test_a_point_that_slides_away_is_named_by_the_problems_own_unknowns() -> None:
     point = cq.ContactProblem(
         stiffness=np.zeros((2, 2)),
         load=[0.7, -1.0],
@@ -85,8 +85,11 @@ def test_tresca_does_not_name_unknowns_that_the_problem_has_not() -> None:
         tangent=[[1.0, 0.0]],
         friction=0.5,
     )
-    with pytest.raises(cq.NotConverged, match=r"step 1 do not hold the bodies$"):
-        cq.solve(point, algorithm="tresca")
+    for algorithm in (None, "tresca", "newton", "nsgs"):
+        with pytest.raises(
+            cq.NoEquilibrium, match=r"no contact, friction or tie holds back: unknown 0 by \+1, unknown 1"
+        ):
+            cq.solve(point, algorithm=algorithm)
 
 
 def test_a_tangent_beneath_the_range_of_doubles() -> None:

@@ -34,6 +34,9 @@ def test_what_it_finds_is_among_all_equilibria(seed: int) -> None:
             solution = cq.solve(problem, algorithm="newton")
         except cq.NotConverged:
             continue
+        except cq.NoEquilibrium:
+            assert not every
+            continue
         scale = np.max(abs(solution.displacement))
         distances = [np.max(abs(solution.displacement - other.displacement)) for other in every]
         assert min(distances) <= 1e-7 * scale
@@ -53,7 +56,7 @@ def test_a_warm_start_is_newtons_and_what_newton_cannot_is_tresca_s() -> None:
 
 
 def test_no_equilibrium_is_none_of_its_answers() -> None:
-    with pytest.raises(cq.NotConverged, match="newton"):
+    with pytest.raises(cq.NoEquilibrium, match="friction or tie holds back"):
         cq.solve(pad(3636.0), algorithm="newton")
     with pytest.raises(cq.NotConverged, match="newton"):
         cq.solve(rough_truss(), algorithm="newton", time_limit=1e-9)
