@@ -35,7 +35,9 @@ def broken(posed: Posed, solution: cq.Solution) -> float:
     E_N, E_T, A = p.normal.toarray(), p.tangent.toarray(), p.tie.toarray()
     balance = K @ u + E_N.T @ normal + E_T.T @ friction.ravel() + A.T @ tie - p.load
     gap, slip = p.gap - E_N @ u, (E_T @ u).reshape(p.slip_origin.shape) - p.slip_origin
-    parts = (balance, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction))
+    meeting = (abs(E_T) @ abs(u)).reshape(slip.shape) + abs(p.slip_origin)
+    rounding = 4 * np.finfo(float).eps * np.linalg.norm(meeting, axis=1) if slip.shape[1] > 1 else 0.0
+    parts = (balance, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction, rounding))
     return _worst(parts, (u, normal, friction, p.load))
 
 
@@ -64,10 +66,15 @@ def _contact_scale(problem: cq.LocalProblem) -> Array:
     return np.asarray(1.0 / np.sqrt(np.where(size > 0, size, 1.0)))
 
 
-def _law(normal: Array, friction: Array, gap: Array, slip: Array, coefficient: Array) -> tuple[Array, ...]:
+def _law(
+    normal: Array, friction: Array, gap: Array, slip: Array, coefficient: Array, rounding: Array | float = 0.0
+) -> tuple[Array, ...]:
+    """What is left of each; `rounding` is that of the slips, by which the direction of a small one is not known."""
     size, slipped = np.linalg.norm(friction, axis=1), np.linalg.norm(slip, axis=1)
     direction = slip / np.where(slipped > 0, slipped, 1.0)[:, None]
+    turned = coefficient * abs(normal) * np.minimum(rounding / np.where(slipped > 0, slipped, 1.0), 1.0)
     opposing = np.linalg.norm(friction - (coefficient * normal)[:, None] * direction, axis=1)
+    opposing = np.maximum(opposing - turned, 0.0)
     return (
         np.minimum(gap, normal),
         np.maximum(size - coefficient * normal, 0.0) / (1 + coefficient),

@@ -74,7 +74,8 @@ def law_residual(
     force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
     velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
     mu = np.where(felt, friction, 0.0)
-    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) / (1.0 + mu)
+    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * _inverse(phi)
+    missed = np.maximum(missed, 0.0) / (1.0 + mu)
     return beyond(missed, least * _inverse(phi))
 
 

@@ -6,8 +6,10 @@
     [ A                                          ] [ nu  ]   [ b   ]
 
 (Wriggers 2006, section 9.3.3). In the plane t = +-1 is part of the combination and C = 0. In space directions turn with
-the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's. It acts as an approximate
-inverse: residuals are formed on the full problem in twice double precision, as polishing without friction does.
+the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's; as small slips make C
+large, the friction that it stands for is an unknown beside the displacement, with the compliance |s| / mu l_N. The
+system acts as an approximate inverse: residuals are formed on the full problem in twice double precision, as polishing
+without friction does.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactqp.condensation import UNRESISTED, Condensation, unknown_scale
+from contactqp.balance import balance
+from contactqp.condensation import UNRESISTED, Condensation, condense, unknown_scale
 from contactqp.coulomb_cone import directions as directions_of
 from contactqp.coulomb_cone import lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows, two_product
@@ -35,6 +38,8 @@ from contactqp.violations import BALANCED, FIGURES, Answer, imbalance, residuals
 MAX_SWEEPS = 12
 # In space the first corrections turn directions, and need not shrink.
 TURNS = 5
+# Where two answers meet in one, Newton's corrections only halve: such are followed for so many sweeps.
+SLOW_SWEEPS, HALVED = 60, 0.6
 # Factors are made anew where a sweep with the old ones has not made the correction this much smaller.
 WELL_TURNED = 0.1
 # Directions are doubles: corrections of this part of the answer may be all that their rounding leaves.
@@ -51,6 +56,8 @@ NEGLIGIBLE = 1e-20
 SINGULAR = 1e-12
 # Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
 HOLDS = 1e-10
+# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
+NOTHING = 1e-13
 
 
 class StateSystem:
@@ -92,16 +99,19 @@ class StateSystem:
         normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
         held = np.vstack([normal, stuck, rows.tie])
         pushed = np.vstack([normal + dragged, stuck, rows.tie])
-        stiffness = rows.S if turning is None else rows.S + _turned(tangent, directions, turning)
+        stiffness = rows.S
+        across, compliance = _across(tangent, directions, turning)
         self._kept, self._count = np.arange(len(held)), len(held)
         if independent:
             self._kept = np.flatnonzero(np.any(held != 0, axis=1))
             self._kept = self._kept[independent_rows(_of_unit_length(held[self._kept]))]
-            free = _unresisted(rows.motions, held)
+            free = _unresisted(rows.motions, np.vstack([held, across]))
             stiffness = stiffness + free @ free.T
         self.redundant = len(self._kept) < len(held)
         held, pushed = held[self._kept], pushed[self._kept]
-        self._matrix = np.block([[stiffness, pushed.T], [held, np.zeros((len(held), len(held)))]])
+        held, pushed = np.vstack([held, across]), np.vstack([pushed, across])
+        corner = np.diag(np.concatenate([np.zeros(len(self._kept)), -compliance]))
+        self._matrix = np.block([[stiffness, pushed.T], [held, corner]])
         self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
         self._factorise(0.0 if independent else SINGULAR)
 
@@ -124,10 +134,11 @@ class StateSystem:
         rows, c, b, p = self._rows, self.closed, self.stuck, self._size
         slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
         lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
-        right = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
+        right = np.zeros(len(self._matrix))
+        right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
         found = lu_solve(self._factor, right, check_finite=False) if self._inverse is None else self._inverse @ right
         y = np.zeros(p + self._count)
-        y[:p], y[p + self._kept] = found[:p], found[p:]
+        y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
         normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
         normal_force[c] = y[p : p + len(c)] / rows.normal_length[c]
         sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
@@ -149,14 +160,18 @@ def _of_unit_length(rows: Array) -> Array:
     return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
 
 
-def _turned(tangent: Array, directions: Array, turning: Vector) -> Array:
-    """C (p, p)."""
+def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[Array, Vector]:
+    """Rows (k, p) across the directions of slip, and the compliances |s| / mu l_N of their forces; in space only.
+
+    Where bodies move far under small forces the compliances are large: then both are scaled to one.
+    """
+    if turning is None:
+        return np.zeros((0, tangent.shape[2])), np.zeros(0)
     moving = np.flatnonzero(turning > 0)
-    T, t = tangent[moving], directions[moving]
-    across = T - t[:, :, None] * np.einsum("iw,iwp->ip", t, T)[:, None, :]
-    weighted = np.sqrt(turning[moving])[:, None, None] * across
-    flat = weighted.reshape(-1, tangent.shape[2])
-    return np.asarray(flat.T @ flat)
+    left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
+    compliance = 1.0 / turning[moving]
+    scale = 1.0 / np.maximum(compliance, 1.0)
+    return np.sqrt(scale)[:, None] * np.einsum("iw,iwp->ip", left, tangent[moving]), scale * compliance
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +228,7 @@ def _refined(
     stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
     origin = extend(_origin(problem))
     system, size, last, regular = None, np.inf, np.inf, True
-    for sweep in range(MAX_SWEEPS):
+    for sweep in range(MAX_SWEEPS if rows.width == 1 else SLOW_SWEEPS):
         slip = (exact.slip(u) - origin).double()
         directions, turning = _directions(rows, status, slip, force.double())
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
@@ -228,7 +243,8 @@ def _refined(
         pairs = ((du, u), (dl, force), (dt.ravel(), stick), (dn, tie))
         size = max(_part(change, whole.double()) for change, whole in pairs)
         turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
-        if size <= NEGLIGIBLE or (size > 0.5 * last and not turns):
+        halves = rows.width > 1 and ROUNDED < size < HALVED * last
+        if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
             break
     if rows.width > 1:
         directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
@@ -292,12 +308,15 @@ def _without_noise(problem: ContactProblem, rows: FrictionalRows, answer: Answer
 
 
 def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
-    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure."""
+    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
+    the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
     if not answer.finite():
         return False
-    found = violations(problem, answer, residuals(problem, answer))
-    figures = (name for name in FIGURES if name != "balance")  # which equilibrium implies to this tolerance
-    return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in figures)
+    rigid = condense(problem).rigid
+    found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
+    if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
+        return False
+    return balance(problem, answer, rigid) <= tolerance
 
 
 def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:

@@ -13,7 +13,15 @@ from contactqp.candidates import first_candidates
 from contactqp.certificate import certify, contact_status
 from contactqp.condensed_attempt import CondensedAttempt
 from contactqp.engines import SERIAL, refuse_unknown_engine
-from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported, refuse_other
+from contactqp.errors import (
+    BackendFailed,
+    BackendMissing,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    Unsupported,
+    refuse_other,
+)
 from contactqp.floating_point import own_floating_point
 from contactqp.idle_rows import ActingRows, acting_rows
 from contactqp.iterated_attempt import IteratedAttempt
@@ -36,6 +44,8 @@ DEFAULT_METHOD = "active-set"
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
 # anchors for bodies that float, textbook systems in the numbers of the problem, and an interior point.
 ROUTES = ("lemke", "lagrange-multiplier", "clarabel")
+# The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
+FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "enumeration")
 
 
 @overload
@@ -104,16 +114,17 @@ def solve(
     Raises
     ------
     NoEquilibrium
-        The constraints conflict, or the load drives a rigid motion that nothing holds; with friction, enumeration
-        finds no answer.
+        The constraints conflict, or the load drives a rigid motion that nothing holds; with friction, no combination
+        of open, stick and slip is an equilibrium in rational numbers.
     SeveralEquilibria
-        With friction, enumeration finds several answers.
+        With friction, `algorithm` "enumeration" finds several answers.
     NotConverged, BackendFailed
         The method gave up; a last iterate, if any, is in `solution`.
     NotCertified
         The method promises the exact answer and the certificate refuses what it returned. Where that is the default
         method, unless `polish`, `max_iter` or `time_limit` speak against it, Lemke's, the Lagrange multipliers' and
-        Clarabel's answers were tried before: the first that is certified is returned, and `work.routes` says so.
+        Clarabel's answers were tried before, with friction other algorithms': the first that is certified is returned,
+        and `work.routes` says so.
     BackendMissing, Unsupported, InvalidProblem
         The method is not installed, cannot do this, or an argument is wrong.
 
@@ -152,13 +163,16 @@ def solve(
     try:
         return begin(problem, method, start, **same).finish()
     except (NotCertified, NotConverged) as error:
-        if problem.frictional or method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
+        if method != DEFAULT_METHOD or not polish or max_iter or time_limit or iterated(problem):
+            raise
+        # With friction the default has tried all algorithms where none converges.
+        if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
         return _by_another_route(problem, error, same)
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
-    """The answer of the first of the other exact `ROUTES` that is certified; `Work.routes` says what was tried.
+    """The answer of the first of the other exact routes that is certified; `Work.routes` says what was tried.
 
     Raises
     ------
@@ -171,15 +185,18 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
     spent = first.work if isinstance(first, Solution) else Work()
     tried = [str(error)]
     seconds = first.seconds if isinstance(first, Solution) else 0.0
-    for route in ROUTES:
+    routes = FRICTIONAL_ROUTES if problem.frictional else ROUTES
+    for route in routes:
+        changed = {"algorithm": route} if problem.frictional else {"method": route}
         try:
-            found = begin(problem, route, **same).finish()
-        except (NotCertified, NotConverged, BackendFailed, BackendMissing, Unsupported) as other:
+            found = begin(problem, **{**same, **changed}).finish()
+        except (NotCertified, NotConverged, SeveralEquilibria, BackendFailed, BackendMissing, Unsupported) as other:
             tried.append(str(other))
             continue
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
-        return replace(found, method=DEFAULT_METHOD, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(ROUTES)} were tried too, and no answer is certified",)
+        name = found.method if problem.frictional else DEFAULT_METHOD
+        return replace(found, method=name, seconds=seconds + found.seconds, work=work)
+    error.args = (f"{error}; {', '.join(routes)} were tried too, and no answer is certified",)
     raise error
 
 

@@ -350,9 +350,9 @@ def _over_root(length: Vector, compliance: Vector) -> Vector:
 
 
 def _part(size: float, scale: float, nothing: float) -> float:
-    if scale > nothing:
-        return max(size, 0.0) / scale
-    return 0.0 if size <= nothing else float("inf")
+    if size <= nothing:
+        return 0.0
+    return size / scale if scale > nothing else float("inf")
 
 
 def _failures(

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from contactqp.coulomb_cone import directions, lengths
 from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array, RigidMotions
-from contactqp.intrinsic_size import Nothing, bodies, intrinsic_size, nothing, stiffness_sizes, without_rigid_part
+from contactqp.intrinsic_size import (
+    HELD_BY_DOUBLES,
+    Nothing,
+    bodies,
+    intrinsic_size,
+    nothing,
+    stiffness_sizes,
+    without_rigid_part,
+)
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly
 from contactqp.row_sizes import ContactEntries, contact_entries, row_sizes
@@ -60,6 +68,7 @@ class Violations(ReadOnly):
     slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
     tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
     slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
+    turned: Vector  # (m,) by how much rounding a displacement to doubles turns friction that opposes its slip [force]
     lengths: Vector  # (m,) L of the normal rows [length]
     tangential_lengths: Vector  # (m,) that of the tangential rows
     gap: Vector  # (m,) g - E_N u [length]
@@ -168,7 +177,14 @@ def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     entries, friction = contact_entries(problem, "tangent"), problem.friction
-    return Rubbing(slip, friction, lambda force: vector_measure(entries, force, F, none))
+    rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
+    return Rubbing(slip, rounding, friction, lambda force: vector_measure(entries, force, F, none))
+
+
+def rounded_slips(rows: Any, displacement: Vector, origin: Array) -> Vector:
+    """(m,) what rounding a displacement to doubles makes of slips, of |E_T| ((d-1) m, n) and origins (m, d-1)."""
+    size = rows @ abs(displacement) + abs(origin).ravel()
+    return np.asarray(HELD_BY_DOUBLES * lengths(size.reshape(origin.shape)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +206,7 @@ class Rubbing:
     """What Coulomb's law is judged by."""
 
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
+    rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
     friction: Vector  # (m,) the coefficients
     measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact,
     # without what is nothing
@@ -200,7 +217,7 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
     residual, gap, open_tie = left
     none, push, felt = sizes.nothing, sizes.push, sizes.felt
     gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
-    cone, direction, slip_measure = _friction(answer, rubbing, sizes)
+    cone, direction, slip_measure, turned = _friction(answer, rubbing, sizes)
     return Violations(
         equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
         residual=residual,
@@ -211,6 +228,7 @@ def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubb
         slip_direction=direction,
         tie=ratio(beyond(abs(open_tie), none.tie), sizes.tie_lengths),
         slip_measure=slip_measure,
+        turned=turned,
         lengths=sizes.lengths,
         tangential_lengths=sizes.tangential_lengths,
         gap=gap,
@@ -330,19 +348,24 @@ def _row_of_entries(rows: Any) -> NDArray[np.intp]:
     return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
 
 
-def _friction(answer: Any, rubbing: Rubbing | None, sizes: Sizes) -> tuple[Vector, Vector, Vector]:
-    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, and the slip."""
+def _friction(answer: Any, rubbing: Rubbing | None, sizes: Sizes) -> tuple[Vector, Vector, Vector, Vector]:
+    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, the slip, and the
+    force that rounding of a small slip's direction turns."""
     if rubbing is None or answer.friction_force is None:
         none = np.zeros(len(answer.normal_force))
-        return none, none, none
+        return none, none, none, none
     force = answer.friction_force
     slip = slips(rubbing.slip, sizes.nothing)
     size = lengths(force)
     bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
     excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
-    wrong = force - bound[:, None] * directions(slip)
-    slip_measure = ratio(lengths(slip), sizes.tangential_lengths)
-    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure
+    moved = lengths(slip)
+    part = np.divide(rubbing.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
+    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
+    off = force - bound[:, None] * directions(slip)
+    wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
+    slip_measure = ratio(moved, sizes.tangential_lengths)
+    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure, turned
 
 
 def slips(slip: Array, none: Nothing) -> Array:

@@ -26,6 +26,7 @@ from contactqp.violations import (
     Violations,
     figures,
     force_measure,
+    rounded_slips,
     vector_measure,
 )
 
@@ -154,4 +155,6 @@ def _rubbing(problem: DistributedProblem, displacement: Vector, F: Vector, none:
     def measure(force: Array) -> Vector:
         return vector_measure(entries, force, meeting, least)
 
-    return Rubbing(slip, problem.friction, measure)
+    rows = abs(problem.tangent.entries)
+    rounding = rounded_slips(rows, problem.tangent.near(displacement), problem.slip_origin)
+    return Rubbing(slip, rounding, problem.friction, measure)

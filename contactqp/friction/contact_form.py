@@ -57,7 +57,11 @@ class ContactForm:
 
     def answer(self, form: LocalForm, iterate: Iterate) -> Answer:
         """The answer of an iterate's combination of open, stick and slip, refined on the problem."""
-        return answer_in(self._problem, self._way, self._rows, self.status(form, iterate), self.plain(form, iterate))
+        return self.answer_in(self.status(form, iterate), self.plain(form, iterate))
+
+    def answer_in(self, status: Status, start: Answer) -> Answer:
+        """The answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
+        return answer_in(self._problem, self._way, self._rows, status, start)
 
     def status(self, form: LocalForm, iterate: Iterate) -> Status:
         """Closed where r_N > u_N, sliding where |r_T - u_T| exceeds the bound, contacts having a compliance of one."""

@@ -4,7 +4,8 @@ With D = diag(s_i I), s the problem's `contact_scale`, b its `typical_velocity`,
 
     W := D W D,    q := D q / b,    V := D V T,    r := D^-1 r / b,    u := D u / b,
 
-which keeps every cone as it is.
+which keeps every cone as it is. Where bodies move far under forces that hardly deform them, forces are given a size c
+of their own, r := r / c, W := c W, R := R / c and s := s / c, so that beside lengths of size one they are not rounding.
 """
 
 from __future__ import annotations
@@ -38,19 +39,19 @@ class LocalForm:
     V, R, s : (d m, p), (p, p), (p,) arrays
     """
 
-    def __init__(self, problem: LocalProblem) -> None:
+    def __init__(self, problem: LocalProblem, force_size: float = 1.0) -> None:
         self.problem, self.d, self.m = problem, problem.dimension, problem.contacts
         self.mu = problem.friction
         self._contact_scale = np.repeat(problem.contact_scale, self.d)
         self._joint_scale = problem.joint_scale
-        self._velocity_size = problem.typical_velocity
-        W = problem.scaled_delassus
+        self._velocity_size, self._force_size = problem.typical_velocity, force_size
+        W = problem.scaled_delassus if force_size == 1.0 else problem.scaled_delassus * force_size
         self.sparse = W.shape[0] > DENSE_SIZE and W.nnz < SPARSE_DENSITY * W.shape[0] ** 2
         self.W: Any = W if self.sparse else W.toarray()
         self.q = self._contact_scale * problem.offset / self._velocity_size
         self.V = problem.bilateral.toarray() * np.outer(self._contact_scale, self._joint_scale)
-        self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale)
-        self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size
+        self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale) / force_size
+        self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size / force_size
 
     @property
     def joints(self) -> int:
@@ -95,13 +96,13 @@ class LocalForm:
 
     def scaled(self, force: NDArray[np.float64]) -> Array:
         """r (m, d) of the forces of the problem."""
-        return np.asarray(
-            (np.asarray(force).ravel() / (self._contact_scale * self._velocity_size)).reshape(self.m, self.d)
-        )
+        size = self._contact_scale * self._velocity_size * self._force_size
+        return np.asarray((np.asarray(force).ravel() / size).reshape(self.m, self.d))
 
     def unscaled(self, r: Array, joint: Vector) -> tuple[NDArray[np.float64], Vector]:
         """The forces (m, d) and (p,) of the problem."""
-        force = (r.ravel() * self._contact_scale * self._velocity_size).reshape(self.m, self.d)
+        size = self._contact_scale * self._velocity_size * self._force_size
+        force = (r.ravel() * size).reshape(self.m, self.d)
         return force, joint * self._joint_scale * self._velocity_size
 
 

@@ -40,6 +40,24 @@ def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> 
         assert cq.exact_equilibria(contact_problem(f"{name} 2D", seed).plain)
 
 
+@pytest.mark.parametrize(
+    ("family", "seed"),
+    [
+        ("unstrained 3D", 73),  # contacts that move little: no iterate's forces tell which of them stick
+        ("unstrained 2D", 165),  # the first answer sticks by a slip of 3e-11, a thirtieth of the strain
+        ("pushed_rigidly 3D", 37),  # refined along a free motion of 1e9, and put to rest
+        ("pushed_rigidly 3D", 138),  # two answers meet in one, where Newton's corrections halve
+        ("bedded 3D", 31),  # forces of 1e-8, and one of 1e-14 at its friction bound
+        ("interference_removed 3D", 10),
+    ],
+)
+def test_the_default_finds_an_answer_of_bodies_that_hardly_deform(family: str, seed: int) -> None:
+    posed = contact_problem(family, seed)
+    found = cq.solve(posed.problem)
+    assert found.certificate.passed
+    assert broken(posed, found) < 1e-9
+
+
 def test_the_law_written_out_refuses_what_is_spoiled() -> None:
     posed = contact_problem("made around an answer 2D", 1)
     right = cq.solve(posed.problem)
