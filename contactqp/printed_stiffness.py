@@ -46,7 +46,7 @@ OTHER_SIGN = 0.01
 # Decimal digits of a printed matrix, at most, and entries that are looked at first.
 MOST_DIGITS, LOOKED_AT = 12, 64
 # A change of so many roundings of the largest entries, the diagonal being one, is no rounding of them.
-MOST_ROUNDINGS = 32.0
+MOST_ROUNDINGS, COARSEST_ROUNDINGS = 2.0, 16.0
 # Entries of a single motion that are so near to 0, 1 or -1 are that.
 SNAPPED = 1e-3
 # Rotations beside so many translations: of a beam, in the plane, in space.
@@ -189,7 +189,9 @@ def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
         translations = whole / scale[:, None] if np.all(abs(single - whole) <= SNAPPED) else translations
     basis = _independent(translations)
     count = lowest.shape[1] - basis.shape[1]
-    if count > TURNS.get(basis.shape[1], 0):
+    # Unknowns that all move one way turn nowhere: what else they do is that of parts on soft springs.
+    one_way = translations.shape[1] == 1 and bool(np.all(translations))
+    if count > (0 if one_way else TURNS.get(basis.shape[1], 0)):
         return lowest[:, :0], 0  # translations that are not known well enough to say which loads drive them
     turns = _independent(lowest - basis @ (basis.T @ lowest), count)
     return np.column_stack([basis, turns]), turns.shape[1]
@@ -232,7 +234,7 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
     `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be. The last
     `turns` motions are known to the digits of K only, and corrected.
     """
-    rigid = _rigid_but_for_rounding(body, weight, motions, turns > 0, known)
+    rigid = _rigid_but_for_rounding(body, weight, motions, turns, known)
     if not rigid.shape[1]:
         return None
     turns = turns if rigid.shape[1] == motions.shape[1] else 0
@@ -245,37 +247,39 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
         change = sp.csr_matrix(change + more)
         rigid[:, rigid.shape[1] - turns :] += moved - rigid @ (rigid.T @ moved)
     left = _forces(body + change, rigid)
-    if abs(change).max() > MOST_ROUNDINGS * weight.max() or np.any(abs(left) > _of_doubles(body, rigid)):
+    most = MOST_ROUNDINGS * weight.max() * (1.0 if known else COARSEST_ROUNDINGS)
+    if abs(change).max() > most or np.any(abs(left) > _of_doubles(body, rigid)):
         return None
     return change
 
 
-def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, inexact: bool, known: bool) -> Array:
+def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Array:
     """Orthonormal combinations (p, r) of motions whose forces K z are those of lost digits; all that are, or none.
 
-    The motions themselves, one after another, where all of them are.
-    Where no digits are known, the forces may be those of motions that were stated roughly: these cost energy.
+    The motions themselves, one after another, where all of them are. Where no digits are known, the forces may be those
+    of motions that were stated roughly: these cost energy. The last `turns` motions are known to the digits of K only.
     """
     kept = _independent(motions)
     energies, mix = np.linalg.eigh(kept.T @ (body @ kept))
     kept = kept @ mix[:, abs(energies) <= SOFT]
-    forces, size = _forces(body, kept), _of_doubles(body, kept) / EXACT
-    most = INEXACT * (weight @ abs(kept)) + EXACT * size
-    if inexact:  # turns themselves are off by the rounding of K: they move what they should leave in place
+    forces, most = _forces(body, kept), INEXACT * (weight @ abs(kept)) + _of_doubles(body, kept)
+    if turns:  # they move what they should leave in place
         most = most + INEXACT * weight.max() * _reach(body, kept)
     within = np.all(abs(forces) <= most, axis=0)
-    kept, forces, size = kept[:, within], forces[:, within], size[:, within]
-    if not _of_lost_digits(kept * forces, abs(kept) * size, known):
+    kept, forces = kept[:, within], forces[:, within]
+    size = abs(kept) * _of_doubles(body, kept)
+    impossible = bool(np.any(np.sum(kept * forces, axis=0) < -np.sum(size, axis=0)))
+    # A negative energy is no stiffness's. Turns that are inexact meet elastic forces everywhere: translations tell.
+    exact = motions[:, : motions.shape[1] - turns] if turns else kept
+    if not impossible and not (known and _of_lost_digits(body, exact)):
         return np.zeros((len(kept), 0))
     return np.linalg.qr(motions)[0] if kept.shape[1] == motions.shape[1] else kept
 
 
-def _of_lost_digits(work: Array, size: Array, known: bool) -> bool:
-    """Whether the works z_j (K z)_j (p, r) of motions are those of roundings, beside the works |z|_j (|K||z|)_j."""
-    felt = abs(work) > EXACT * size
-    impossible = bool(np.any(np.sum(work, axis=0) < -EXACT * np.sum(size, axis=0)))
-    if impossible or not known:  # no stiffness has a negative energy
-        return impossible
+def _of_lost_digits(body: Any, motions: Array) -> bool:
+    """Whether the works z_j (K z)_j of motions (p, r) are at many unknowns and of signs that follow no rule."""
+    work = motions * _forces(body, motions)
+    felt = abs(work) > abs(motions) * _of_doubles(body, motions)
     if np.mean(np.any(felt, axis=1)) < WIDESPREAD:
         return False
     irregular = abs(np.sum(work)) <= DEVIATIONS * np.sqrt(2 * np.sum(work**2))

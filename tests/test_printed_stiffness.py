@@ -74,6 +74,28 @@ def test_turns_of_regular_lattices_are_recognised_with_the_zeros_of_their_stiffn
     assert abs(np.linalg.eigvalsh(K.toarray()) / np.max(exact))[0] > 1e-14
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_soft_springs_that_are_stated_in_few_digits_stay(seed: int) -> None:
+    """Whole numbers eight decades apart: what holds or joins stiff parts is as small as digits that a printer loses."""
+    rng = np.random.default_rng(seed)
+    large = 10.0 ** int(rng.integers(3, 8))
+    if seed % 3 == 0:  # a beam
+        K = np.zeros((12, 12))
+        element = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+        for at in range(0, 10, 2):
+            K[at : at + 4, at : at + 4] += large * rng.integers(1, 10) * element
+    elif seed % 3 == 1:  # a lattice
+        nodes = np.array(list(np.ndindex(*(3, 2, 2)[: int(rng.integers(2, 4))])), dtype=float)
+        K = large * np.round(spring_block(rng, nodes, 4.0))
+    else:  # a chain of two stiff parts
+        links = large * rng.integers(1, 10, 7)
+        links[[0, 4]] = rng.integers(1, 10, 2)
+        K = np.diag(links + np.append(links[1:], 0.0)) - np.diag(links[1:], 1) - np.diag(links[1:], -1)
+    held = rng.choice(len(K), int(rng.integers(1, 4)), replace=False)
+    K[held, held] += rng.integers(1, 10, len(held))
+    assert clear_of_printing(sp.csr_array(K), None) is None
+
+
 def test_rigid_motions_cost_nothing_and_no_entry_changes_by_more_than_its_digits() -> None:
     K, motions, _ = block(3)
     printed = print_and_read(K, 7)
