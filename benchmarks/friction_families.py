@@ -150,7 +150,13 @@ for _dimension in (2, 3):
         FAMILIES += (f"{_kind} {_dimension}D", f"local {_kind} {_dimension}D")
     for _kind in MAKERS:
         CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, True, True)
-FAMILIES += tuple(name for name in CONTACT_FAMILIES if name.split()[0] in MAKERS)
+# In the order in which they came, since a family's place is a part of its seeds.
+FAMILIES += tuple(
+    name
+    for stacks in (False, True)
+    for name in CONTACT_FAMILIES
+    if name.split()[0] in MAKERS and name.startswith("stack") == stacks
+)
 
 
 def contact_problem(name: str, seed: int) -> Posed:

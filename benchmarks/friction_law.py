@@ -34,11 +34,22 @@ def broken(posed: Posed, solution: cq.Solution) -> float:
     K = np.asarray(p.stiffness.toarray() if hasattr(p.stiffness, "toarray") else p.stiffness)
     E_N, E_T, A = p.normal.toarray(), p.tangent.toarray(), p.tie.toarray()
     balance = K @ u + E_N.T @ normal + E_T.T @ friction.ravel() + A.T @ tie - p.load
+    # The displacement is held by doubles: what that changes of K u is no fault of the answer. Resultants know no u.
+    balance = np.maximum(abs(balance) - 16 * np.finfo(float).eps * (abs(K) @ abs(u)), 0.0)
+    resultant = _rigid(K).T @ (E_N.T @ normal + E_T.T @ friction.ravel() + A.T @ tie - p.load)
     gap, slip = p.gap - E_N @ u, (E_T @ u).reshape(p.slip_origin.shape) - p.slip_origin
     meeting = (abs(E_T) @ abs(u)).reshape(slip.shape) + abs(p.slip_origin)
     rounding = 4 * np.finfo(float).eps * np.linalg.norm(meeting, axis=1) if slip.shape[1] > 1 else 0.0
-    parts = (balance, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction, rounding))
+    parts = (balance, resultant, A @ u - p.tie_value, *_law(normal, friction, gap, slip, p.friction, rounding))
     return _worst(parts, (u, normal, friction, p.load))
+
+
+def _rigid(K: Array) -> Array:
+    """Motions (n, q) with K z = 0, the largest entry of each one."""
+    root = 1.0 / np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
+    values, vectors = np.linalg.eigh(K * np.outer(root, root))
+    motions = root[:, None] * vectors[:, values <= 1e-13]
+    return np.asarray(motions / np.max(abs(motions), axis=0, initial=1e-300))
 
 
 def broken_locally(problem: cq.LocalProblem, solution: cq.LocalSolution) -> float:
@@ -95,6 +106,7 @@ def seen(problem: cq.ContactProblem) -> Array:
     K = np.asarray(problem.stiffness.toarray() if hasattr(problem.stiffness, "toarray") else problem.stiffness)
     rubs = np.repeat(problem.friction > 0, problem.tangent.shape[0] // problem.contacts)
     rows = np.vstack([K, problem.normal.toarray(), problem.tangent.toarray()[rubs], problem.tie.toarray()])
-    _, values, rotation = np.linalg.svd(rows)
+    length = np.linalg.norm(rows, axis=1, keepdims=True)  # soft bodies beside stiff ones are seen, too
+    _, values, rotation = np.linalg.svd(rows / np.where(length > 0, length, 1.0))
     free = rotation[int(np.sum(values > 1e-10 * values[0])) :]
     return np.asarray(np.eye(len(K)) - free.T @ free)

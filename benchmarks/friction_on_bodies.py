@@ -138,6 +138,37 @@ def interference_removed(rng: Generator, dimension: int) -> cq.ContactProblem:
     return _around(rng, dimension, overlaps=True, strain=0.0, at_loads=False)
 
 
+def stack_free_to_slide(rng: Generator, dimension: int) -> cq.ContactProblem:
+    """Free blocks on a rough floor and on each other, their stiffnesses up to 1e10 apart: made around an answer."""
+    d, count = dimension, int(rng.integers(2, 4)) if dimension == 2 else 2
+    nodes = _grid(*[2] * d)
+    sizes = 2.0 ** rng.permutation(np.append([0, rng.integers(0, 34)], rng.integers(0, 34, count - 2)))
+    K = blocks(*(spring_block(rng, nodes, size) for size in sizes))
+    n, each = len(K), d * len(nodes)
+    rigid = np.concatenate([np.tile(rng.integers(-16, 17, d) / 16, len(nodes)) for _ in sizes])
+    u = rigid + rng.integers(-8, 9, n) / 64 / np.repeat(sizes, each)
+    low = np.flatnonzero(nodes[:, -1] == 0)
+    normal, tangent = [], []
+    for block in range(count):
+        node = int(rng.choice(low))
+        mine = np.eye(n)[block * each + d * node + np.arange(d)]
+        under = np.eye(n)[(block - 1) * each + d * (node + 1) + np.arange(d)] if block else np.zeros((d, n))
+        normal.append(under[-1:] - mine[-1:])
+        tangent.append(mine[:-1] - under[:-1])
+    normal, tangent = np.vstack(normal), np.vstack(tangent)
+    slips, mu = rng.random(count) < 0.5, rng.choice(COEFFICIENTS, count)
+    pressed = rng.integers(4, 17, count) / 8
+    direction = np.eye(d - 1)[rng.integers(0, d - 1, count)] * rng.choice([-1.0, 1.0], count)[:, None]
+    rubbed = (mu * pressed * np.where(slips, 1.0, rng.integers(-7, 8, count) / 8))[:, None] * direction
+    moved = np.where(slips, 0.5, 0.0)[:, None] * direction
+    load = K @ (u - rigid) + normal.T @ pressed + tangent.T @ rubbed.ravel()
+    return cq.ContactProblem(
+        stiffness=K, load=load, normal=normal, gap=normal @ u, tangent=tangent, friction=mu,
+        slip_origin=(tangent @ u).reshape(count, d - 1) - moved,
+    )  # fmt: skip
+
+
 MAKERS: dict[str, Callable[[Generator, int], cq.ContactProblem]] = {
-    maker.__name__: maker for maker in (bedded, decaying_path, pushed_rigidly, unstrained, interference_removed)
+    maker.__name__: maker
+    for maker in (bedded, decaying_path, pushed_rigidly, unstrained, interference_removed, stack_free_to_slide)
 }

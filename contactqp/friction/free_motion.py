@@ -18,8 +18,6 @@ from contactqp.violations import Answer, force_measure, forces_that_meet, rounde
 
 # A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
 NOISE = 1e-15
-# A displacement that free motions make so many times longer leaves their rounding behind when they are taken away.
-CANCELLED = 100.0
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
@@ -45,17 +43,17 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
 def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer, free: Array) -> Answer:
     """The answer of least norm along its free motions, where contacts that do not push leave room for it.
 
-    Where the motion was larger than what is left by orders of magnitude, its rounding is refined away.
+    What is taken away leaves its rounding behind, which is refined away.
     """
     if not free.shape[1]:
         return answer
     u = answer.displacement
     resting = replace(answer, displacement=u - free @ (free.T @ u))
-    if np.max(abs(u)) > CANCELLED * np.max(abs(resting.displacement)):
-        rows = FrictionalRows(problem, condensation)
-        better = answer_in(problem, condensation, rows, _combination(problem, answer), resting)
-        resting = better if holds(problem, better) else resting
-    return resting if holds(problem, resting) else answer
+    rows = FrictionalRows(problem, condensation)
+    for found in (answer_in(problem, condensation, rows, _combination(problem, answer), resting), resting):
+        if holds(problem, found):
+            return found
+    return answer
 
 
 def _combination(problem: ContactProblem, answer: Answer) -> Status:
