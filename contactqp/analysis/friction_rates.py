@@ -33,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 # Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
 STEADY = 1e-11
+# Rates that fail by more than this part fail by more than rounding of the data: all do where absence is claimed.
+CLEARLY = 1e-8
 # Rates that differ by this part of the largest are two continuations.
 DISTINCT = 1e-7
 # Combinations of undecided contacts up to which all are tried, so that several continuations are seen.
@@ -65,11 +67,11 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     Raises
     ------
     NoEquilibrium
-        There is none: the equilibrium is lost at this load.
+        There is none, since every combination fails by far more than rounding: the equilibrium is lost at this load.
     SeveralEquilibria
         Several, and nothing chooses.
     NotConverged
-        None was found, and too many contacts are undecided to try all combinations.
+        None was found, and one nearly holds, or too many contacts are undecided to try all combinations.
     """
     choices = _choices(system, standing)
     count = prod(len(choice) for choice in choices)
@@ -80,12 +82,19 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
         if count > MOST_TRIED:
             raise NotConverged(f"follow_path: {at}: no continuation was found for {len(choices)} undecided contacts")
     found: list[CombinationAnswer] = []
+    nearest = np.inf
     for status in _combinations(standing, choices):
         answer = system.solve(status, rates)
+        nearest = min(nearest, _failing(system, rates, standing, answer))
         known = [other for other in found if _same(system, standing, answer, other, rates)]
         if not known and _holds(system, rates, standing, answer):
             found.append(answer)
     names = _named(problem, standing.undecided)
+    if not found and nearest <= CLEARLY:
+        raise NotConverged(
+            f"follow_path: {at}: no continuation was found, and one choice of open, stick and slip at {names} fails by "
+            f"{nearest:.2g} of the rates only, which rounding may have made"
+        )
     if not found:
         raise NoEquilibrium(
             f"follow_path: {at}: no continuation: the equilibrium is lost, no choice of open, stick and slip at "
@@ -133,10 +142,15 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
     return max(rates.size if np.any(rates.load) else 0.0, *(float(np.max(abs(part), initial=0.0)) for part in parts))
 
 
-def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> bool:
+def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
+    """By how much a combination is no answer, or its signs fail, of the largest rate."""
     size = _size(answer, rates)
-    wrong = float(np.max(_wrong(system, standing, answer), initial=0.0))
-    return wrong <= STEADY * size and answer.left <= STEADY * size
+    wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.left)
+    return wrong / size if size > 0 else float(np.where(wrong > 0, np.inf, 0.0))
+
+
+def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> bool:
+    return _failing(system, rates, standing, answer) <= STEADY
 
 
 def _same(

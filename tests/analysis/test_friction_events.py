@@ -86,6 +86,18 @@ def test_a_snap_is_told_at_its_load() -> None:
         cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], 0.8), pressed_and_pulled, events="exact")
 
 
+@pytest.mark.parametrize(("more", "error"), [(1e-7, cq.NoEquilibrium), (1e-9, cq.NotConverged), (-1e-9, None)])
+def test_what_rounding_may_have_lost_is_not_denied(more: float, error: type[Exception] | None) -> None:
+    """Along its cone by so much more than friction holds, where sliding on is no way out."""
+    problem = one_contact(KLARBRING, [0.0, 0.0], 0.8)
+    pulled_along = [[-1.0, 0.0], [-1.0, 0.8], [-2.0, 1.6 + more]]
+    if error is None:
+        assert cq.follow_path(problem, pulled_along, events="exact")[-1].contact_status.tolist() == ["stick"]
+        return
+    with pytest.raises(error, match="t = 2: no continuation"):
+        cq.follow_path(problem, pulled_along, events="exact")
+
+
 def test_several_continuations_are_told_at_their_load() -> None:
     """At the edge of the cone, unloaded, with K_tt + mu K_nt < 0: it may stick or slip on; from rest three ways."""
     problem = one_contact(KLARBRING, [0.0, 0.0], 0.8)
