@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.extended import extend, extended_rows
+from contactqp.extended import extend, extended_rows, images
 from contactqp.factorization import Array, RigidMotions
 from contactqp.intrinsic_size import bodies
 from contactqp.problem import ContactProblem, Vector
@@ -64,8 +64,7 @@ def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
     if known is None or known[0] is not rigid:
         forces = rigid.forces
         if forces is None:
-            rows = extended_rows(problem)
-            forces = np.column_stack([(rows.stiffness @ extend(z)).double() for z in rigid.motions.T])
+            forces = images(problem.stiffness_rows, rigid.motions)
         known = rigid, abs(forces.T)
         problem._shared["left_of_stiffness"] = known
     return np.asarray(known[1])

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elimination import eliminate
+from contactqp.elimination import LARGE, eliminate
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.extended import ExtendedRows
 from contactqp.factorization import (
@@ -28,9 +28,11 @@ from contactqp.factorization import (
     DenseCholesky,
     RigidMotions,
     condensed_null_space,
+    connected_parts,
     inverse_root,
     null_space,
     orthonormal,
+    right_singular,
     stated_motions,
 )
 from contactqp.pardiso import NotPositive
@@ -50,6 +52,9 @@ UNRESISTED = 1e-9
 SMALL = 900
 # Nodes of a body that are retained where it may float: three that are no line hold it.
 FAR_APART = 4
+# Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
+# unknowns than this, or than this part of the touched ones: next to nothing beside a second factorisation.
+FEW_MORE, PART_MORE = 48, 0.125
 # Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
 # of one, get an unknown more to hold them.
 HARDLY_HELD = 1e-4
@@ -73,6 +78,8 @@ class Condensation:
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
         stated = _stated_motions(problem)
         fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
+        if problem.near_null_space is None and problem.dimension >= LARGE:
+            fixing = self._precaution(touched)
         self._eliminate_if_regular(np.union1d(touched, fixing), unknown_scale(problem))
         if stated.count and self._floats_no_further(stated):
             self.rigid = stated
@@ -88,6 +95,14 @@ class Condensation:
         theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
+    def _precaution(self, touched: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Unknowns that hold every body should it float, where that costs next to nothing; else none."""
+        if FAR_APART * connected_parts(self._sparse)[0] > max(FEW_MORE, PART_MORE * len(touched)):
+            return touched[:0]
+        apart = unknowns_far_apart(self._sparse)
+        beside = np.setdiff1d(apart, touched)
+        return beside if len(beside) <= max(FEW_MORE, PART_MORE * len(touched)) else touched[:0]
+
     def _eliminate_if_regular(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
         """Eliminate the interior; where it floats some nodes far apart are retained as well."""
         try:
@@ -97,6 +112,7 @@ class Condensation:
 
     def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array, singular: bool = True) -> None:
         self._reduced: tuple[Vector, Vector, Vector] | None = None
+        self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
         self._elimination = eliminate(self._sparse, retained, singular)
         self.retained = retained
         if len(retained) < self._sparse.shape[0]:
@@ -161,9 +177,7 @@ class Condensation:
     @cached_property
     def bodies(self) -> NDArray[np.intp]:
         """(p,) the number of the body, a connected part of K, that each retained unknown belongs to."""
-        from scipy.sparse.csgraph import connected_components
-
-        return np.asarray(connected_components(sp.csr_matrix(self._sparse), directed=False)[1][self.retained])
+        return np.asarray(connected_parts(self._sparse)[1][self.retained])
 
     @cached_property
     def lost_digits(self) -> float:
@@ -195,21 +209,29 @@ class Condensation:
         if not self.rigid.count or not len(self.schur):
             return
         Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
-        clear = np.eye(len(Q)) - Q @ Q.T
-        cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
+        cleared = self.schur * np.outer(self.scale, self.scale)
+        cleared -= Q @ (Q.T @ cleared)
+        cleared -= (cleared @ Q) @ Q.T
         cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
         self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
         self._schur_factor = None
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
         """f_S, and what `expand` needs of the load; remembered, since method and polishing start from the same load."""
-        if self._reduced is None or not np.array_equal(self._reduced[0], load):
-            reduced, inner = self._elimination.reduce(load)
-            self._reduced = (load.copy(), self._balanced(load, reduced), inner)
+        reduced, inner = self.reduce_residual(load)
+        if self._reduced is None or self._reduced[2] is not inner:
+            self._reduced = (load.copy(), reduced, inner)
         return self._reduced[1:]
 
+    def reduce_residual(self, load: Vector) -> tuple[Vector, Vector]:
+        """`reduce_load` of a load that does not come again, such as what refinement leaves."""
+        if self._reduced is not None and np.array_equal(self._reduced[0], load):
+            return self._reduced[1:]
+        reduced, inner = self._elimination.reduce(load)
+        return self._balanced(load, reduced), inner
+
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """`reduce_load` of a load that does not come again, such as that of a time step; nothing may float."""
+        """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
         return self._elimination.reduce(load)
 
     def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
@@ -234,8 +256,10 @@ class Condensation:
         size = problem.load_size[self.retained]
         if not self.rigid.count:
             return size
-        held = abs(self.expand(np.zeros(len(self.retained)), inner))
-        return np.asarray(size + abs(self._sparse[self.retained]) @ held)
+        if self._crossing is None or self._crossing[0] is not inner:
+            held = abs(self.expand(np.zeros(len(self.retained)), inner))
+            self._crossing = inner, abs(self._sparse[self.retained]) @ held
+        return np.asarray(size + self._crossing[1])
 
     def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
         """The condensed problem, itself a ContactProblem, which knows its own condensation."""
@@ -274,7 +298,7 @@ class Condensation:
         of_body = self.bodies[np.argmax(abs(motions), axis=0)]
         entry = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_body])
         size = np.max(entry * np.linalg.norm(motions, axis=0), axis=1, keepdims=True)
-        _, values, rotation = np.linalg.svd(rows @ motions / np.where(size > 0, size, 1.0))
+        values, rotation = right_singular(rows @ motions / np.where(size > 0, size, 1.0))
         return np.asarray(coordinates @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
     def _held_schur(self) -> Array:
@@ -309,7 +333,7 @@ class Condensation:
     def _retain_all(self, problem: ContactProblem) -> None:
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
-        self.retained, self._reduced = np.arange(problem.dimension), None
+        self.retained, self._reduced, self._crossing = np.arange(problem.dimension), None, None
         self._elimination = eliminate(self._sparse, self.retained)
 
     def restrict_candidate(self, candidate: Candidate) -> Candidate:
@@ -390,22 +414,31 @@ def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
 
     Unknowns that K couples with the same others are those of one node.
     """
-    from scipy.sparse.csgraph import connected_components, dijkstra
-
     graph = sp.csr_matrix(stiffness)
-    _, label = connected_components(graph, directed=False)
-    hops = sp.csr_matrix((np.ones(graph.nnz), graph.indices, graph.indptr), shape=graph.shape)
+    _, label = connected_parts(graph)
     starts = np.unique(label, return_index=True)[1]
-    chosen: list[NDArray[np.intp]] = []
-    away = np.full(len(label), np.inf)
-    for _ in range(FAR_APART):
-        chosen.append(starts)
-        reached = dijkstra(hops, directed=False, indices=starts, unweighted=True, min_only=True)
-        away = np.minimum(away, reached)
-        order = np.lexsort((away, label))
-        starts = order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)]
+    chosen: list[NDArray[np.intp]] = [starts]
+    for _ in range(FAR_APART - 1):
+        order = np.lexsort((_hops_away(graph, np.concatenate(chosen)), label))
+        chosen.append(order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)])
     nodes = np.unique(np.concatenate(chosen))
     return np.unique(np.concatenate([_of_same_node(graph, int(j)) for j in nodes])).astype(np.intp)
+
+
+def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(n,) how many entries lie between each unknown and the nearest of some, at least one of them in every body."""
+    from scipy.sparse.csgraph import breadth_first_order
+
+    size = graph.shape[0]  # and the number of an unknown more, from which the search starts
+    indices = np.concatenate([graph.indices, starts.astype(graph.indices.dtype)])
+    rows = np.append(graph.indptr, len(indices)).astype(graph.indptr.dtype)
+    searched = sp.csr_matrix((np.ones(len(indices)), indices, rows), shape=(size + 1, size + 1))
+    _, before = breadth_first_order(searched, size)
+    ahead = np.where(before < 0, np.arange(size + 1), before)  # who found each: nobody the first, which stays put
+    hops = (before >= 0).astype(np.intp)
+    while np.any(hops[ahead]):
+        hops, ahead = hops + hops[ahead], ahead[ahead]
+    return np.asarray(hops[:size] - 1)
 
 
 def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
@@ -425,7 +458,7 @@ def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array)
     scaled = scaled / np.max(abs(scaled), axis=0)
     free = scaled
     if retained.size:
-        _, values, rotation = np.linalg.svd(scaled[retained])
+        values, rotation = right_singular(scaled[retained])
         held = values > HARDLY_HELD * max(1.0, np.max(values))  # what holds a motion by rounding holds nothing
         free = scaled @ rotation[np.count_nonzero(held) :].T
     if not free.shape[1]:

@@ -51,6 +51,9 @@ class Elimination(Protocol):
     def expand(self, retained: Vector, state: Vector) -> Vector:
         """u (n,) from u_c and the load that was reduced."""
 
+    def expand_motions(self, retained: Array) -> Array:
+        """u (n, q) without a load from several u_c (p, q)."""
+
 
 class BackSubstitution:
     """S from factors of K_ii alone, column by column: for an interior that is small or a few times what is retained."""
@@ -94,6 +97,12 @@ class BackSubstitution:
         u[self._interior] = state - self._solve(self._coupling @ retained)
         return u
 
+    def expand_motions(self, retained: Array) -> Array:
+        u = np.empty((len(self._retained) + len(self._interior), retained.shape[1]))
+        u[self._retained] = retained
+        u[self._interior] = -self._solve(self._coupling @ retained)
+        return u
+
 
 class LastBlock:
     """S as PARDISO leaves it; half a back-substitution reduces a load, the other half expands a displacement."""
@@ -117,6 +126,13 @@ class LastBlock:
         self.half_substitutions += 1
         count_half_substitutions(1)
         right = state.copy()
+        right[self._retained] = retained
+        return self._factor.backward(right)
+
+    def expand_motions(self, retained: Array) -> Array:
+        self.half_substitutions += retained.shape[1]
+        count_half_substitutions(retained.shape[1])
+        right = np.zeros((self._factor.size, retained.shape[1]))
         right[self._retained] = retained
         return self._factor.backward(right)
 

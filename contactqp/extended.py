@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from contactqp.problem import ContactProblem
 
 EPS = 2.0**-104
+# Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
+# sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
+SHORT = 2**11
 _SPLITTER = 2.0**27 + 1.0
 
 Array = NDArray[np.float64]
@@ -132,6 +135,18 @@ class SparseRows:
                 rest += carried + (error if doubles else error + value * vector.lo[column])
             hi[block.members], lo[block.members] = two_sum(total, rest)
         return Extended(hi, lo)
+
+
+def images(matrix: Any, columns: Array) -> Array:
+    """K z of every column z (n, q), rounded to doubles: accumulated to half an eps of |K||z| at least."""
+    rows = sp.csr_matrix(matrix)
+    if not columns.size:
+        return np.zeros((rows.shape[0], columns.shape[1]))
+    if np.finfo(np.longdouble).nmant == 63 and np.max(np.diff(rows.indptr), initial=0) <= SHORT:
+        long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
+        return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
+    extended = SparseRows(rows)
+    return np.column_stack([(extended @ extend(z)).double() for z in columns.T])
 
 
 class _Block(NamedTuple):

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.extended import SparseRows, extend
+from contactqp.extended import images
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,6 @@ MIXED_AT_MOST = 1e-6
 # A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
 # for.
 SUSPICIOUS_PIVOT = 1e-8
-# Steps of conjugate gradients that spread forces over a body.
-SPREADING = 30
 # Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
 # matrix then tells whether the factors are good enough.
 LIFT = 4 * np.finfo(float).eps
@@ -42,6 +40,8 @@ DROPPED = 1e-3
 # alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
 RIGID_FORCE = 32 * np.finfo(float).eps
 RIGID_ENERGY = np.finfo(float).eps
+# Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
+SPREADING, SPREAD = 30, RIGID_FORCE / 4
 
 
 class Factorization(Protocol):
@@ -165,6 +165,12 @@ def orthonormal(motions: Array) -> Array:
     return motions
 
 
+def right_singular(rows: Array) -> tuple[Array, Array]:
+    """The singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
+    _, values, rotation = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
+    return values, rotation
+
+
 @dataclass(frozen=True, eq=False)
 class RigidMotions:
     """The null space of K."""
@@ -195,7 +201,7 @@ def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
     of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
     diagonal of about one. An unknown at rest among unknowns at rest is measured against the largest motion.
     """
-    return _is_rigid(motions, _forces(matrix, motions), abs(matrix) @ abs(motions))
+    return _is_rigid(motions, images(matrix, motions), abs(matrix) @ abs(motions))
 
 
 def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
@@ -206,10 +212,15 @@ def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
     return np.asarray(still & (energy <= RIGID_ENERGY * scale))
 
 
-def _forces(matrix: Any, motions: Array) -> Array:
-    """K z of every column, accumulated in extended precision: what is zero must not drown in rounding."""
-    rows = SparseRows(matrix)
-    return np.column_stack([(rows @ extend(z)).double() for z in motions.T]) if motions.size else np.zeros_like(motions)
+def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
+    """How many connected parts a symmetric matrix has, and (n,) which of them each unknown belongs to."""
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    size = matrix.shape[0]
+    if size and len(breadth_first_order(matrix, 0, return_predecessors=False)) == size:
+        return 1, np.zeros(size, dtype=np.int32)  # one body, which a search from its first unknown tells at once
+    count, label = connected_components(matrix, directed=False)
+    return int(count), label
 
 
 def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
@@ -217,24 +228,33 @@ def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
 
     Each is that of one component, with K z = 0 to rounding (`is_rigid`); what is not among them may float all the same.
     """
-    from scipy.sparse.csgraph import connected_components
-
     graph = sp.csr_matrix(matrix)
-    root = np.sqrt(np.where(graph.diagonal() > 0, graph.diagonal(), 1.0))
+    return _rigid_among(graph, _soft_by_part(graph, motions))
+
+
+def _soft_by_part(graph: Any, motions: Array) -> Array:
+    """Combinations (n, r) of motions (n, q), each of one component of a matrix and with next to no energy."""
+    diagonal = graph.diagonal()
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     moving, forces = root[:, None] * motions, (graph @ motions) / root[:, None]
-    count, label = connected_components(graph, directed=False)
+    count, label = connected_parts(graph)
     found: list[Array] = []
     for members in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=count))[:-1]):
         for column in _least_energetic(moving[members], forces[members]).T:
             motion = np.zeros(len(root))
             motion[members] = column
             found.append(motion)
-    if not found:
-        return RigidMotions(np.zeros((len(root), 0)))
-    motions = np.column_stack(found) / root[:, None]
-    forces = _forces(graph, motions)
-    size = abs(graph) @ abs(motions)
-    rigid = _is_rigid(root[:, None] * motions, forces / root[:, None], size / root[:, None])
+    return np.column_stack(found) / root[:, None] if found else np.zeros((len(root), 0))
+
+
+def _rigid_among(graph: Any, motions: Array) -> RigidMotions:
+    """Those of some motions (n, q) that are rigid, with what K's rounding leaves of them."""
+    if not motions.shape[1]:
+        return RigidMotions(motions)
+    diagonal = graph.diagonal()
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))[:, None]
+    forces, size = images(graph, motions), abs(graph) @ abs(motions)
+    rigid = _is_rigid(root * motions, forces / root, size / root)
     return RigidMotions(motions[:, rigid], forces=forces[:, rigid])
 
 
@@ -252,10 +272,8 @@ def _least_energetic(motions: Array, forces: Array) -> Array:
 
 def null_space(matrix: Any) -> RigidMotions:
     """The null space of a positive semidefinite matrix, component by component of its graph."""
-    from scipy.sparse.csgraph import connected_components
-
     graph = sp.csr_matrix(matrix)
-    count, label = connected_components(graph, directed=False)
+    count, label = connected_parts(graph)
     order = np.argsort(label, kind="stable")
     bounds = np.searchsorted(label[order], np.arange(count + 1))
     columns, rows, values, found, softest = [], [], [], 0, 1.0
@@ -287,9 +305,7 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
     scale : (p,) array
         What gives S a unit diagonal.
     """
-    from scipy.sparse.csgraph import connected_components
-
-    label = connected_components(sp.csr_matrix(matrix), directed=False)[1][retained]
+    label = connected_parts(matrix)[1][retained]
     S = elimination.schur * np.outer(scale, scale)
     parts = [_SoftPart(np.flatnonzero(label == c), S) for c in np.unique(label)]
     width = max((part.motions.shape[1] for part in parts), default=0)
@@ -298,22 +314,43 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
     soft = np.zeros((len(retained), width))
     for part in parts:
         soft[part.members, : part.motions.shape[1]] = part.motions
-    _, nothing = elimination.reduce(np.zeros(matrix.shape[0]))
-    motions = [_spread(matrix, elimination.expand(scale * z, nothing)) for z in soft.T]
-    found = stated_motions(matrix, np.column_stack(motions))
-    if found.count < sum(part.motions.shape[1] for part in parts):
+    graph, wanted = sp.csr_matrix(matrix), sum(part.motions.shape[1] for part in parts)
+    motions = _soft_by_part(graph, elimination.expand_motions(scale[:, None] * soft))
+    found = _rigid_among(graph, _spread(graph, motions, graph @ motions))
+    if found.count < wanted:  # what is spread was itself rounding of doubles, perhaps
+        found = _rigid_among(graph, _spread(graph, motions, images(graph, motions)))
+    if found.count < wanted:
         return null_space(matrix)
     return RigidMotions(found.motions, min((part.next_energy for part in parts), default=1.0), found.forces)
 
 
-def _spread(matrix: Any, motion: Array) -> Array:
-    """A rigid motion whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again."""
-    from scipy.sparse.linalg import cg
+def _spread(matrix: Any, motions: Array, gathered: Array) -> Array:
+    """Rigid motions whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again.
 
+    Steps of conjugate gradients on K s = K z, until K (z - s) is rounding at every unknown: it is what they leave.
+    """
     diagonal = matrix.diagonal()
-    jacobi = sp.diags(1 / np.where(diagonal > 0, diagonal, 1.0))
-    forces = _forces(matrix, motion[:, None])[:, 0]
-    return np.asarray(motion - cg(matrix, forces, maxiter=SPREADING, M=jacobi)[0])
+    inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
+    root = np.sqrt(inverse)[:, None]
+    spread = motions.copy()
+    rounding = SPREAD * np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions) / root, axis=0, initial=0.0) / root)
+    for z, force, within in zip(spread.T, gathered.T, rounding.T, strict=True):
+        direction, last = np.zeros(len(z)), np.inf
+        for _ in range(SPREADING):
+            if np.all(abs(force) <= within):
+                break
+            scaled = inverse * force
+            product = float(force @ scaled)
+            direction = scaled + product / last * direction
+            response = matrix @ direction
+            curvature = float(direction @ response)
+            if curvature <= 0:  # the rest is rigid
+                break
+            step = product / curvature
+            z -= step * direction
+            force = force - step * response
+            last = product
+    return spread
 
 
 class _SoftPart:
@@ -322,10 +359,9 @@ class _SoftPart:
     def __init__(self, members: NDArray[np.intp], S: Array) -> None:
         self.members = members
         block = S[np.ix_(members, members)]
-        self.motions, self.next_energy = np.zeros((len(members), 0)), 1.0
-        if DenseCholesky(block, np.ones(len(members))).smallest_pivot < SUSPICIOUS_PIVOT:
-            shifted = DenseCholesky(block + SOFT * np.eye(len(members)), np.ones(len(members)))
-            self.motions, self.next_energy = _lowest(block, shifted)
+        shifted = DenseCholesky(block + SOFT * np.eye(len(members)), np.ones(len(members)))
+        self.motions, next_energy = _lowest(block, shifted)
+        self.next_energy = next_energy if self.motions.shape[1] else 1.0
 
 
 def _null_space_of_component(component: Any) -> RigidMotions:
@@ -339,7 +375,7 @@ def _null_space_of_component(component: Any) -> RigidMotions:
     if not lowest.shape[1]:
         return RigidMotions(lowest)
     # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
-    energies, rotation = np.linalg.eigh(lowest.T @ _forces(scaled, lowest))
+    energies, rotation = np.linalg.eigh(lowest.T @ images(scaled, lowest))
     lowest = lowest @ rotation
     rigid = is_rigid(scaled, lowest)
     softest = float(np.min(energies[~rigid], initial=next_energy))
@@ -355,7 +391,7 @@ def _lowest_dense(scaled: Array) -> tuple[Array, float]:
     lowest, others = vectors[:, soft], vectors[:, ~soft]
     for _ in range(2):
         # Refinement takes out what rounding mixed in of the stiff motions.
-        lowest = lowest - others @ ((others.T @ _forces(scaled, lowest)) / values[~soft, None])
+        lowest = lowest - others @ ((others.T @ images(scaled, lowest)) / values[~soft, None])
     return lowest, float(np.min(values[~soft], initial=1.0))
 
 
@@ -365,7 +401,7 @@ def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
     lowest, next_energy = _lowest(scaled, shifted)
     for _ in range(2):
         # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
-        lowest = lowest - shifted.solve(_forces(scaled, lowest))
+        lowest = lowest - shifted.solve(images(scaled, lowest))
     return lowest, next_energy
 
 

@@ -28,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.factorization import RIGID_FORCE, RigidMotions
+from contactqp.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.problem import ContactProblem, Vector
 from contactqp.problem_data import ReadOnly
 from contactqp.row_sizes import row_sizes
@@ -137,10 +137,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the body, a connected part of K, that each unknown belongs to."""
-    from scipy.sparse.csgraph import connected_components
-
     if "bodies" not in problem._shared:
-        _, problem._shared["bodies"] = connected_components(problem.stiffness_rows, directed=False)
+        _, problem._shared["bodies"] = connected_parts(problem.stiffness_rows)
     body: NDArray[np.intp] = problem._shared["bodies"]
     return body
 

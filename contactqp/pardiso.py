@@ -91,22 +91,23 @@ class Pardiso:
         return self._solve(FORWARD, right)
 
     def backward(self, right: Array) -> Array:
-        """u from L^-1 f on the interior and u_c on the retained unknowns."""
+        """u from L^-1 f on the interior and u_c on the retained unknowns, of one load (n,) or several (n, q)."""
         return self._solve(BACKWARD, right)
 
     def _solve(self, phase: int, right: Array) -> Array:
-        solution = np.zeros(self.size)
-        self._call(phase, np.array(right, dtype=np.float64), solution)
+        solution = np.zeros(right.shape, order="F")
+        self._call(phase, np.array(right, dtype=np.float64, order="F"), solution)
         return solution
 
     def _call(self, phase: int, right: Array, solution: Array) -> None:
         error = ctypes.c_int32(0)
         one, kind = ctypes.c_int32(1), ctypes.c_int32(POSITIVE_DEFINITE)
+        count = ctypes.c_int32(right.shape[1] if right.ndim == 2 else 1)
         _library().pardiso(
             *(_pointer(self._handle), ctypes.byref(one), ctypes.byref(one), ctypes.byref(kind)),
             *(ctypes.byref(ctypes.c_int32(phase)), ctypes.byref(ctypes.c_int32(self.size))),
             *(_pointer(self._values), _pointer(self._starts), _pointer(self._columns), _pointer(self._retained)),
-            *(ctypes.byref(one), _pointer(self._settings), ctypes.byref(ctypes.c_int32(0))),
+            *(ctypes.byref(count), _pointer(self._settings), ctypes.byref(ctypes.c_int32(0))),
             *(_pointer(right), _pointer(solution), ctypes.byref(error)),
         )
         if error.value == NOT_POSITIVE:

@@ -85,7 +85,8 @@ class NullSpace:
 
     def _factorise_hessian(self) -> DenseCholesky | None:
         motion = self._N.T @ self.free
-        hessian = self._N.T @ self._S @ self._N + motion @ motion.T
+        inner = self._N.T @ self._S @ self._N if self.independent.size else self._S
+        hessian = inner + motion @ motion.T
         return DenseCholesky(hessian) if len(hessian) else None
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:

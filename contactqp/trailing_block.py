@@ -87,6 +87,10 @@ class TrailingBlock:
         u[self._retained] = retained
         return u
 
+    def expand_motions(self, retained: Array) -> Array:
+        nothing = np.zeros(len(self._order))
+        return np.column_stack([self.expand(column, nothing) for column in retained.T])
+
     def _response(self, force: Vector) -> Vector:
         """(K + T)^-1 of a force (p,) on the retained unknowns: once a few have been asked for, by its columns."""
         if 0 < len(force) <= FEW and self._responses > len(force):

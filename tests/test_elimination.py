@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse.csgraph import dijkstra
 
 import contactqp as cq
-from contactqp import elimination
+from contactqp import condensation, elimination
 from contactqp.condensation import condense
 from contactqp.elements.material import Material
-from contactqp.elements.shapes import rectangle
+from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.elimination import BackSubstitution, LastBlock, eliminate
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.factorization import null_space
+from contactqp.factorization import connected_parts, null_space
 from contactqp.pardiso import NotPositive, Pardiso, available
 from contactqp.trailing_block import TrailingBlock
 
@@ -194,3 +195,97 @@ def test_an_orthonormal_basis_of_rigid_motions_is_accurate_at_unknowns_of_any_un
     assert basis.shape == (6, 3)
     assert basis.T @ basis == pytest.approx(np.eye(3), abs=1e-12)
     assert np.all(abs(K @ basis) <= 64 * np.finfo(float).eps * (abs(K) @ abs(basis)))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_several_motions_are_expanded_as_each_is(way):
+    problem = pressed_block(6)
+    c = np.unique(problem.normal.indices)
+    found = way(problem.stiffness_rows, c)
+    at = np.random.default_rng(0).normal(size=(len(c), 3))
+    _, nothing = found.reduce(np.zeros(problem.dimension))
+    each = np.column_stack([found.expand(x, nothing) for x in at.T])
+    assert np.max(abs(found.expand_motions(at) - each)) <= 1e-13 * np.max(abs(each))
+
+
+def floating_in_space(cells=(10, 10, 7), supports=(), **changes):
+    """A block of about 2900 unknowns, pressed down by forces on its top; contacts hold it vertically alone."""
+    body = Body(box((1.0, 1.0, 0.7), cells, "hex8"), Material(1.0, 0.3), "3d", name="block")
+    structure = Structure([body])
+    assembled = structure.assemble(list(supports))
+    centre = [0.0, 0.0, 0.0] if supports else [0.5, 0.5, 0.0]
+    paraboloid = cq.Paraboloid(centre, [0.0, 0.0, 1.0], 5.0)
+    problem = assembled.problem([cq.pair(structure.surface("block", "bottom"), paraboloid)])
+    load = np.zeros(body.size)
+    load[3 * np.flatnonzero(body.mesh.points[:, 2] == 0.7) + 2] = -1e-4
+    return problem.replace(load=load[assembled.free], **changes)
+
+
+QUARTER = (Support("block", "left", 0), Support("block", "front", 1))
+
+
+@pytest.mark.parametrize("solver", ["superlu", pytest.param("pardiso", marks=needs_pardiso)])
+@pytest.mark.parametrize(
+    ("problem", "motions"),
+    [
+        (floating_in_space(near_null_space=None), 6),
+        (floating_in_space(supports=QUARTER, near_null_space=None), 1),
+        (floating_block(24, near_null_space=None), 3),
+    ],
+    ids=["in space", "quarter", "plane"],
+)
+def test_a_body_whose_motions_nobody_states_is_factorised_once_too(monkeypatch, solver, problem, motions):
+    """Nodes that hold it are retained from the start: no factorisation shows only that the interior floats."""
+    monkeypatch.setenv(elimination.CHOICE, solver)
+    tried = []
+    monkeypatch.setattr(condensation, "eliminate", lambda *a: tried.append(1) or eliminate(*a))
+    twin = problem.replace(stiffness=problem.stiffness)
+    way = condense(twin)
+    assert len(tried) == way.factorisations == 1
+    assert way.rigid.count == motions
+    assert len(way.retained) <= problem.contacts + 12
+    assert cq.solve(twin).certificate.proven
+
+
+def test_many_bodies_are_not_all_held_as_a_precaution():
+    """Their nodes would be more unknowns than the contacts touch."""
+    chain = sp.diags([np.full(800, 2.0), -np.ones(799), -np.ones(799)], [0, 1, -1])
+    ends = sp.csr_matrix((np.ones(30), (np.arange(30), 800 * np.arange(30))), shape=(30, 24000))
+    problem = cq.ContactProblem(sp.block_diag([chain] * 30), np.full(24000, 1e-3), ends, np.full(30, 0.1))
+    assert len(condense(problem).retained) == 30
+    one = cq.ContactProblem(sp.block_diag([chain] * 3), np.full(2400, 1e-3), ends[:3, :2400], np.full(3, 0.1))
+    assert len(condense(one).retained) == 12  # the touched ends are among the four nodes of each chain
+
+
+def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
+    """What is spread over a body as rounding must not be the force of a spring."""
+    problem = floating_block(24, near_null_space=None)
+    springs = np.zeros(problem.dimension)
+    springs[[0, 1, -1]] = 1e-8
+    held = problem.replace(stiffness=problem.stiffness + sp.diags(springs, format="csc"))
+    assert condense(held).rigid.count == 0
+    solution = cq.solve(held)
+    assert solution.certificate.proven
+    assert not solution.free_motions
+    reaction = held.normal.T @ solution.normal_force + springs * solution.displacement
+    assert np.sum(reaction[1::2]) == pytest.approx(np.sum(held.load[1::2]), rel=1e-10)
+
+
+def test_nodes_far_apart_are_as_many_entries_away_as_the_graph_says():
+    random = np.random.default_rng(0)
+    for _ in range(30):
+        size = int(random.integers(2, 60))
+        matrix = sp.random(size, size, 0.06, random_state=random, format="csr")
+        graph = sp.csr_matrix(matrix + matrix.T + sp.identity(size))
+        starts = np.append(np.unique(connected_parts(graph)[1], return_index=True)[1], random.integers(0, size))
+        away = dijkstra(graph, directed=False, indices=np.unique(starts), unweighted=True, min_only=True)
+        assert condensation._hops_away(graph, starts).tolist() == away.tolist()
+
+
+@pytest.mark.parametrize("rows", [0, 1, 5])
+def test_connected_parts_are_those_of_the_graph(rows):
+    assert connected_parts(sp.identity(rows, format="csr"))[0] == rows
+    chain = sp.csr_matrix(sp.diags([np.ones(6), np.ones(5), np.ones(5)], [0, 1, -1]))
+    count, label = connected_parts(sp.block_diag([chain, sp.identity(rows)], format="csr"))
+    assert count == 1 + rows
+    assert np.all(label[:6] == label[0])
