@@ -14,7 +14,7 @@ from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.factorization import RIGID_FORCE, inverse_root
 from contactqp.intrinsic_size import stiffness_sizes
-from contactqp.polishing import correction
+from contactqp.polishing import CAUTION, LEAST_CONTRACTION, correction
 from contactqp.problem import ContactProblem, Vector
 from contactqp.range_space import REGULAR
 from contactqp.saddle import free_motions, saddle_point
@@ -85,15 +85,27 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     left = _left_along(problem, condensation, motions, load, tied)
     load = without_part_along(motions, load)
     u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
-    first, last = 0.0, np.inf
-    for _ in range(SWEEPS):
-        residual = load - rows.stiffness @ u - rows.contact_force(no_contact, eta)
-        none = extend(np.zeros(0))
+    none = extend(np.zeros(0))
+
+    def step(residual: Extended) -> tuple[Vector, Vector, float]:
         du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
-        u = u + du
-        eta = eta + dn if tied else eta
-        size, _ = energy_norm(problem, extend(du))
-        first = first or size
+        return du, dn if tied else np.zeros(problem.ties), energy_norm(problem, extend(du))[0]
+
+    du, dn, first = step(load)
+    u, eta = u + du, eta + dn
+    foreseen = (saddle.contraction or 1.0) * CAUTION
+    if foreseen <= ENOUGH or not first:  # another load has shown what the next sweep leaves to do
+        return u, 2 * foreseen * first + left
+    # As a rule the next sweep shows that nothing is left to do, and residuals in double precision can tell.
+    held = problem.stiffness_rows @ u.double() + problem.tie.T @ eta.double()
+    du, _, size = step(extend(load.double() - held))
+    if size <= ENOUGH * first:
+        saddle.contraction = max(saddle.contraction or 0.0, size / first, LEAST_CONTRACTION)
+        return u + du, 2 * size + left
+    last = first
+    for _ in range(SWEEPS):
+        du, dn, size = step(load - rows.stiffness @ u - rows.contact_force(no_contact, eta))
+        u, eta = u + du, eta + dn
         if size <= ENOUGH * first or size > CONTRACTION * last:
             break
         last = size

@@ -46,6 +46,9 @@ WITHIN_ROUNDING = 8 * np.finfo(float).eps
 # A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
 # the resultant is none.
 CARRIED, NO_SHARE = 1e-9, 1e-12
+# A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
+# it, which no refinement would see.
+SLIGHT = 2**10 * float(np.finfo(float).eps)
 # A shift within the gaps may overshoot them by this part of its lengths: a few roundings.
 SHIFT_SLACK = 1e-15
 
@@ -72,24 +75,25 @@ def answer_on(
     start: Answer | None = None,
     left: Residuals | None = None,
     caution: float = 1.0,
+    at_rest: bool = False,
 ) -> OnSet:
     """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
 
-    Free motions of the start stay as they are. `left` are its residuals, if they are known; they are of use where it
-    has no force but on the closed contacts. Refinement goes on until `caution` times what it still has to do is
-    negligible.
+    Free motions of the start stay as they are; without one, and `at_rest`, they take the displacement to its least norm
+    within the gaps. `left` are the start's residuals, if they are known; they are of use where it has no force but on
+    the closed contacts. Refinement goes on until `caution` times what it still has to do is negligible.
 
     K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
     taken to be zero along these.
     """
     rows = extended_rows(problem)
-    found = _refined(rows, problem, condensation, closed, start, left, caution)
+    found = _refined(rows, problem, condensation, closed, start, left, caution, at_rest)
     doubles = Answer(found.displacement.double(), found.normal_force.double(), None, found.tie_force.double())
     missed = imbalance(problem, doubles, condensation.rigid)
     if missed <= BALANCED:
         return found
     rows = condensation.cleared_rows(rows)
-    return replace(_refined(rows, problem, condensation, closed, start, None, caution), cleared=missed)
+    return replace(_refined(rows, problem, condensation, closed, start, None, caution, at_rest), cleared=missed)
 
 
 def _refined(
@@ -100,6 +104,7 @@ def _refined(
     start: Answer | None,
     left: Residuals | None,
     caution: float,
+    at_rest: bool,
 ) -> OnSet:
     """`answer_on` with the products of these rows."""
     saddle = saddle_point(condensation, closed)
@@ -120,6 +125,9 @@ def _refined(
         du, dl, dn = correction(condensation, saddle, left.force, left.gap[closed], left.tie)
         left = None
         u, force, tie = u + du, force.added_at(closed, dl), tie + dn
+        if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
+            found = Answer(u.double(), force.double(), None, tie.double())
+            u = u + shift_to_least_norm(problem, condensation, found, closed)[0]
         size = size_of(du, dl, dn)
         whole = max(whole, size)
         if sweep == 1 and q is None:
@@ -150,7 +158,7 @@ def correction(
     condensation: Condensation, saddle: SaddlePoint, residual: Extended, gap: Extended, open_tie: Extended
 ) -> tuple[Vector, Vector, Vector]:
     """One solve of the full saddle-point system with the condensed factors, in double precision."""
-    reduced, inner = condensation.reduce_load(residual.double())
+    reduced, inner = condensation.reduce_residual(residual.double())
     dx, dl, dn = saddle.solve(reduced, gap.double(), open_tie.double())
     return condensation.expand(dx, inner), dl, dn
 
@@ -180,7 +188,7 @@ def polish(
     seen: set[bytes] = set()
     corrections, holding = 0, None
     while True:
-        answer = answer_on(problem, condensation, closed, start, left, caution)
+        answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
         if holding is not None and not _regular(answer):
             return holding
         proposal = None
@@ -192,7 +200,7 @@ def polish(
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
                     closed = lean
-                    answer = answer_on(problem, condensation, closed, start, left, caution)
+                    answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
         if proposal is None:
             if answer.saddle.free.shape[1]:
                 answer, _ = least_displacement(problem, condensation, answer, caution)
@@ -349,22 +357,30 @@ def least_displacement(
     """
     u, force, tie = without_noise(problem, condensation, answer)
     shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
-    if not free.shape[1] or np.max(abs(shift)) <= WITHIN_ROUNDING * np.max(abs(u), initial=0.0):
+    far, largest = np.max(abs(shift), initial=0.0), np.max(abs(u), initial=0.0)
+    if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
         return answer, free
+    if far <= SLIGHT * largest:
+        closer = answer.displacement + shift
+        return replace(answer, displacement=closer, gap=answer.gap - problem.normal @ shift), free
     # The shift is rigid to double precision only: refine again from where it leads.
     moved = Answer(u + shift, force, None, tie)
     closed = pushing_contacts(problem, Answer(u, force, None, tie))
     return answer_on(problem, condensation, closed, moved, caution=caution), free
 
 
-def shift_to_least_norm(problem: ContactProblem, condensation: Condensation, answer: Answer) -> tuple[Vector, Array]:
+def shift_to_least_norm(
+    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
+) -> tuple[Vector, Array]:
     """The motion that nothing resists and that takes an answer to its least norm within the gaps.
 
-    Returns the shift (n,) and an orthonormal basis (n, q) of the motions.
+    Contacts that push resist, or those that are said to be closed. Returns the shift (n,) and an orthonormal basis
+    (n, q) of the motions.
     """
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), condensation.rigid.motions
-    free = free_motions(condensation, saddle_point(condensation, pushing_contacts(problem, answer)))
+    closed = pushing_contacts(problem, answer) if closed is None else closed
+    free = free_motions(condensation, saddle_point(condensation, closed))
     if not free.shape[1]:
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)

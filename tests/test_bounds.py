@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.condensation import condense
@@ -153,3 +154,25 @@ def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refus
     assert abs(np.sum(carried) - 1.7e-3) > 1e-6 * 1.7e-3
     refused = cq.certify(problem, solution.displacement, carried)
     assert any("balance: the forces on a body do not balance" in failure for failure in refused.failures)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
+@pytest.mark.parametrize("springs", [3, 60])
+def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs, contrast):
+    """Two contacts press a chain from both ends: |d|_W^2 = d^2 sum 1/k, whichever precision its residuals need."""
+    k = np.geomspace(1.0, contrast, springs)
+    K = sp.lil_matrix((springs + 1, springs + 1))
+    for i, stiffness in enumerate(k):
+        K[i : i + 2, i : i + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    ends = np.zeros((2, springs + 1))
+    ends[0, 0], ends[1, -1] = -1.0, 1.0
+    problem = cq.ContactProblem(
+        K.tocsc(), np.zeros(springs + 1), ends, [0.0, 0.0], near_null_space=np.ones((springs + 1, 1))
+    )
+    way = condense(problem)
+    assert way.rigid.count == 1
+    for force in (1.0, 1e-9, 1.0):  # the first tells how refinement goes on, the others know
+        norm, rounding = force_norm(problem, way, extend(np.full(2, force)))
+        truth = force * np.sqrt(np.sum(1 / k))
+        assert abs(norm - truth) <= rounding + 1e-14 * truth
+        assert rounding <= 1e-6 * truth

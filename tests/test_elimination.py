@@ -271,6 +271,20 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
     assert np.sum(reaction[1::2]) == pytest.approx(np.sum(held.load[1::2]), rel=1e-10)
 
 
+@pytest.mark.parametrize("bare", [False, True])
+def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
+    """Six motions that are looked for take one each."""
+    monkeypatch.setenv(elimination.CHOICE, "superlu")
+    problem = floating_in_space(**({"near_null_space": None} if bare else {}))
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert len(solution.free_motions) == 3
+    free = np.column_stack([motion.direction for motion in solution.free_motions])
+    size = abs(free).T @ abs(solution.displacement)
+    assert np.all(abs(free.T @ solution.displacement) <= 1e-12 * size)  # at rest where nothing holds it
+    assert solution.work.back_substitutions <= (22 if bare else 15)
+
+
 def test_nodes_far_apart_are_as_many_entries_away_as_the_graph_says():
     random = np.random.default_rng(0)
     for _ in range(30):
