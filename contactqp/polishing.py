@@ -88,12 +88,32 @@ def answer_on(
     """
     rows = extended_rows(problem)
     found = _refined(rows, problem, condensation, closed, start, left, caution, at_rest)
-    doubles = Answer(found.displacement.double(), found.normal_force.double(), None, found.tie_force.double())
-    missed = imbalance(problem, doubles, condensation.rigid)
+    missed = _imbalance(problem, condensation, found)
     if missed <= BALANCED:
         return found
     rows = condensation.cleared_rows(rows)
     return replace(_refined(rows, problem, condensation, closed, start, None, caution, at_rest), cleared=missed)
+
+
+def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
+    """The part by which the outer forces miss balance on rigid motions, if noise does not make them miss it."""
+    u, push, tie = found.displacement.double(), found.normal_force.double(), found.tie_force.double()
+    missed = imbalance(problem, Answer(u, push, None, tie), condensation.rigid)
+    if missed <= BALANCED:
+        return missed
+    push, tie = _forces_beyond_noise(condensation, found)
+    return min(missed, imbalance(problem, Answer(u, push, None, tie), condensation.rigid))
+
+
+def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vector, Vector]:
+    """Contact and tie forces in doubles, zero where they are what refinement leaves of zero.
+
+    On a body that nothing else loads such noise would be all that drives it.
+    """
+    compliance = delassus(condensation).compliance
+    force = np.concatenate([found.normal_force.double(), found.tie_force.double()])
+    force[abs(force) * compliance <= found.nothing] = 0.0
+    return force[: len(found.normal_force)], force[len(found.normal_force) :]
 
 
 def _refined(
@@ -296,9 +316,12 @@ def _reached_by_drive(
         return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
-    drive = condensation.scale * answer.saddle.drive(_net(condensation, answer, load), size)
+    drive = answer.saddle.drive(_net(condensation, load, answer.normal_force.double(), answer.tie_force.double()), size)
+    if np.any(drive):  # unless noise alone drives it
+        drive = answer.saddle.drive(_net(condensation, load, *_forces_beyond_noise(condensation, answer)), size)
     if not np.any(drive):
         return np.zeros(0, dtype=np.intp), False
+    drive = condensation.scale * drive
     approach = condensation.normal @ drive
     ahead = approach > UNRESISTED * (abs(condensation.normal) @ abs(drive))
     travel = np.full(problem.contacts, np.inf)
@@ -306,14 +329,13 @@ def _reached_by_drive(
     return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
 
 
-def _net(condensation: Condensation, answer: OnSet, load: Vector) -> Vector:
+def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) -> Vector:
     """A condensed load less what contacts and ties carry of it.
 
     These do no work on a free motion, but for the rounding of it: a soft body's motion sideways lifts it by a rounding,
     and what lies on it, be it ever so stiff.
     """
-    carried = condensation.normal.T @ answer.normal_force.double() + condensation.tie.T @ answer.tie_force.double()
-    return np.asarray(load - carried)
+    return np.asarray(load - condensation.normal.T @ push - condensation.tie.T @ tie)
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
