@@ -21,8 +21,8 @@ from contactqp.least_distance import least_closing, least_forces, least_retreat
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint, saddle_point
-from contactqp.violations import BALANCED, Answer, Residuals, lengths_that_meet
+from contactqp.saddle import BALANCED, SaddlePoint, saddle_point
+from contactqp.violations import Answer, Residuals, lengths_that_meet
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50

@@ -26,13 +26,13 @@ from contactqp.extended import Extended, ExtendedRows, extend, extended_rows, tw
 from contactqp.factorization import Array
 from contactqp.frictional_rows import FrictionalRows
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import independent_rows
+from contactqp.saddle import BALANCED, independent_rows
 from contactqp.statuses import OPEN as OPEN
 from contactqp.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.statuses import SLIP_ON as SLIP_ON
 from contactqp.statuses import STICK as STICK
 from contactqp.statuses import Status as Status
-from contactqp.violations import BALANCED, FIGURES, Answer, imbalance, residuals, residuals_of, violations
+from contactqp.violations import FIGURES, Answer, imbalance, residuals, residuals_of, violations
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12

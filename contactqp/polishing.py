@@ -18,9 +18,8 @@ from contactqp.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.factorization import Array
 from contactqp.nonnegative import Infeasible, dual_active_set
 from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import SaddlePoint, free_motions, saddle_point
+from contactqp.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
 from contactqp.violations import (
-    BALANCED,
     Answer,
     Residuals,
     force_measure,

@@ -29,9 +29,9 @@ DEPENDENT = 1e-13
 NO_PART = 1e-9
 # Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
 KEPT = 6
-# The work of a load on a motion below this part of the forces that take part is rounding of a balanced load.
-BALANCED = 1e-10
-# So is a push of this part of all forces on a body, on a motion of it that lies where no force acts.
+# Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
+BALANCED = 1e-12
+# So is a push of this part of all forces on a body rounding, on a motion of it that lies where no force acts.
 IDLE = 256 * np.finfo(float).eps
 
 

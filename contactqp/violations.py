@@ -37,8 +37,6 @@ FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity"
 
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
-# Resultants of forces that are this part of the forces balance.
-BALANCED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)

@@ -176,3 +176,13 @@ def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs
         truth = force * np.sqrt(np.sum(1 / k))
         assert abs(norm - truth) <= rounding + 1e-14 * truth
         assert rounding <= 1e-6 * truth
+
+
+def test_a_load_that_misses_balance_by_1e_11_is_carried_by_the_stop_that_it_drives_to():
+    """A free bar in tension, pulled a little more to the one side: its stop is half a length away."""
+    net = 2.0**-36
+    problem = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, net - 1.0], [[1.0, 0.0]], [0.5])
+    assert cq.solve(problem).normal_force == pytest.approx([net], rel=1e-9)
+    assert not cq.certify(problem, [0.5, -0.5], [0.0]).passed
+    rounding = problem.replace(load=[1.0, 2.0**-52 - 1.0])  # no load of doubles balances better
+    assert cq.solve(rounding).normal_force == pytest.approx([0.0], abs=2.0**-51)
