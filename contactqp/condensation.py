@@ -239,13 +239,19 @@ class Condensation:
         self._reduced = (load.copy(), reduced, inner)
 
     def _balanced(self, load: Vector, reduced: Vector) -> Vector:
-        """The condensed load, doing the load's own work on rigid motions, which rounding changes."""
+        """The condensed load, doing the load's own work on rigid motions, which rounding changes.
+
+        A body that nothing loads keeps no load at all: the rounding of its neighbours' would be all that drives it.
+        """
         if not self.rigid.count:
             return reduced
         motions = self.rigid.motions[self.retained] / self.scale[:, None]
         missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
-        change, *_ = np.linalg.lstsq(motions.T, missing, rcond=None)
-        return np.asarray(reduced + change / self.scale)
+        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
+        acting = np.isin(of_body, of_body[missing != 0])
+        change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
+        loaded = np.isin(self.bodies, of_body[acting])
+        return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))
 
     def expand(self, retained: Vector, inner: Vector) -> Vector:
         """The full displacement from that of the retained unknowns; `inner` is what `reduce_load` gave."""

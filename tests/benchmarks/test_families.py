@@ -239,6 +239,13 @@ def test_truths_are_rounded_to_the_nearest_float() -> None:
     [
         ("interference_removed", 132, "daqp"),  # forces of 1e-41, refinement's noise, on bodies that nothing loads
         ("interference_removed", 169, "qpalm"),
+
+
+
+        ("interference_removed", 218, "active-set"),  # loads of 1e-30, their neighbours' rounding
+        ("pushed_rigidly", 319, "active-set"),
+        ("printed_floating", 34, "active-set"),  # twelve digits resist a rotation by 6e-14 of the stiffness
+        ("printed_floating", 92, "proxqp"),  # 4e5 times as far as the solution
     ],
 )
 def test_no_bound_is_below_the_error_where_noise_and_lost_digits_meet(name: str, seed: int, method: str) -> None:
