@@ -25,8 +25,9 @@ from contactqp.oracle.exact.rational import column, floats, matrix, solve_any, s
 PRECISION = 600
 # A true size below this part of the size of the whole problem is judged absolutely.
 TINY = 1e-12
-# Eigenvalues of a stiffness with unit diagonal beneath this are those of rigid motions, to rounding.
-SINGULAR = 1e-13
+# Eigenvalues of a stiffness with unit diagonal beneath this are those of rigid motions: what the rounding of doubles
+# makes of zero. What lies above, be it the lost digits of a printed matrix, belongs to the stiffness as it stands.
+SINGULAR = 1e-14
 
 
 @dataclass(frozen=True)

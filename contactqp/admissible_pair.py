@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
-from contactqp.energy_norm import CONTRACTION, energy_norm, force_norm, residual_noise, response
+from contactqp.energy_norm import CONTRACTION, energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.extended import Extended, extend, extended_rows
 from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.least_distance import least_closing, least_forces, least_retreat
@@ -130,7 +130,10 @@ def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArra
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
     """The refined answer on a set whose signs hold is the solution, to its last correction and to `undecided`."""
+    dropped, tie_change = _without_tension(problem, condensation, on_set)
     undecided = _undecided(problem, condensation, on_set)
+    if np.any(dropped.double()):
+        undecided += sum(force_norm(problem, condensation, dropped))
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(stiffness_sizes(problem).size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, answer) + undecided
@@ -138,8 +141,8 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,
         dual_radius=allowance,
-        force=on_set.normal_force.positive_part(),
-        tie_force=on_set.tie_force,
+        force=(on_set.normal_force + dropped).positive_part(),
+        tie_force=on_set.tie_force + tie_change,
         open_gap=np.maximum(on_set.gap.double(), 0.0),
         saddle=on_set.saddle,
         exact=True,
@@ -148,20 +151,41 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     )
 
 
-def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
-    """How far the solution may be from an answer whose signs hold only to rounding.
+def _without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
+    """The change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
 
-    Forces in tension that are left out change the response by their own norm.
+    On a body that floats the forces that stay must balance without it: those that push change by the least that does.
+    With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
+    Where nothing that pushes can take the part of a tension, this is the rounding of a load that balances to rounding.
     """
+    force = on_set.normal_force
+    dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
+    Z, acting = condensation.rigid.motions, np.flatnonzero(force.double() > 0)
+    if not (Z.shape[1] and np.any(dropped.double())):
+        return dropped, tie_change
+    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    weight = np.concatenate([weight[acting], weight[problem.contacts :]])
+    rows = np.vstack([problem.normal[acting] @ Z, problem.tie @ Z]) * weight[:, None]
+    missing = -Z.T @ (problem.normal.T @ dropped.double())
+    change, *_ = np.linalg.lstsq(rows.T, missing, rcond=None)
+    size = abs(Z).T @ (abs(problem.normal).T @ dropped.double()) + abs(rows).T @ abs(change)
+    if np.any(abs(rows.T @ change - missing) > BALANCED * size):
+        return dropped, tie_change
+    change = change * weight
+    changed = dropped.added_at(acting, change[: len(acting)])
+    if np.any((force + changed).double()[acting] < 0):
+        return dropped, tie_change
+    return changed, tie_change + change[len(acting) :]
+
+
+def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
+    """How far the solution may be from an answer that penetrates by rounding."""
     length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.displacement.double())
     excess = np.maximum(-on_set.gap.double(), 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
     undecided = _of_noise(condensation, on_set, length)
     if np.any(excess):
         undecided += _of_penetration(problem, condensation, on_set, excess, length)
-    tension = (-on_set.normal_force).positive_part()
-    if np.any(tension.double()):
-        undecided += sum(force_norm(problem, condensation, tension))
     return undecided
 
 
@@ -264,7 +288,7 @@ def _from_repair(
     gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
     room = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0.0, np.maximum(gap.double(), 0.0))
     allowance = last + residual_noise(problem, answer)
-    apart = sum(energy_norm(problem, to_feasible - to_dual)) + allowance
+    apart = energy_norms(problem, condensation, to_feasible - to_dual)[1] + allowance
     slack = float(force.double() @ room)
     return AdmissiblePair(
         to_middle=(to_feasible + to_dual).half(),

@@ -48,6 +48,7 @@ from contactqp.energy_norm import (
     FEW_DIGITS,
     RIGID_ROUNDING,
     energy_norm,
+    energy_norms,
     force_norm,
     force_size,
     residual_noise,
@@ -171,7 +172,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         free_distance=_free_distance(problem, condensation, pair),
         cleared=pair.cleared,
     )
-    distance = sum(energy_norm(problem, pair.to_middle)) + pair.radius
+    distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     error, scale = _force_error(problem, answer, condensation, pair, known)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
@@ -205,9 +206,10 @@ def _strain(
     Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
     does not move rigidly.
     """
-    norm, uncertain = energy_norm(problem, extend(answer.displacement) + pair.to_middle)
+    solution = extend(answer.displacement) + pair.to_middle
+    norm, uncertain = energy_norm(problem, solution)
     if not (condensation.rigid.count and pair.exact and uncertain > FEW_DIGITS * norm):
-        return norm, uncertain
+        return energy_norms(problem, condensation, solution)[0], uncertain
     forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
     elastic, missing = response(problem, condensation, forces, tied=False)
     strain, rounding = energy_norm(problem, elastic)

@@ -15,6 +15,10 @@ from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.factorization import RIGID_FORCE, inverse_root
 from contactqp.intrinsic_size import stiffness_sizes
 from contactqp.polishing import CAUTION, LEAST_CONTRACTION, correction
+
+
+from contactqp.intrinsic_size import rigid_part, stiffness_sizes
+from contactqp.polishing import correction
 from contactqp.problem import ContactProblem, Vector
 from contactqp.range_space import REGULAR
 from contactqp.saddle import free_motions, saddle_point
@@ -51,6 +55,21 @@ def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float,
         rounding = float(PRODUCT * EPS * size)
     norm = float(np.sqrt(square))
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
+
+
+def energy_norms(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> tuple[float, float]:
+    """The least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
+
+    That rounding makes K z of a rigid motion z a force of either sign: where v is nearly rigid, v'Kv may be more or
+    less than the energy of its strain, which is that of v without its rigid part.
+    """
+    norm, uncertain = energy_norm(problem, displacement)
+    if not condensation.rigid.count:
+        return norm, norm + uncertain
+    motions = condensation.rigid.motions
+    moved = motions @ rigid_part(problem, displacement.double(), condensation.rigid)
+    strained, beyond = energy_norm(problem, displacement - moved)
+    return min(norm, strained), max(norm + uncertain, strained + beyond)
 
 
 def force_norm(

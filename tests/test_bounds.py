@@ -186,3 +186,38 @@ def test_a_load_that_misses_balance_by_1e_11_is_carried_by_the_stop_that_it_driv
     assert not cq.certify(problem, [0.5, -0.5], [0.0]).passed
     rounding = problem.replace(load=[1.0, 2.0**-52 - 1.0])  # no load of doubles balances better
     assert cq.solve(rounding).normal_force == pytest.approx([0.0], abs=2.0**-51)
+
+
+def test_a_tension_of_rounding_that_is_dropped_is_carried_elsewhere():
+    """K u + l = f with l = (2, -d); without tension the solution has (2 - d, 0), and not (2, 0)."""
+    K, d = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]]), 2.0**-50
+    problem = cq.ContactProblem(K, [3.0, -1.0 - d, 0.0], np.eye(2, 3), [0.0, -1.0])
+    certificate = cq.certify(problem, [0.0, -1.0, -1.0], [2 + 2 * d, d])  # (3 d, d) from the solution
+    W = np.array([[5.0, -1.0], [-1.0, 2.0]]) / 9  # of the free chain
+    error, size = np.array([3 * d, d]), np.array([2 - d, 0.0])
+    assert certificate.force_error >= np.sqrt(error @ W @ error / (size @ W @ size))
+    assert certificate.force_bound[0] >= 3 * d
+    assert certificate.passed
+
+
+def _rounded_bar(first: float, second: float, load: float, rows: list[float], gap: float) -> cq.ContactProblem:
+    """Two springs whose sum is rounded: K z of the rigid motion z is a force at the middle node."""
+    K = np.array([[first, -first, 0.0], [-first, first + second, -second], [0.0, -second, second]])
+    return cq.ContactProblem(K, [load, 0.0, -load], [rows], [gap])
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.1, 0.2), (0.3, 0.6), (0.7, 0.1), (1.1, 2.2)])
+@pytest.mark.parametrize("moved", [1e5, 1e7])
+def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_from_the_error(first, second, moved):
+    """v = z + a strain of known energy, z'Kz < 0 or > 0 by rounding; and v is the error, or the solution itself."""
+    problem = _rounded_bar(first, second, 1e-3, [0.0, 0.0, 1.0], 1e9)
+    truth = np.array([1e-3 / first, 0.0, -1e-3 / second])
+    strain = np.array([2.0**-8, 0.0, -(2.0**-9)])
+    error = np.sqrt(first * strain[0] ** 2 + second * strain[2] ** 2) / np.sqrt(1e-6 / first + 1e-6 / second)
+    certificate = cq.certify(problem, truth + strain + 2.0 ** np.round(np.log2(moved)), [0.0])
+    assert error * (1 - 1e-5) <= certificate.energy_error <= error * (1 + 1e3 * moved * 1e-8)
+
+    stopped = _rounded_bar(first, second, 1e-3, [1.0, 0.0, 0.0], -(2.0 ** np.round(np.log2(moved))))
+    at = truth - truth[0] + stopped.gap[0]
+    certificate = cq.certify(stopped, at + strain - strain[0], [0.0])
+    assert certificate.energy_error >= error * (1 - 1e-5)
