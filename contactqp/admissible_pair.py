@@ -77,6 +77,8 @@ def admissible_pair(
     for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (sets[0], LAST_CORRECTIONS)):
         if (found := _holding(problem, condensation, closed, corrections, answer, left)) is not None:
             return _from_set(problem, answer, condensation, found)
+    if (found := _holding(problem, condensation, sets[0], LAST_CORRECTIONS)) is not None:
+        return _from_set(problem, answer, condensation, found)
     searched = _searched_set(problem, condensation)
     if (
         searched is not None
@@ -91,10 +93,13 @@ def _holding(
     condensation: Condensation,
     closed: NDArray[np.intp],
     corrections: int,
-    answer: Answer,
-    left: Residuals,
+    answer: Answer | None = None,
+    left: Residuals | None = None,
 ) -> OnSet | None:
-    """The refined answer on a set, or on what corrections make of it, if its signs hold."""
+    """The refined answer on a set, or on what corrections make of it, if its signs hold.
+
+    Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
+    """
     on_set, _, holds = polish(problem, condensation, closed, corrections, answer, left, CAUTION)
     if on_set.contraction >= CONTRACTION:
         raise Unproven(
@@ -136,7 +141,8 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
         undecided += sum(force_norm(problem, condensation, dropped))
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(stiffness_sizes(problem).size) + problem.contacts
-    allowance = entries * on_set.remainder + residual_noise(problem, answer) + undecided
+    reached = Answer(on_set.displacement.double(), on_set.normal_force.double(), None, on_set.tie_force.double())
+    allowance = entries * on_set.remainder + residual_noise(problem, reached) + undecided
     return AdmissiblePair(
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,

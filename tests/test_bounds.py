@@ -221,3 +221,15 @@ def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_fr
     at = truth - truth[0] + stopped.gap[0]
     certificate = cq.certify(stopped, at + strain - strain[0], [0.0])
     assert certificate.energy_error >= error * (1 - 1e-5)
+
+
+@pytest.mark.parametrize("far", [1e12, 1e16])
+def test_a_displacement_that_is_lost_says_nothing_against_forces_that_are_right(far):
+    K = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    problem = cq.ContactProblem(K, [1.0, 2.0, 1.0], np.eye(3), [0.5, 0.5, 0.5])
+    certificate = cq.certify(problem, far * np.array([1.0, -1.3, 0.7]), [1.0, 2.0, 1.0])
+    assert certificate.force_error <= 1e-15
+    assert certificate.energy_error >= far
+    assert not certificate.passed
+    wrong = cq.certify(problem, far * np.array([1.0, -1.3, 0.7]), [1.0, 2.0 + 1e-6, 1.0 - 1e-6])
+    assert wrong.force_error >= 1e-7
