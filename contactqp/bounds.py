@@ -31,8 +31,9 @@ the pair's own.
 Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
 large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
 s q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 nothing is proven and the reason
-is given. What contacts leave undecided that touch or push by rounding alone is added too. This is an a-posteriori
-estimate of rounding, not an interval enclosure.
+is given. What contacts leave undecided that touch or push by rounding alone is added too. Where bodies float, norms
+are taken with K's rounding along rigid motions and without, and the worse one counts. This is an a-posteriori estimate
+of rounding, not an interval enclosure.
 """
 
 from __future__ import annotations
