@@ -13,12 +13,8 @@ from contactqp.condensation import Condensation
 from contactqp.delassus import delassus
 from contactqp.extended import EPS, Extended, extend, extended_rows
 from contactqp.factorization import RIGID_FORCE, inverse_root
-from contactqp.intrinsic_size import stiffness_sizes
-from contactqp.polishing import CAUTION, LEAST_CONTRACTION, correction
-
-
 from contactqp.intrinsic_size import rigid_part, stiffness_sizes
-from contactqp.polishing import correction
+from contactqp.polishing import CAUTION, LEAST_CONTRACTION, correction
 from contactqp.problem import ContactProblem, Vector
 from contactqp.range_space import REGULAR
 from contactqp.saddle import free_motions, saddle_point
