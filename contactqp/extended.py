@@ -145,8 +145,13 @@ def images(matrix: Any, columns: Array) -> Array:
     if np.finfo(np.longdouble).nmant == 63 and np.max(np.diff(rows.indptr), initial=0) <= SHORT:
         long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
         return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
-    extended = SparseRows(rows)
-    return np.column_stack([(extended @ extend(z)).double() for z in columns.T])
+    return exact_images(rows, columns)
+
+
+def exact_images(matrix: Any, columns: Array) -> Array:
+    """K z of every column z (n, q), accumulated in pairs of doubles: it tells what is soft from what is rigid."""
+    extended = SparseRows(sp.csr_matrix(matrix))
+    return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
 
 
 class _Block(NamedTuple):

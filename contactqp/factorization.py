@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.extended import images
+from contactqp.extended import exact_images, images
 
 Array = NDArray[np.float64]
 
@@ -375,7 +375,7 @@ def _null_space_of_component(component: Any) -> RigidMotions:
     if not lowest.shape[1]:
         return RigidMotions(lowest)
     # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
-    energies, rotation = np.linalg.eigh(lowest.T @ images(scaled, lowest))
+    energies, rotation = np.linalg.eigh(lowest.T @ exact_images(scaled, lowest))
     lowest = lowest @ rotation
     rigid = is_rigid(scaled, lowest)
     softest = float(np.min(energies[~rigid], initial=next_energy))
@@ -391,7 +391,7 @@ def _lowest_dense(scaled: Array) -> tuple[Array, float]:
     lowest, others = vectors[:, soft], vectors[:, ~soft]
     for _ in range(2):
         # Refinement takes out what rounding mixed in of the stiff motions.
-        lowest = lowest - others @ ((others.T @ images(scaled, lowest)) / values[~soft, None])
+        lowest = lowest - others @ ((others.T @ exact_images(scaled, lowest)) / values[~soft, None])
     return lowest, float(np.min(values[~soft], initial=1.0))
 
 
@@ -401,7 +401,7 @@ def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
     lowest, next_energy = _lowest(scaled, shifted)
     for _ in range(2):
         # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
-        lowest = lowest - shifted.solve(images(scaled, lowest))
+        lowest = lowest - shifted.solve(exact_images(scaled, lowest))
     return lowest, next_energy
 
 
