@@ -132,19 +132,16 @@ def _left_along(
 ) -> float:
     """The energy norm of the response to what rounding leaves of a load that motions (n, q) or ties take.
 
-    Orthonormal motions Z = R C, combined of the rigid motions R of K, are known to a few eps of |R||C|, or to what ties
-    resist of them, and so are Z Z'f, which is taken away of a load f, and what ties take of it: of the response at most
-    so many |D (|f| + |R||C||C|'|R|'|f|)| / sqrt(e) is left, with D = 1/sqrt(K_jj) and e the least energy of a motion
-    that has strain.
+    Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
+    of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
+    with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
     """
     held = tied and problem.ties > 0
     if not (motions.shape[1] or held):
         return 0.0
-    size, scale = abs(load.double()), inverse_root(problem.diagonal)
-    rigid = condensation.rigid.motions
-    shares, *_ = np.linalg.lstsq(rigid / scale[:, None], motions / scale[:, None], rcond=None)
-    combined = abs(rigid) @ abs(shares)
-    norm = float(np.linalg.norm(scale * (size + combined @ (combined.T @ size))))
+    size = abs(load.double())
+    taken = size + abs(motions) @ (abs(motions).T @ size)
+    norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
     known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
     return float(known * norm / np.sqrt(condensation.rigid.softest))
 

@@ -241,7 +241,6 @@ def test_truths_are_rounded_to_the_nearest_float() -> None:
         ("interference_removed", 169, "qpalm"),
         ("interference_removed", 218, "active-set"),  # loads of 1e-30, their neighbours' rounding
         ("pushed_rigidly", 319, "active-set"),
-        ("interference_removed", 306, "osqp"),  # free motions whose entries cancel, and a load on them
         ("printed_floating", 34, "active-set"),  # twelve digits resist a rotation by 6e-14 of the stiffness
         ("printed_floating", 92, "proxqp"),  # 4e5 times as far as the solution
     ],
