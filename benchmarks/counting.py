@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.judging import REPRESENTABLE, SLACK, Report
-from contactqp.methods import find
+from contactqp.solving.methods import find
 
 # Ratios of bound and true error are taken of errors that are well above rounding.
 MEANINGFUL = 1e-14

@@ -21,11 +21,11 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks.price_of_contact import fresh
-from contactqp.condensation import condense
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.linalg.condensation import condense
 
 TARGET = 5.0
 FRICTION = 0.3

@@ -14,12 +14,12 @@ import numpy as np
 import contactqp as cq
 from benchmarks import siconos_peer
 from benchmarks.friction_score import Arrays, score
+from contactqp.certificate.published_errors import siconos_local_error
 from contactqp.errors import ContactQPError
 from contactqp.exchange.local_form import local_form_of
 from contactqp.exchange.problem_files import is_problem_file, read_problem
-from contactqp.friction import local_algorithms
-from contactqp.local_problem import LocalProblem
-from contactqp.published_errors import siconos_local_error
+from contactqp.model.local_problem import LocalProblem
+from contactqp.solving.friction import local_algorithms
 
 # Scores up to this are solved.
 SOLVED = 1e-8

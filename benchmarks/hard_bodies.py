@@ -24,7 +24,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.methods import find
+from contactqp.solving.methods import find
 
 LARGEST_ERROR = 1e-10
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
-from contactqp.solving import solve
+from contactqp.solving.solve import solve
 
 RADIUS, MODULUS, POISSON = 10.0, 21e3, 0.3  # mm, MPa
 LEAST_ORDER, LARGEST_ERROR = 0.9, 0.01

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.condensation import condense
+from contactqp.linalg.condensation import condense
 
 SPEED, LENGTH, WAVE = 10.0, 10.0, 30.0
 BUDGET = 100e-6

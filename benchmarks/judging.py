@@ -15,9 +15,9 @@ import numpy as np
 import contactqp as cq
 from benchmarks.exact_truth import Truth, find_truth
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.methods import Settings, find
+from contactqp.linalg.scaling import nondimensional
 from contactqp.oracle.exact.rational import NoSolution, Undecided, floats, rational
-from contactqp.scaling import nondimensional
+from contactqp.solving.methods import Settings, find
 
 EPS = float(np.finfo(float).eps)
 WRONG, PER_CONDITION = 1e-6, 100 * EPS

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 import contactqp as cq
-from contactqp.candidates import take_all
+from contactqp.certificate.candidates import take_all
 from contactqp.elements.mass import solid_mass
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
@@ -226,7 +226,11 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("contactqp.scene.bodies", "contactqp.elements.mortar"),
     ),
     ("finite-element library", "scikit-fem and meshio", ("skfem", "meshio")),
-    ("friction", "the algorithms of Coulomb friction", ("contactqp.friction_attempt", "contactqp.local_solving")),
+    (
+        "friction",
+        "the algorithms of Coulomb friction",
+        ("contactqp.solving.friction_attempt", "contactqp.solving.local_solving"),
+    ),
     (
         "motions, large deformations",
         "time stepping and path following",
@@ -240,7 +244,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ),
     ("exact arithmetic", "python-flint and the oracle", ("flint", "contactqp.oracle.exact.rational_answer")),
     ("files of other codes", "h5py and the readers", ("h5py", "contactqp.exchange.problem_files")),
-    ("sparse direct solver", "PARDISO's library (MKL)", ("contactqp.pardiso", "pypardiso")),
+    ("sparse direct solver", "PARDISO's library (MKL)", ("contactqp.linalg.pardiso", "pypardiso")),
 )
 
 

@@ -27,14 +27,14 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks import petsc_solvers
-from contactqp.condensation import condense
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.factorization import SuperLU
-from contactqp.methods import Settings, find
-from contactqp.pardiso import Pardiso
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.factorization import SuperLU
+from contactqp.linalg.pardiso import Pardiso
+from contactqp.solving.methods import Settings, find
 
 TOLERANCES = (1e-6, 1e-9, 1e-12)
 PATIENCE = 30.0  # seconds for one run of a raw backend

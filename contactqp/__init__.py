@@ -15,9 +15,26 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.analysis.motion.history import MotionHistory as MotionHistory
     from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
-    from contactqp.certificate import Certificate as Certificate
-    from contactqp.critical_coefficients import CriticalFriction as CriticalFriction
-    from contactqp.critical_coefficients import critical_friction as critical_friction
+    from contactqp.certificate.certificate import Certificate as Certificate
+    from contactqp.certificate.critical_coefficients import CriticalFriction as CriticalFriction
+    from contactqp.certificate.critical_coefficients import critical_friction as critical_friction
+    from contactqp.certificate.local_certificate import LocalCertificate as LocalCertificate
+    from contactqp.certificate.local_certificate import certify_local as certify_local
+    from contactqp.certificate.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
+    from contactqp.certificate.published_errors import fclib_merit_1 as fclib_merit_1
+    from contactqp.certificate.published_errors import siconos_global_error as siconos_global_error
+    from contactqp.certificate.published_errors import siconos_local_error as siconos_local_error
+    from contactqp.elements.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
+    from contactqp.elements.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
+    from contactqp.elements.energies.limits import AtLeast as AtLeast
+    from contactqp.elements.energies.limits import AtMost as AtMost
+    from contactqp.elements.energies.limits import Equal as Equal
+    from contactqp.elements.energies.limits import Obstacle as Obstacle
+    from contactqp.elements.energies.part import PartState as PartState
+    from contactqp.elements.energies.plastic_hinge import PlasticHinge as PlasticHinge
+    from contactqp.elements.energies.springs import Cable as Cable
+    from contactqp.elements.energies.springs import Spring as Spring
+    from contactqp.elements.energies.springs import Strut as Strut
     from contactqp.elements.green_truss import NonlinearTruss as NonlinearTruss
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
@@ -36,17 +53,6 @@ if TYPE_CHECKING:
     from contactqp.elements.supported import Supported as Supported
     from contactqp.elements.surface import Surface as Surface
     from contactqp.elements.updated_truss import UpdatedTruss as UpdatedTruss
-    from contactqp.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
-    from contactqp.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
-    from contactqp.energies.limits import AtLeast as AtLeast
-    from contactqp.energies.limits import AtMost as AtMost
-    from contactqp.energies.limits import Equal as Equal
-    from contactqp.energies.limits import Obstacle as Obstacle
-    from contactqp.energies.part import PartState as PartState
-    from contactqp.energies.plastic_hinge import PlasticHinge as PlasticHinge
-    from contactqp.energies.springs import Cable as Cable
-    from contactqp.energies.springs import Spring as Spring
-    from contactqp.energies.springs import Strut as Strut
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -62,115 +68,109 @@ if TYPE_CHECKING:
     from contactqp.exchange.fclib import read_fclib_guesses as read_fclib_guesses
     from contactqp.exchange.fclib import read_fclib_solution as read_fclib_solution
     from contactqp.exchange.fclib_writing import write_fclib as write_fclib
-    from contactqp.exchange.global_problem import GlobalProblem as GlobalProblem
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.problem_folder import write_problem as write_problem
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
-    from contactqp.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
-    from contactqp.friction.exact_enumeration import exact_equilibria as exact_equilibria
-    from contactqp.local_certificate import LocalCertificate as LocalCertificate
-    from contactqp.local_certificate import certify_local as certify_local
-    from contactqp.local_problem import LocalProblem as LocalProblem
-    from contactqp.local_solution import LocalSolution as LocalSolution
-    from contactqp.methods import methods as methods
-    from contactqp.multiplicity import equilibria as equilibria
+    from contactqp.model.global_problem import GlobalProblem as GlobalProblem
+    from contactqp.model.local_problem import LocalProblem as LocalProblem
+    from contactqp.model.local_solution import LocalSolution as LocalSolution
+    from contactqp.model.problem import ContactProblem as ContactProblem
+    from contactqp.model.problem import Units as Units
+    from contactqp.model.solution import Solution as Solution
     from contactqp.oracle.diagnosis.finding import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
     from contactqp.oracle.foreign.judged_answer import JudgedAnswer as JudgedAnswer
     from contactqp.oracle.foreign.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
-    from contactqp.problem import ContactProblem as ContactProblem
-    from contactqp.problem import Units as Units
-    from contactqp.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
-    from contactqp.published_errors import fclib_merit_1 as fclib_merit_1
-    from contactqp.published_errors import siconos_global_error as siconos_global_error
-    from contactqp.published_errors import siconos_local_error as siconos_local_error
-    from contactqp.relaxation import AssociatedDifference as AssociatedDifference
-    from contactqp.relaxation import associated_difference as associated_difference
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
     from contactqp.scene.schema import Scene as Scene
-    from contactqp.solution import Solution as Solution
-    from contactqp.solvability import existence_margin as existence_margin
-    from contactqp.solving import solve as solve
+    from contactqp.solving.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
+    from contactqp.solving.friction.exact_enumeration import exact_equilibria as exact_equilibria
+    from contactqp.solving.methods import methods as methods
+    from contactqp.solving.multiplicity import equilibria as equilibria
+    from contactqp.solving.relaxation import AssociatedDifference as AssociatedDifference
+    from contactqp.solving.relaxation import associated_difference as associated_difference
+    from contactqp.solving.solvability import existence_margin as existence_margin
+    from contactqp.solving.solve import solve as solve
     from contactqp.study.comparison import compare as compare
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "AssociatedDifference": "relaxation",
-    "AtLeast": "energies.limits",
-    "AtMost": "energies.limits",
+    "AssociatedDifference": "solving.relaxation",
+    "AtLeast": "elements.energies.limits",
+    "AtMost": "elements.energies.limits",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
-    "Cable": "energies.springs",
-    "Certificate": "certificate",
+    "Cable": "elements.energies.springs",
+    "Certificate": "certificate.certificate",
     "Circle": "elements.round_obstacle",
-    "ConstrainedEnergy": "energies.constrained_energy",
-    "ConstrainedMinimum": "energies.constrained_energy",
+    "ConstrainedEnergy": "elements.energies.constrained_energy",
+    "ConstrainedMinimum": "elements.energies.constrained_energy",
     "ContactGroup": "elements.obstacle_contact",
-    "ContactProblem": "problem",
+    "ContactProblem": "model.problem",
     "ContactQPError": "errors",
-    "CriticalFriction": "critical_coefficients",
+    "CriticalFriction": "certificate.critical_coefficients",
     "Cylinder": "elements.round_obstacle",
-    "Equal": "energies.limits",
-    "ExactEquilibrium": "friction.exact_enumeration",
+    "Equal": "elements.energies.limits",
+    "ExactEquilibrium": "solving.friction.exact_enumeration",
     "ExactSolution": "oracle.exact.exact_solution",
     "Finding": "oracle.diagnosis.finding",
-    "GlobalProblem": "exchange.global_problem",
+    "GlobalProblem": "model.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "JudgedAnswer": "oracle.foreign.judged_answer",
-    "LocalCertificate": "local_certificate",
-    "LocalProblem": "local_problem",
-    "LocalSolution": "local_solution",
+    "LocalCertificate": "certificate.local_certificate",
+    "LocalProblem": "model.local_problem",
+    "LocalSolution": "model.local_solution",
     "MotionHistory": "analysis.motion.history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
     "NonlinearTruss": "elements.green_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
-    "Obstacle": "energies.limits",
+    "Obstacle": "elements.energies.limits",
     "ObstacleContact": "elements.obstacle_contact",
     "Pairing": "elements.pairing",
     "Paraboloid": "elements.paraboloid",
-    "PartState": "energies.part",
+    "PartState": "elements.energies.part",
     "Plane": "elements.obstacle",
-    "PlasticHinge": "energies.plastic_hinge",
+    "PlasticHinge": "elements.energies.plastic_hinge",
     "Scene": "scene.schema",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
     "SignedDistance": "elements.signed_distance",
-    "Solution": "solution",
+    "Solution": "model.solution",
     "Sphere": "elements.round_obstacle",
-    "Spring": "energies.springs",
-    "Strut": "energies.springs",
+    "Spring": "elements.energies.springs",
+    "Strut": "elements.energies.springs",
     "Supported": "elements.supported",
     "Surface": "elements.surface",
     "TimeStepWarning": "errors",
-    "Units": "problem",
+    "Units": "model.problem",
     "Unsupported": "errors",
     "UpdatedTruss": "elements.updated_truss",
-    "acary_bremond_huber_error": "published_errors",
-    "associated_difference": "relaxation",
+    "acary_bremond_huber_error": "certificate.published_errors",
+    "associated_difference": "solving.relaxation",
     "certify": "oracle.foreign.judged_answer",
-    "certify_local": "local_certificate",
+    "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
-    "critical_friction": "critical_coefficients",
+    "critical_friction": "certificate.critical_coefficients",
     "draw_history": "pictures.history_drawing",
-    "equilibria": "multiplicity",
+    "equilibria": "solving.multiplicity",
     "exact": "oracle.exact.exact",
-    "exact_equilibria": "friction.exact_enumeration",
-    "existence_margin": "solvability",
-    "fclib_merit_1": "published_errors",
+    "exact_equilibria": "solving.friction.exact_enumeration",
+    "existence_margin": "solving.solvability",
+    "fclib_merit_1": "certificate.published_errors",
     "follow_path": "analysis.load_path",
     "impact": "analysis.impact",
     "large_deformation": "analysis.large_deformation",
     "load_scene": "scene.loading",
     "local_form_of": "exchange.local_form",
-    "methods": "methods",
+    "methods": "solving.methods",
     "pair": "elements.pairing",
     "pair_mortar": "elements.mortar",
     "pair_node_to_segment": "elements.node_to_segment",
@@ -182,9 +182,9 @@ _HOME = {
     "read_siconos": "exchange.siconos_text",
     "redistributed_mass": "analysis.motion.mass",
     "run": "scene.running",
-    "siconos_global_error": "published_errors",
-    "siconos_local_error": "published_errors",
-    "solve": "solving",
+    "siconos_global_error": "certificate.published_errors",
+    "siconos_local_error": "certificate.published_errors",
+    "solve": "solving.solve",
     "write_fclib": "exchange.fclib_writing",
     "write_problem": "exchange.problem_folder",
 }

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from contactqp.distributed.solution import DistributedSolution
-    from contactqp.local_solution import LocalSolution
-    from contactqp.solution import Candidate, Solution
+    from contactqp.model.local_solution import LocalSolution
+    from contactqp.model.solution import Candidate, Solution
 
     AnySolution: TypeAlias = Solution | LocalSolution | DistributedSolution
 
@@ -36,7 +36,7 @@ class SceneError(ContactQPError, ValueError):
 class NoEquilibrium(ContactQPError):
     """No displacement satisfies the constraints, or the load drives a motion that nothing holds back.
 
-    `proof` is what proves it, where that is one vector: a `contactqp.existence.Conflict` or `DrivenMotion`.
+    `proof` is what proves it, where that is one vector: a `contactqp.linalg.existence.Conflict` or `DrivenMotion`.
     """
 
     def __init__(self, message: str, proof: Any = None) -> None:

@@ -22,9 +22,9 @@ from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.preconditioner import chosen_solver
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.pieces import distributed_model
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import ENERGY, iteration_of, solve_distributed
-from contactqp.scene.pieces import distributed_model
 
 # What PETSc logs of a solution by conjugate gradients; each counts what happens inside of it too.
 EVENTS = ("KSPSolve", "MatMult", "PCApply")

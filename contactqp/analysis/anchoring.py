@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.lazy_solutions import Unfinished
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
-from contactqp.factorization import Array
-from contactqp.problem import Vector
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem import Vector
 
 Mask = NDArray[np.bool_]
 

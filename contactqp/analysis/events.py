@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Event
-from contactqp.condensation import Condensation, condense
 from contactqp.errors import NotConverged, Unsupported
-from contactqp.methods import find
-from contactqp.polishing import OnSet, answer_on
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
+from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.polishing import OnSet, answer_on
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
+from contactqp.solving.methods import find
 
 # Two events nearer than this part of a leg are one: doubles cannot order them.
 SIMULTANEOUS = 1e-12

@@ -14,15 +14,15 @@ import numpy as np
 
 from contactqp.analysis.friction_rates import Mask, Standing, continuation
 from contactqp.analysis.history import Event
-from contactqp.condensation import condense
+from contactqp.certificate.violations import Answer
 from contactqp.errors import NotConverged
-from contactqp.factorization import Array
-from contactqp.friction.force_system import ForceSystem
-from contactqp.friction.newton import combination_of, without_idle_friction
-from contactqp.friction_states import OPEN, STICK, Status, answer_in, holds
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.violations import Answer
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.friction_states import OPEN, STICK, Status, answer_in, holds
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.force_system import ForceSystem
+from contactqp.solving.friction.newton import combination_of, without_idle_friction
 
 # Two events nearer than this part of a leg are one: doubles cannot order them.
 SIMULTANEOUS = 1e-12

@@ -14,14 +14,14 @@ from contactqp.analysis.friction_steps import FrictionSteps
 from contactqp.analysis.history import Event, History
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.step_jumps import step_notes
-from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
-from contactqp.friction_attempt import attempt_with
-from contactqp.friction_states import STICK, holds
-from contactqp.methods import find
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.solving import Begun
+from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.friction_states import STICK, holds
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
+from contactqp.solving.friction_attempt import attempt_with
+from contactqp.solving.methods import find
+from contactqp.solving.solve import Begun
 
 
 def follow_with_friction(

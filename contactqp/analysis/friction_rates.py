@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
-from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.friction.newton import suggested
-from contactqp.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
-from contactqp.problem import ContactProblem, Vector
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
+from contactqp.solving.friction.newton import suggested
 
 Mask = NDArray[np.bool_]
 

@@ -9,24 +9,24 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.analysis.anchoring import Mask, State
-from contactqp.balance import balance
-from contactqp.blas_threads import one_blas_thread
-from contactqp.candidates import first_candidates
-from contactqp.condensation import condense
+from contactqp.certificate.balance import balance
+from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.violations import Answer, own_compliance
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.factorization import Array
-from contactqp.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.friction.newton import combination_of, search
-from contactqp.friction_attempt import attempt_on
-from contactqp.friction_states import OPEN, STICK, Status
-from contactqp.iteration import iterated
-from contactqp.metering import Meter
-from contactqp.methods import find
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.solving import Begun, solve
-from contactqp.stages import METHOD, POLISH, stage
-from contactqp.violations import Answer, own_compliance
+from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.friction_states import OPEN, STICK, Status
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.stages import METHOD, POLISH, stage
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
+from contactqp.solving.friction.newton import combination_of, search
+from contactqp.solving.friction_attempt import attempt_on
+from contactqp.solving.metering import Meter
+from contactqp.solving.methods import find
+from contactqp.solving.solve import Begun, solve
 
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12

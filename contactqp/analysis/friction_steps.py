@@ -13,13 +13,13 @@ from contactqp.analysis.anchoring import Anchors, Mask, State, step_to
 from contactqp.analysis.friction_stepping import PlaneStepper, SolveStepper, Stepper
 from contactqp.analysis.history import Event
 from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.blas_threads import one_blas_thread
-from contactqp.candidates import first_candidates
+from contactqp.certificate.candidates import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
-from contactqp.iteration import iterated
-from contactqp.methods import Method, Settings, find
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solving_arguments import refuse_arguments, refuse_unsupported
+from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.iteration import iterated
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported
 
 # Of `solve`, and what they are if nobody says.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)

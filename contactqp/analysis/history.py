@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.lazy_solutions import Refused, looked_at
 from contactqp.errors import ContactQPError
-from contactqp.floating_point import own_floating_point
-from contactqp.problem import Vector
-from contactqp.problem_data import ReadOnly, read_only
-from contactqp.solution import Solution
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import Vector
+from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.solution import Solution
 
 
 @dataclass(frozen=True)

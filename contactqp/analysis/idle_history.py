@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import Event, History
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.motion.history import MotionHistory, Moving
+from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import NotCertified
-from contactqp.idle_rows import ActingRows
-from contactqp.solution import Solution
+from contactqp.model.solution import Solution
 
 
 def of_all_rows(rows: ActingRows, history: History) -> History:

@@ -17,9 +17,9 @@ from contactqp.analysis.large.path_control import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable, Vector
 from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.floating_point import own_floating_point
-from contactqp.methods import find
-from contactqp.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
+from contactqp.solving.methods import find
 
 # Each way to pick the points of a path, and the arguments that it alone takes.
 CONTROLS: dict[str, tuple[str, ...]] = {

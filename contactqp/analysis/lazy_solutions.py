@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NoReturn, Protocol, overload
 
 from contactqp.errors import ContactQPError
-from contactqp.floating_point import own_floating_point
-from contactqp.solution import Solution
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.solution import Solution
 
 
 class Unfinished(Protocol):

@@ -15,17 +15,17 @@ from contactqp.analysis.history import Event, History
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.sprung_path import follow_on_springs
-from contactqp.candidates import first_candidates
-from contactqp.condensation import condense
+from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.idle_rows import acting_rows
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
-from contactqp.floating_point import own_floating_point
-from contactqp.idle_rows import acting_rows
-from contactqp.iteration import iterated
-from contactqp.methods import find
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import is_whole
-from contactqp.solution import Candidate, Solution
-from contactqp.solving import begin, solve
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.iteration import iterated
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import is_whole
+from contactqp.model.solution import Candidate, Solution
+from contactqp.solving.methods import find
+from contactqp.solving.solve import begin, solve
 
 DEFAULT_STEPS = 100
 
@@ -65,12 +65,12 @@ def follow_path(
         change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_rates`).
     method, **options
         As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
-        stick and slip (`contactqp.friction.newton`) unless `algorithm` names another; `method` is the convex method of
-        the fixed point that it falls back to. A textbook method with systems of stick and slip takes the steps itself.
-        The penalty and perturbed Lagrangian methods are Coulomb's law of bodies with contact springs, whose path is
-        followed, in steps or from event to event: what slips are the sliders behind the springs, a slip origin is
-        where they were, elastic energy is in bodies and springs, and the certificate of each solution says how far it
-        is from rigid contact. Without friction they have steps alone.
+        stick and slip (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex
+        method of the fixed point that it falls back to. A textbook method with systems of stick and slip takes the
+        steps itself. The penalty and perturbed Lagrangian methods are Coulomb's law of bodies with contact springs,
+        whose path is followed, in steps or from event to event: what slips are the sliders behind the springs, a slip
+        origin is where they were, elastic energy is in bodies and springs, and the certificate of each solution says
+        how far it is from rigid contact. Without friction they have steps alone.
 
     Returns
     -------

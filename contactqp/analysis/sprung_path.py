@@ -1,9 +1,9 @@
 """Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
 
 A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
-(`contactqp.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The history
-shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where the
-sliders were at the instant before, or where they stick.
+(`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
+history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
+the sliders were at the instant before, or where they stick.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from contactqp.analysis.friction_path import follow_with_friction
 from contactqp.analysis.friction_steps import refuse_options
 from contactqp.analysis.history import History
 from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.blas_threads import one_blas_thread
 from contactqp.errors import Unsupported
-from contactqp.friction.contact_springs import with_contact_springs, without_contact_springs
-from contactqp.methods import Method
-from contactqp.methods.augmented_lagrangian import default_penalty
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
+from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs
+from contactqp.solving.methods import Method
+from contactqp.solving.methods.augmented_lagrangian import default_penalty
 
 # Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
 STIFFEST = 1e6

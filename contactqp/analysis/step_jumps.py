@@ -11,14 +11,14 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from contactqp.analysis.friction_events import ExactPath
-from contactqp.blas_threads import one_blas_thread
-from contactqp.candidates import first_candidates
-from contactqp.condensation import condense
+from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
-from contactqp.friction.force_system import ForceSystem
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.uniqueness import SEVERAL
+from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.condensation import condense
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.force_system import ForceSystem
 
 SAID_BEFORE = "follow_path: "
 

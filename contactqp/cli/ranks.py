@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from contactqp.cli.output import complain, launched_rank
-from contactqp.engines import SERIAL
+from contactqp.model.engines import SERIAL
 
 if TYPE_CHECKING:
     from contactqp.distributed.ranks import Ranks

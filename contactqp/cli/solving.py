@@ -11,8 +11,8 @@ import click
 
 from contactqp.cli.output import NOT_MET, complain, console, print_json
 from contactqp.cli.ranks import Ending, speakers
-from contactqp.engines import ENGINES, SERIAL
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
     from contactqp.scene.judging import Failure, Judgement
@@ -157,7 +157,7 @@ def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path
 
     for outcome in found:
         if isinstance(outcome, Judgement) and outcome.trial.engine != SERIAL:
-            from contactqp.scene.solutions_in_pieces import gather
+            from contactqp.distributed.scenes.solutions_in_pieces import gather
 
             gather(outcome.history)
     return files.write(found) if speakers.speaks else []

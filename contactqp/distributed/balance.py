@@ -1,4 +1,5 @@
-"""Whether the outer forces of every body balance, wherever its parts are: `contactqp.balance` by reductions.
+"""Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.balance` by
+reductions.
 
 A body's motions, at most six, are judged at its home (`contactqp.distributed.bodies`): it is sent the triangular
 factors R of w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that
@@ -10,15 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.balance import NO_RESULTANT, Resultants, resultants
+from contactqp.certificate.balance import NO_RESULTANT, Resultants, resultants
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.cutting_planes import CuttingPlanes
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.violations import outer_forces, outer_resultant
-from contactqp.factorization import Array
-from contactqp.problem import Vector
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem import Vector
 
 
 def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:

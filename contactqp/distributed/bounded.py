@@ -23,8 +23,8 @@ from contactqp.distributed.preconditioner import AUTO, FACTORISED
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.methods import Settings
-from contactqp.solution import Candidate
+from contactqp.model.solution import Candidate
+from contactqp.solving.methods import Settings
 
 # Names of methods, and PETSc's of their types.
 NEWTON = {"vinewtonrsls": "vinewtonrsls", "vinewtonssls": "vinewtonssls"}

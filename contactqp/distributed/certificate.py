@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
-from contactqp.certificate import (
+from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
+from contactqp.certificate.certificate import (
     ROUNDING_OF_ANSWERS,
     Certificate,
     grazes,
@@ -17,16 +17,8 @@ from contactqp.certificate import (
     refuse_not_positive,
     status_words,
 )
-from contactqp.coulomb_residual import IMPLIED
-from contactqp.distributed.answer import DistributedAnswer
-from contactqp.distributed.balance import balance
-from contactqp.distributed.bodies import Bodies
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
-from contactqp.distributed.violations import coulomb_residual, row_sizes, violations
-from contactqp.distributed.worst import said_of_first, said_of_worst, worst
-from contactqp.errors import InvalidProblem
-from contactqp.failures import (
+from contactqp.certificate.coulomb_residual import IMPLIED
+from contactqp.certificate.failures import (
     MOST_NAMED,
     PARTS,
     failed_errors,
@@ -39,9 +31,17 @@ from contactqp.failures import (
     said_of_law,
     said_of_part,
 )
-from contactqp.state_answer import basis_without_friction
-from contactqp.uniqueness import UNKNOWN
-from contactqp.violations import FIGURES, Violations
+from contactqp.certificate.state_answer import basis_without_friction
+from contactqp.certificate.uniqueness import UNKNOWN
+from contactqp.certificate.violations import FIGURES, Violations
+from contactqp.distributed.answer import DistributedAnswer
+from contactqp.distributed.balance import balance
+from contactqp.distributed.bodies import Bodies
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Vector
+from contactqp.distributed.violations import coulomb_residual, row_sizes, violations
+from contactqp.distributed.worst import said_of_first, said_of_worst, worst
+from contactqp.errors import InvalidProblem
 
 NOT_ASKED = "no solver was given that could bound it"
 NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"
@@ -122,7 +122,9 @@ def certify_distributed(
 
 
 def contact_status(problem: DistributedProblem, certificate: Certificate) -> Any:
-    """(m_here,) of open, closed, grazing and, with friction, stick, slip, as `contactqp.certificate` measures them."""
+    """(m_here,) of open, closed, grazing and, with friction, stick, slip, as `contactqp.certificate.certificate`
+    measures them.
+    """
     return status_words(certificate, problem.friction, np.isin(problem.contact_number, certificate.grazing))
 
 

@@ -21,7 +21,7 @@ from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.problem import DistributedProblem, Numbers
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
-from contactqp.whole_file import write_whole
+from contactqp.exchange.whole_file import write_whole
 
 # Of the files: another one cannot be read by this code.
 FORMAT = 1

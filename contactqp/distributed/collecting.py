@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.problem import Numbers
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.whole import certificate_of
-from contactqp.solution import Work
+from contactqp.model.solution import Work
 
 
 @dataclass(frozen=True, eq=False)

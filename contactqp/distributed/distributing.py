@@ -24,8 +24,8 @@ from contactqp.distributed.portion import OfAll, OfFirst, Portion, share_of, who
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
-from contactqp.multigrid import block_size, constants, in_blocks
-from contactqp.problem import ContactProblem
+from contactqp.linalg.multigrid import block_size, constants, in_blocks
+from contactqp.model.problem import ContactProblem
 
 
 def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:

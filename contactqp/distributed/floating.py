@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.condensation import UNRESISTED
-from contactqp.contact_iteration import HeldRows
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.polishing import shift_within_gaps
+from contactqp.linalg.condensation import UNRESISTED
+from contactqp.linalg.contact_iteration import HeldRows
+from contactqp.linalg.polishing import shift_within_gaps
 
 Array = NDArray[np.float64]
 # A load that does this part of its work on a motion does none: it is rounding.

@@ -2,9 +2,10 @@
 
 A step knows which contacts stick, and how large and along what the others rub: friction that is known is a load,
 tangents that stick are ties, and what is left is a contact problem without friction
-(`contactqp.inexact_active_set`). Its forces give the next bounds mu l_N, relaxed by Aitken's factor, and the next
-states. Before the first step and after each, Newton's method on the combination of states, whose systems have Coulomb's
-law in them (`contactqp.distributed.friction_system`), tries to end it: bounds need not settle to the last digit.
+(`contactqp.solving.methods.inexact_active_set`). Its forces give the next bounds mu l_N, relaxed by Aitken's factor,
+and the next states. Before the first step and after each, Newton's method on the combination of states, whose systems
+have Coulomb's law in them (`contactqp.distributed.friction_system`), tries to end it: bounds need not settle to the
+last digit.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.aitken import RELAXATION, aitken
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.friction_newton import FrictionNewton
 from contactqp.distributed.friction_rows import FrictionRows
@@ -23,8 +23,9 @@ from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.inexact_active_set import solve_by_iteration
-from contactqp.methods import Settings
+from contactqp.solving.friction.aitken import RELAXATION, aitken
+from contactqp.solving.methods import Settings
+from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 # Bounds that change by less than this part of the largest may have come to the answer.
 SETTLED = 5e-10

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate import ROUNDING_OF_ANSWERS
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
+from contactqp.certificate.violations import FIGURES, ratio
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.friction_rows import FrictionRows
@@ -17,7 +18,6 @@ from contactqp.distributed.friction_system import CombinationSystem
 from contactqp.distributed.ranks import Vector
 from contactqp.distributed.violations import violations
 from contactqp.distributed.worst import worst
-from contactqp.violations import FIGURES, ratio
 
 # Combinations tried from one start.
 MOST = 25

@@ -8,11 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.coulomb_cone import directions
 from contactqp.distributed.friction_states import Array, Iterate, States, states
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
+from contactqp.model.coulomb_cone import directions
 
 
 class FrictionRows:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.coulomb_cone import directions, lengths
 from contactqp.distributed.ranks import Vector
+from contactqp.model.coulomb_cone import directions, lengths
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.conjugate_gradients import ConjugateGradients, Projections
-from contactqp.contact_iteration import ContactIteration, Flags, HeldRows, Limits
+from contactqp.certificate.violations import ratio
 from contactqp.distributed.floating import Floating
 from contactqp.distributed.held_rows import DistributedHeldRows, gram_of, meets
 from contactqp.distributed.preconditioner import Preconditioner
@@ -19,7 +18,8 @@ from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.distributed.stored_rows import chosen_rows
-from contactqp.violations import ratio
+from contactqp.linalg.conjugate_gradients import ConjugateGradients, Projections
+from contactqp.linalg.contact_iteration import ContactIteration, Flags, HeldRows, Limits
 
 
 class DistributedIteration(ContactIteration):

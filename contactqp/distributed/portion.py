@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.problem import Numbers
 from contactqp.distributed.ranks import Ranks, T, Vector
-from contactqp.factorization import null_space
-from contactqp.intrinsic_size import bodies
-from contactqp.problem import ContactProblem, Units
+from contactqp.linalg.factorization import null_space
+from contactqp.linalg.intrinsic_size import bodies
+from contactqp.model.problem import ContactProblem, Units
 
 # Blocks have one, two or three unknowns: shares that begin at multiples of all of them cut none.
 _WHOLE_BLOCKS = 6

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
-from contactqp.problem import Units
+from contactqp.model.problem import Units
 
 Numbers = NDArray[np.int64]
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.iteration import FLOATING
-from contactqp.multigrid import energy_ratios, of_size_one
-from contactqp.problem import Vector
+from contactqp.linalg.iteration import FLOATING
+from contactqp.linalg.multigrid import energy_ratios, of_size_one
+from contactqp.model.problem import Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodi
 
 
 def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
-    """`contactqp.intrinsic_size.without_rigid_part` of this rank's unknowns. Collective."""
+    """`contactqp.linalg.intrinsic_size.without_rigid_part` of this rank's unknowns. Collective."""
     floating = floating_bodies(problem, bodies)
     if not problem.ranks.any(floating.floats):
         return displacement

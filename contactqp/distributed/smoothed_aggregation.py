@@ -1,4 +1,4 @@
-"""Levels of smoothed aggregation on the aggregates that PETSc's GAMG makes, as `contactqp.multigrid` has them.
+"""Levels of smoothed aggregation on the aggregates that PETSc's GAMG makes, as `contactqp.linalg.multigrid` has them.
 
     P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,
 
@@ -22,7 +22,7 @@ from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.stored_rows import StoredRows, stored_rows
-from contactqp.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
+from contactqp.linalg.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
 
 # Unknowns of the coarsest level: a dense factor on every rank, part of it anew for every contact set.
 COARSEST = 600

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Vector
-from contactqp.solution import Work
+from contactqp.model.solution import Work
 
 
 @dataclass(frozen=True, eq=False)

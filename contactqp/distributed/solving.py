@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.bounds import Bounds, iterated_bounds
+from contactqp.certificate.bounds import Bounds, iterated_bounds
 from contactqp.distributed import bounded
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
@@ -20,10 +20,10 @@ from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.errors import NotCertified, NotConverged, Unsupported
-from contactqp.inexact_active_set import solve_by_iteration
-from contactqp.methods import Settings, find
-from contactqp.solution import Candidate, Work
-from contactqp.solving_arguments import refuse_arguments
+from contactqp.model.solution import Candidate, Work
+from contactqp.solving.methods import Settings, find
+from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+from contactqp.solving.solving_arguments import refuse_arguments
 
 # Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9, in
 # energy; single unknowns that are much softer than others may be off by more of their own size.
@@ -47,9 +47,10 @@ def solve_distributed(
     problem : DistributedProblem
     method : str
         ``"active-set"``: the primal-dual active set with truncated conjugate gradients
-        (`contactqp.inexact_active_set`). For comparison PETSc's own, which take contacts and ties that are bounds on
-        unknowns of their own and bodies that are held (`contactqp.distributed.bounded`): ``"vinewtonrsls"``,
-        ``"vinewtonssls"`` (SNES) and ``"tao-bntr"``; their `solver` is ``"mumps"``, ``"hypre"`` or ``"asm"``.
+        (`contactqp.solving.methods.inexact_active_set`). For comparison PETSc's own, which take contacts and ties that
+        are bounds on unknowns of their own and bodies that are held (`contactqp.distributed.bounded`):
+        ``"vinewtonrsls"``, ``"vinewtonssls"`` (SNES) and ``"tao-bntr"``; their `solver` is ``"mumps"``, ``"hypre"`` or
+        ``"asm"``.
     solver : str
         What preconditions them: ``"gamg"``, ``"hypre"``, ``"mumps"`` (a factorisation), or ``"auto"``: MUMPS up to
         100 000 unknowns and GAMG beyond. Options of PETSc's with the prefix ``contactqp_`` come after.

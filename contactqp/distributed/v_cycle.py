@@ -1,4 +1,4 @@
-"""The V-cycle of `contactqp.v_cycle` on levels of a stiffness on all ranks."""
+"""The V-cycle of `contactqp.linalg.v_cycle` on levels of a stiffness on all ranks."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularLevel
 from contactqp.distributed.ranks import Ranks, Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.multigrid import Array, largest_eigenvalue
-from contactqp.v_cycle import HeldLevel, VCycle, held_strength
+from contactqp.linalg.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularLevel
+from contactqp.linalg.multigrid import Array, largest_eigenvalue
+from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 
 # Unknowns of a coarsest level: its factor is dense, and on every rank.
 LARGEST_DENSE = 6000

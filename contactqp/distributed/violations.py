@@ -1,26 +1,16 @@
-"""What an answer violates, each rank its own part: the figures of `contactqp.violations`, in the same measures.
+"""What an answer violates, each rank its own part: the figures of `contactqp.certificate.violations`, in the same
+measures.
 
-Residuals are formed in double precision, as `contactqp.violations.plain_residuals` forms them: a figure is known to a
-few dozen roundings, 1e-14 or so, and what is smaller than that says nothing but that it is.
+Residuals are formed in double precision, as `contactqp.certificate.violations.plain_residuals` forms them: a figure is
+known to a few dozen roundings, 1e-14 or so, and what is smaller than that says nothing but that it is.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from contactqp.coulomb_cone import lengths
-from contactqp.coulomb_residual import law_residual, least_force, normal_force, tangential_force
-from contactqp.distributed.answer import DistributedAnswer
-from contactqp.distributed.bodies import Bodies
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
-from contactqp.distributed.rigid_motions import without_rigid_part
-from contactqp.distributed.rows import Rows
-from contactqp.distributed.stiffness_sizes import stiffness_sizes
-from contactqp.factorization import RIGID_FORCE, Array
-from contactqp.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
-from contactqp.row_sizes import RowSizes, entries_of, sizes_of
-from contactqp.violations import (
+from contactqp.certificate.coulomb_residual import law_residual, least_force, normal_force, tangential_force
+from contactqp.certificate.violations import (
     Rubbing,
     Sizes,
     Violations,
@@ -29,10 +19,22 @@ from contactqp.violations import (
     rounded_slips,
     vector_measure,
 )
+from contactqp.distributed.answer import DistributedAnswer
+from contactqp.distributed.bodies import Bodies
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Vector
+from contactqp.distributed.rigid_motions import without_rigid_part
+from contactqp.distributed.rows import Rows
+from contactqp.distributed.stiffness_sizes import stiffness_sizes
+from contactqp.linalg.factorization import RIGID_FORCE, Array
+from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
+from contactqp.linalg.row_sizes import RowSizes, entries_of, sizes_of
+from contactqp.model.coulomb_cone import lengths
 
 
 def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies, rounding: float) -> Violations:
-    """Every figure of this rank's unknowns, contacts and ties; `rounding` as in `contactqp.violations.violations`.
+    """Every figure of this rank's unknowns, contacts and ties; `rounding` as in
+    `contactqp.certificate.violations.violations`.
 
     Collective."""
     u = answer.displacement
@@ -57,7 +59,7 @@ def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: B
 
 
 def intrinsic_size(problem: DistributedProblem, answer: DistributedAnswer, elastic: Vector) -> float:
-    """`contactqp.intrinsic_size` of all bodies together, `elastic` (n_here,) as there. Collective."""
+    """`contactqp.linalg.intrinsic_size` of all bodies together, `elastic` (n_here,) as there. Collective."""
     u, ranks = answer.displacement, problem.ranks
     force = problem.load - outer_resultant(problem, answer)
     D = np.divide(1.0, np.sqrt(problem.diagonal), out=np.zeros_like(u), where=problem.diagonal > 0)
@@ -79,7 +81,7 @@ def _rows(problem: DistributedProblem) -> list[tuple[Rows, Vector]]:
 
 
 def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
-    """`contactqp.intrinsic_size.nothing` of this rank's unknowns and rows. Collective."""
+    """`contactqp.linalg.intrinsic_size.nothing` of this rank's unknowns and rows. Collective."""
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * stiffness_sizes(problem, abs(u)))
     if problem.ranks.any(elastic is not u):
         force = np.maximum(force, RIGID_FORCE * stiffness_sizes(problem, abs(u - elastic)))
@@ -93,7 +95,9 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
 
 
 def coulomb_residual(problem: DistributedProblem, answer: DistributedAnswer, found: Violations) -> Vector | None:
-    """`contactqp.coulomb_residual` of this rank's contacts; None without friction on any rank. Collective."""
+    """`contactqp.certificate.coulomb_residual` of this rank's contacts; None without friction on any rank.
+    Collective.
+    """
     if not problem.frictional or problem.tangent is None:
         return None
     rubbing = _rubbing(problem, answer.displacement, found.meeting, found.nothing.force)
@@ -128,7 +132,7 @@ def _sizes_of_forces(rows: Rows, force: Vector) -> Vector:
 
 
 def row_sizes(problem: DistributedProblem, rows: Rows) -> RowSizes:
-    """`contactqp.row_sizes` of this rank's rows over what they touch. Collective."""
+    """`contactqp.linalg.row_sizes` of this rank's rows over what they touch. Collective."""
     return sizes_of(rows.entries, rows.near(problem.diagonal))
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import Violations
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedProblem, Numbers
@@ -18,11 +19,10 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NotCertified, NotConverged, Unsupported
-from contactqp.existence import describe_motion
-from contactqp.intrinsic_size import Nothing
-from contactqp.problem import ContactProblem
-from contactqp.solution import FreeMotion, Solution
-from contactqp.violations import Violations
+from contactqp.linalg.existence import describe_motion
+from contactqp.linalg.intrinsic_size import Nothing
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import FreeMotion, Solution
 
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.quadrature import Quadrature
 from contactqp.elements.reference import Reference
-from contactqp.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly
 
 # Numbers that are held at a time for a batch of elements (32 MB): more would leave the processor's cache and, for large
 # meshes, the memory.

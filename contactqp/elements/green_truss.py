@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.bar_law import LAWS, BarLaw
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import computes
-from contactqp.problem_data import ReadOnly, read_only, read_whole
+from contactqp.model.floating_point import computes
+from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
 Array = NDArray[np.float64]
 

@@ -51,7 +51,7 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import nodal_moments, node_normals
 from contactqp.errors import InvalidProblem
-from contactqp.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly
 
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -16,7 +16,7 @@ from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHook
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import computes
+from contactqp.model.floating_point import computes
 
 Array = NDArray[np.float64]
 LAWS = ("saint-venant-kirchhoff", "neo-hookean")

@@ -12,7 +12,7 @@ from math import acos, cos, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.problem_data import read_array
+from contactqp.model.problem_data import read_array
 
 
 def real_array(what: str, value: Any) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.quadrature import Quadrature, gauss, tetrahedron, triangle
-from contactqp.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly
 
 Nodes = tuple[int, ...]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import computes
-from contactqp.problem_data import is_whole
+from contactqp.model.floating_point import computes
+from contactqp.model.problem_data import is_whole
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))

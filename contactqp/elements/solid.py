@@ -19,7 +19,7 @@ from contactqp.elements.quadrature import Quadrature
 from contactqp.elements.reading import positive_number
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-from contactqp.problem_data import ReadOnly, read_only
+from contactqp.model.problem_data import ReadOnly, read_only
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.problem_data import is_whole
+from contactqp.model.problem_data import is_whole
 
 Towards = Literal["low", "high", "both", "middle"]
 

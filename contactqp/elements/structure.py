@@ -19,7 +19,7 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, Vector
 from contactqp.elements.reading import real_array, real_number
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import computes
-from contactqp.problem_data import ReadOnly, is_whole, read_only
+from contactqp.model.floating_point import computes
+from contactqp.model.problem_data import ReadOnly, is_whole, read_only
 
 Index = NDArray[np.int64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.reading import positive_number
-from contactqp.problem_data import ReadOnly, read_array, read_only, read_whole
+from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
 
 
 @dataclass(frozen=True, eq=False)

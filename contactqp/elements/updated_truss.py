@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.green_truss import NonlinearTruss
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import computes
+from contactqp.model.floating_point import computes
 
 Array = NDArray[np.float64]
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.

@@ -21,7 +21,7 @@ from contactqp.exchange.matrix_market import is_matrix_market
 from contactqp.exchange.numpy_files import NUMPY, ZIP
 from contactqp.exchange.refusal import Path, is_number, read_bytes, wrong
 from contactqp.exchange.tables import HEAD, is_table
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 EXPECTED = "displacement or normal_force"
 

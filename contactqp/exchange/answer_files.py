@@ -12,7 +12,7 @@ from contactqp.exchange import answer_arrays, answer_json, answer_tables, ansys,
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 READERS: list[AnswerReader] = [
     answer_json.READER,

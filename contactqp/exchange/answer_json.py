@@ -25,7 +25,7 @@ from contactqp.exchange.answer_reader import (
 )
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, one_line, read_text, wrong
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 NAME = "JSON"
 COMPONENTS = "friction_components"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, one_line, wrong
 from contactqp.exchange.unknown_names import other_spellings
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 # The parts of an answer, and what else they are called. Pressures are forces only where areas come with them.
 PARTS = ("displacement", "normal_force", "normal_pressure", "friction_force", "tie_force")

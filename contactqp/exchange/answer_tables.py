@@ -17,7 +17,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, wrong
 from contactqp.exchange.tables import Table, begins_with, read_tables
 from contactqp.exchange.unknown_names import axis_called
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 NAME = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")

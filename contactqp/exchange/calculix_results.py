@@ -21,7 +21,7 @@ from contactqp.exchange.calculix_frd import EXPECTED as FIELDS
 from contactqp.exchange.calculix_frd import read_frd
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, wrong
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 UNKNOWN = re.compile(r"(\d+)\.([1-3xyz])", re.ASCII)
 CONTACT_NAME = re.compile(r"(?:node |contact )?(\d+)(?:\.[1-3xyz])?", re.ASCII)

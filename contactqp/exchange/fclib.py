@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
-from contactqp.exchange.global_problem import GlobalProblem
 from contactqp.exchange.hdf5_file import Hdf5File, opened
 from contactqp.exchange.local_form import local_form_of
 from contactqp.exchange.refusal import Path, check_dimension, check_friction, naming, wrong
-from contactqp.local_problem import LocalProblem
-from contactqp.problem import ContactProblem
+from contactqp.model.global_problem import GlobalProblem
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
 
 LOCAL, GLOBAL, ROLLING = "fclib_local", "fclib_global", "fclib_global_rolling"
 ROLLING_LOCAL = "fclib_local_rolling"

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.fclib import GLOBAL, LOCAL
-from contactqp.exchange.global_problem import GlobalProblem
 from contactqp.exchange.hdf5_file import h5py_module
 from contactqp.exchange.local_form import body_motion
 from contactqp.exchange.matrix_storage import Storage, StoredMatrix, stored_form
 from contactqp.exchange.refusal import Path
-from contactqp.local_problem import LocalProblem
-from contactqp.local_solution import LocalSolution
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.whole_file import check_file, write_whole
+from contactqp.exchange.whole_file import check_file, write_whole
+from contactqp.model.global_problem import GlobalProblem
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_solution import LocalSolution
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 
 SUFFIXES = (".hdf5", ".h5")
 # As published files have it.

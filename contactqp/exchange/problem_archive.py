@@ -15,7 +15,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.numpy_files import is_sparse, read_npz, real, sparse_matrix
 from contactqp.exchange.problem_parts import SYMBOLS, part_called, problem_of
 from contactqp.exchange.refusal import Path, wrong
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 OF_SPARSE = ("data", "indices", "indptr", "shape", "format", "row", "col")
 NAMES = ("dof_names", "contact_names")

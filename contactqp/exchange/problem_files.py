@@ -6,7 +6,6 @@ from pathlib import Path as FilePath
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.fclib import read_fclib
-from contactqp.exchange.global_problem import GlobalProblem
 from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_files import stiffness_suffixes
@@ -16,8 +15,9 @@ from contactqp.exchange.problem_folder import is_problem_folder, read_problem_fo
 from contactqp.exchange.problem_writing import PROBLEM_FILE
 from contactqp.exchange.refusal import Path, read_bytes, wrong
 from contactqp.exchange.siconos_text import read_siconos
-from contactqp.local_problem import LocalProblem
-from contactqp.problem import ContactProblem
+from contactqp.model.global_problem import GlobalProblem
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
 
 EXPECTED = "a folder or .npz of matrices, or a file of FCLIB (HDF5) or Siconos (text)"
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)

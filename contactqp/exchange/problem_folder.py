@@ -27,7 +27,7 @@ from contactqp.exchange.refusal import Path, read_text, wrong
 from contactqp.exchange.row_tables import Unknowns, read_contact_rows, read_load_rows, read_tie_names, read_tie_rows
 from contactqp.exchange.tables import is_table
 from contactqp.exchange.unknown_names import plain_name
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 NAME_FILES = ("dof_names", "contact_names")
 TABLES = ("contacts", "ties")

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, naming, wrong
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 # What the parts of a problem are called, in files and in archives.
 SYMBOLS = {

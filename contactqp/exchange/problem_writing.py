@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.problem_parts import MATRICES, SYMBOLS
 from contactqp.exchange.refusal import Path
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 
 PROBLEM_FILE, ANSWER_FILE = "problem.json", "answer.json"
 FORMAT, VERSION = "contactqp problem", 1

@@ -10,12 +10,12 @@ if its first matrix has the size of the contacts and what follows it is q and mu
 from __future__ import annotations
 
 from contactqp.exchange.fclib import solvable
-from contactqp.exchange.global_problem import GlobalProblem
 from contactqp.exchange.refusal import Path, check_dimension, check_friction, naming, wrong
 from contactqp.exchange.siconos_matrix import read_matrix
 from contactqp.exchange.siconos_numbers import Words
-from contactqp.local_problem import LocalProblem
-from contactqp.problem import ContactProblem
+from contactqp.model.global_problem import GlobalProblem
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
 
 # What old versions of Siconos put at the end: whether a problem is complete.
 COMPLETE = ("0", "1")

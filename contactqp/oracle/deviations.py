@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.coulomb_cone import directions, lengths
+from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.problem import Vector
 from contactqp.oracle.reference import Reference, weights
-from contactqp.problem import Vector
 
 
 @dataclass(frozen=True)

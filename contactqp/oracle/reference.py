@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.violations import Answer
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.oracle.foreign.right_answer import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
-from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.oracle.assertions import solution_fault
 from contactqp.oracle.gallery.gallery import problems as gallery_problems
 from contactqp.oracle.gallery.problem import GalleryProblem
-from contactqp.problem import ContactProblem
 
 PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 VERDICTS = ("right", "wrong", "failed")

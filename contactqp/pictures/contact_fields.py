@@ -17,9 +17,9 @@ from contactqp.elements.solid import Body
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.elements.structure import System
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.problem import Units
+from contactqp.model.solution import Solution
 from contactqp.pictures.contact_nodes import contact_nodes
-from contactqp.problem import Units
-from contactqp.solution import Solution
 
 Vector = NDArray[np.float64]
 Index = NDArray[np.int64]

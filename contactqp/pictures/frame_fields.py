@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.problem import Units
+from contactqp.model.problem import Units
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, refuse_other
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
 
 Array = NDArray[np.float64]
 # Loads are proportional to the times, or all along one of them, to this part of the largest.

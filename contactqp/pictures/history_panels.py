@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.pictures import style
 from contactqp.pictures.history_fields import ENERGIES, HistoryFields
-from contactqp.problem import ContactProblem, Vector
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.mesh import Mesh
+from contactqp.model.problem import Units
 from contactqp.pictures import style
 from contactqp.pictures.sampling import cuts, edge_points, pieces, sample
-from contactqp.problem import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.problem import Units
-from contactqp.whole_file import PICTURES, check_file, check_installed, write_whole
+from contactqp.exchange.whole_file import PICTURES, check_file, check_installed, write_whole
+from contactqp.model.problem import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

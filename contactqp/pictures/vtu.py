@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.mesh_files import MESHIO_KINDS
+from contactqp.exchange.whole_file import VTU, check_file, check_installed, write_whole
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.frame_fields import FrameFields
-from contactqp.whole_file import VTU, check_file, check_installed, write_whole
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -12,6 +12,7 @@ import numpy as np
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
+from contactqp.model.solution import Solution
 from contactqp.scene import elimination
 from contactqp.scene.answers_of_large import OF_LARGE
 from contactqp.scene.answers_of_motions import OF_MOTIONS
@@ -24,12 +25,11 @@ from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import of_node
-from contactqp.solution import Solution
 
 if TYPE_CHECKING:
+    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
     from contactqp.scene.answers_of_bodies import BodyAnswer
     from contactqp.scene.bodies import BodyModel
-    from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from contactqp.scene.schema import Scene
 from contactqp.scene.units import vector
 
 if TYPE_CHECKING:
-    from contactqp.scene.distributed_bodies import DistributedBodyModel
+    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
 
 
 @dataclass(frozen=True, eq=False)

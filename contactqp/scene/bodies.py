@@ -26,15 +26,15 @@ from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-from contactqp.problem import ContactProblem, Units
+from contactqp.linalg.stages import BUILD, stage
+from contactqp.model.problem import ContactProblem, Units
+from contactqp.model.solution import Solution
 from contactqp.scene.body_loads import at_key, loads_of, supports_of
 from contactqp.scene.contact_entries import ContactEntries, PairedContact
 from contactqp.scene.corners import Factors, end_time, factors_at, has_corners
 from contactqp.scene.meshing import body_mesh, nearest_node
 from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number
-from contactqp.solution import Solution
-from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from contactqp.elements import beam, node_contact, spring, string, truss
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
-from contactqp.problem import ContactProblem, Units
+from contactqp.linalg.stages import BUILD, stage
+from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at
 from contactqp.scene.exact_loads import Row, exact_loads, sum_of
 from contactqp.scene.exact_numbers import displacements, ends, point, value
 from contactqp.scene.obstacles import obstacle
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
-from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Bar, Beam, Scene, Spring

@@ -7,7 +7,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
-from contactqp.methods import Method, methods
 from contactqp.scene.checking_large import large_claim_fits
 from contactqp.scene.checking_motion import motion_claim_fits
 from contactqp.scene.checking_path import time_fits
@@ -15,6 +14,7 @@ from contactqp.scene.claims import Claim
 from contactqp.scene.quantities import QUANTITIES
 from contactqp.scene.unknowns import Unknowns
 from contactqp.scene.wording import unknown
+from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene

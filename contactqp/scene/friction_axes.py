@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements.obstacle import tangent_frames
+from contactqp.model.solution import Solution
 from contactqp.scene.building import NodeModel
 from contactqp.scene.obstacles import obstacle
-from contactqp.solution import Solution
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.history import History
-from contactqp.engines import SERIAL
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -23,7 +22,8 @@ from contactqp.errors import (
     TimeStepWarning,
     Unsupported,
 )
-from contactqp.methods import find
+from contactqp.model.engines import SERIAL
+from contactqp.model.solution import Solution
 from contactqp.scene.answers import Answer, answer_of
 from contactqp.scene.claims import KNOBS, Claim
 from contactqp.scene.corners import end_time, has_corners
@@ -32,8 +32,8 @@ from contactqp.scene.instant import Instant
 from contactqp.scene.running import built, run_model
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.solving.methods import find
+from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
     from contactqp.scene.answers_of_bodies import BodyAnswer
@@ -285,7 +285,7 @@ class _Answers:
             )
         trial, options = self._trial, self._trial.options(self._model.scene)
         if trial.engine != SERIAL:
-            from contactqp.scene.running_on_ranks import answer_at
+            from contactqp.distributed.scenes.running_on_ranks import answer_at
 
             return answer_of(
                 self._model, answer_at(self._model, time, trial.method, **options), Instant(time, self._history)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.errors import SceneError
+from contactqp.linalg.stages import READ, stage
 from contactqp.scene.schema import Scene
-from contactqp.stages import READ, stage
 
 # Bytes; the parser takes about a second for each of a million.
 LARGEST = 2**25

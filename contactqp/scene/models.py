@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from contactqp.linalg.stages import BUILD, stage
 from contactqp.scene.building import NodeModel, exact_problem
-from contactqp.stages import BUILD, stage
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from contactqp.analysis.impact import impact
 from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
-from contactqp.methods import find
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel
 from contactqp.scene.inertia import free_places, mass_on_all
 from contactqp.scene.starts import started
+from contactqp.solving.methods import find
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model

@@ -15,19 +15,19 @@ from rich.text import Text
 
 from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.certificate import Certificate
-from contactqp.pictures.in_text import ROUNDING, bars
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.state_answer import FIGURES_ALONE, STATE
+from contactqp.model.solution import Solution
 from contactqp.scene.building import NodeModel
 from contactqp.scene.expectations import Comparison
 from contactqp.scene.friction_axes import friction_along_axes
+from contactqp.scene.in_text import ROUNDING, bars
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.printing_courses import print_courses
 from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
 from contactqp.scene.summaries import motions_in_words, summaries, summary_data
 from contactqp.scene.tables import Drawn, print_table, shown, written
 from contactqp.scene.unknowns import is_rotation
-from contactqp.solution import Solution
-from contactqp.state_answer import FIGURES_ALONE, STATE
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}

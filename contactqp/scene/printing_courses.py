@@ -11,8 +11,8 @@ from rich.console import Console
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.pictures.in_text import Letters, course
 from contactqp.scene.building import NodeModel
+from contactqp.scene.in_text import Letters, course
 from contactqp.scene.judging import Judgement
 from contactqp.scene.printing_paths import when
 from contactqp.scene.tables import Drawn, print_table

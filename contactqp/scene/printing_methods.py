@@ -7,8 +7,8 @@ from typing import Any
 
 from rich.console import Console
 
-from contactqp.methods import Method
 from contactqp.scene.tables import print_table
+from contactqp.solving.methods import Method
 
 
 def print_methods(console: Console, methods: Iterable[Method]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from contactqp.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 
 STATUSES = ("open", "closed", "grazing", "stick", "slip")
 ONE_ANSWER = "one answer"

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.analysis.history import History
-from contactqp.engines import SERIAL, refuse_unknown_engine
 from contactqp.errors import Unsupported
-from contactqp.floating_point import own_floating_point
-from contactqp.problem import ContactProblem
+from contactqp.linalg.stages import STEPS, stage
+from contactqp.model.engines import SERIAL, refuse_unknown_engine
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene
-from contactqp.solving import solve
-from contactqp.stages import STEPS, stage
+from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
@@ -68,7 +68,7 @@ def built(scene: Scene, engine: str = SERIAL) -> Any:
     refuse_unknown_engine(engine)
     if engine == SERIAL:
         return build(scene)
-    from contactqp.scene.running_on_ranks import model_on_ranks
+    from contactqp.distributed.scenes.running_on_ranks import model_on_ranks
 
     return model_on_ranks(scene)
 
@@ -78,7 +78,7 @@ def run_model(
 ) -> History:
     """As `run`, of a scene that is built already."""
     if engine != SERIAL:
-        from contactqp.scene.running_on_ranks import run_on_ranks
+        from contactqp.distributed.scenes.running_on_ranks import run_on_ranks
 
         return run_on_ranks(model, method, checkpoint, **options)
     if checkpoint is not None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
 
 from contactqp.errors import SceneError
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.scene import fields
 from contactqp.scene.checking import check
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study

@@ -12,8 +12,8 @@ from contactqp.analysis.kinds import is_moving
 from contactqp.scene.units import KINDS
 
 if TYPE_CHECKING:
+    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
     from contactqp.scene.bodies import BodyModel
-    from contactqp.scene.distributed_bodies import DistributedBodyModel
 
 # Directions of motions have 1 as their largest component and are known to rounding.
 SMALL = 1e-6

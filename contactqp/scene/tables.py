@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.pictures.in_text import ASCII, BLOCKS, Letters
+from contactqp.scene.in_text import ASCII, BLOCKS, Letters
 
 # Rows of a table on a screen; --json has all.
 MOST_ROWS = 60

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import beam
+from contactqp.model.problem import Units
+from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.pictures.membrane_drawing import MembraneFields
-from contactqp.problem import Units
 from contactqp.scene.building import exact_problem
 from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import ROTATION, of_node
-from contactqp.solution import Solution
 
 Array = NDArray[np.float64]
 # Points along a beam: its cubic looks smooth.

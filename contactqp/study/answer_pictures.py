@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from contactqp.analysis.history import History
 from contactqp.errors import ContactQPError
+from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import structure_figure
@@ -16,7 +17,6 @@ from contactqp.pictures.membrane_drawing import membrane_figure
 from contactqp.pictures.small_png import small_png
 from contactqp.scene.judging import Failure, Judgement
 from contactqp.scene.schema import Scene
-from contactqp.solution import Solution
 from contactqp.study.answer_fields import fields_of, fields_of_membranes
 
 if TYPE_CHECKING:

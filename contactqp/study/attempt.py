@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import FIGURES
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -18,14 +19,13 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
-from contactqp.problem import MEASURED, ContactProblem
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.model.problem import MEASURED, ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.rungs import Rung, condensable
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
-from contactqp.violations import FIGURES
 
 # A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
 GENEROSITY = 100.0

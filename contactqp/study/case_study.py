@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from contactqp.errors import ContactQPError, SceneError
-from contactqp.methods import Method
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
 from contactqp.scene.expectations import compare_expectation
@@ -22,7 +22,7 @@ from contactqp.scene.models import build
 from contactqp.scene.running import walk
 from contactqp.scene.schema import Scene
 from contactqp.scene.units import Quantity
-from contactqp.solution import Solution
+from contactqp.solving.methods import Method
 from contactqp.study.attempt import Timing, Walk, answer, timing
 from contactqp.study.digest import digest
 from contactqp.study.rows import Row

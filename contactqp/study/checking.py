@@ -12,7 +12,7 @@ from rich.table import Table
 
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
 from contactqp.exchange.refusal import wrong
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.answer_check import AnswerVerdict, check_case, check_problem
 from contactqp.study.check_options import CheckOptions, as_options
 from contactqp.study.friction_check import ForcesVerdict, WorstContact, check_forces

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem
-from contactqp.floating_point import own_floating_point
-from contactqp.idle_rows import ActingRows, acting_rows
-from contactqp.problem import ContactProblem
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem
 from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
 from contactqp.study.rungs import chosen_methods, single_rungs

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 import contactqp
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 # Bytes: two cases of one report never have the same by chance.
 SIZE = 12

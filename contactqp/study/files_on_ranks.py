@@ -18,7 +18,7 @@ from contactqp.distributed.solving import refuse_method, solve_distributed
 from contactqp.distributed.whole import options_on_ranks
 from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.exchange.refusal import naming
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.friction_files import FileOutcome, Outline, outline_of, solvable_form
 
 

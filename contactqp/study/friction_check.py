@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.local_certificate import LocalCertificate, certify_local, contact_figures
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
@@ -15,10 +16,9 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import read_problem_with_ledger
 from contactqp.exchange.refusal import naming, wrong
-from contactqp.local_certificate import LocalCertificate, certify_local, contact_figures
-from contactqp.local_problem import LocalProblem
-from contactqp.local_solution import LocalSolution
-from contactqp.solving import solve
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_solution import LocalSolution
+from contactqp.solving.solve import solve
 from contactqp.study.check_options import CheckOptions, read_areas
 from contactqp.study.friction_files import finite
 from contactqp.study.verdict import Verdict, finite_list

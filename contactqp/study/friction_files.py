@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactqp.certificate import Certificate
-from contactqp.engines import SERIAL
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.local_certificate import LocalCertificate
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.exchange.refusal import naming
-from contactqp.local_certificate import LocalCertificate
-from contactqp.local_problem import LocalProblem
-from contactqp.local_solution import LocalSolution
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.model.engines import SERIAL
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_solution import LocalSolution
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
     from contactqp.distributed.collecting import CollectedSolution

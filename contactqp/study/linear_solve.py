@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.condensation import condense, fixing_unknowns
-from contactqp.elimination import LastBlock
-from contactqp.factorization import factorise
-from contactqp.iteration import iterated
-from contactqp.pardiso import NotPositive, Pardiso
-from contactqp.problem import ContactProblem, Vector
+from contactqp.linalg.condensation import condense, fixing_unknowns
+from contactqp.linalg.elimination import LastBlock
+from contactqp.linalg.factorization import factorise
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.pardiso import NotPositive, Pardiso
+from contactqp.model.problem import ContactProblem, Vector
 
 # Solves timed at most, and the seconds of them after which a median is good enough.
 REPEATS, ENOUGH = 9, 0.2

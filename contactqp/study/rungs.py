@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.candidates import first_candidates
-from contactqp.condensation import condense
-from contactqp.iteration import iterated
-from contactqp.methods import Method, find, methods
-from contactqp.problem import ContactProblem
+from contactqp.certificate.candidates import first_candidates
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.iteration import iterated
+from contactqp.model.problem import ContactProblem
+from contactqp.solving.methods import Method, find, methods
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.

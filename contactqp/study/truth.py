@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.condensation import condense
 from contactqp.errors import ContactQPError, InvalidProblem
-from contactqp.problem import ContactProblem, Matrix, Vector
-from contactqp.problem_data import read_array
-from contactqp.saddle import saddle_point
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.saddle import saddle_point
+from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.problem_data import read_array
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
 
 # What a chain of a few dozen rounded additions can make of zero, relative to the size of its terms.
 ROUNDING = 64 * float(np.finfo(float).eps)

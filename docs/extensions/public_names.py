@@ -47,7 +47,7 @@ def _code_or_name(
 
 
 def _public(app: Any, environment: Any, node: Any, shown: nodes.Node) -> nodes.Node | None:
-    """contactqp.problem.ContactProblem is contactqp.ContactProblem."""
+    """contactqp.model.problem.ContactProblem is contactqp.ContactProblem."""
     name = str(node.get("reftarget", "")).rpartition(".")[2]
     target = public_name(f"contactqp.{name}")
     if node.get("refdomain") != "py" or target is None or node["reftarget"] == target:

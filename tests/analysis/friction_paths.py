@@ -9,7 +9,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from tests.friction.problems import rough_truss
+from tests.solving.friction.problems import rough_truss
 
 WEIGHTS = np.array([0.0, 0.0, -2 * 9.81, -9.81])  # of `two_masses`
 

@@ -16,7 +16,7 @@ from contactqp.analysis.large.active_kkt import (
 from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
 from contactqp.analysis.large.loaded_body import Forces
 from contactqp.errors import NotConverged
-from contactqp.factorization import DENSE_SIZE
+from contactqp.linalg.factorization import DENSE_SIZE
 
 LARGE = DENSE_SIZE + 60
 

@@ -8,7 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.analysis import friction_rates
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, pulled, rolling_block, truss_from_rest
-from tests.friction.problems import TOUCH, one_contact, two_masses
+from tests.solving.friction.problems import TOUCH, one_contact, two_masses
 
 CLOSING = 458394666339 / 639328600000
 KLARBRING = [[1.0, 2.0], [2.0, 5.0]]  # compliance (n, t): above mu = 1/2 rates may have none or several answers

@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, jenkins, pulled, rolling_block, truss_from_rest
-from tests.friction.problems import TOUCH, random_problem, rough_truss, two_masses
+from tests.solving.friction.problems import TOUCH, random_problem, rough_truss, two_masses
 
 CLOSING = 458394666339 / 639328600000
 COUNTS = (1, 2, 7, 40)

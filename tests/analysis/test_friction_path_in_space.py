@@ -17,7 +17,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis import friction_stepping
-from tests.friction.space import block, direction, elastic_block
+from tests.solving.friction.space import block, direction, elastic_block
 
 # mu N = 3 and k = 2.
 LEASH = 1.5

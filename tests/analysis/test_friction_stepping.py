@@ -11,7 +11,7 @@ import contactqp as cq
 from contactqp.analysis import friction_stepping
 from contactqp.analysis.anchoring import Anchors, State, step_to
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
-from tests.friction.problems import TOUCH, two_masses
+from tests.solving.friction.problems import TOUCH, two_masses
 
 
 def never(*_: object, **__: object) -> None:

@@ -11,8 +11,8 @@ import scipy.sparse.linalg as spla
 import contactqp as cq
 from benchmarks.load_path import price
 from benchmarks.price_of_contact import block, fresh
-from contactqp import elimination, pardiso
-from contactqp.condensation import condense
+from contactqp.linalg import elimination, pardiso
+from contactqp.linalg.condensation import condense
 
 STEPS = 100
 

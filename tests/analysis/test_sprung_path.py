@@ -10,8 +10,8 @@ import pytest
 import contactqp as cq
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, pulled, truss_from_rest
 from tests.analysis.test_friction_events import balance, events, random_body
-from tests.friction.problems import TOUCH, two_masses
-from tests.friction.test_contact_springs import require_same
+from tests.solving.friction.problems import TOUCH, two_masses
+from tests.solving.friction.test_contact_springs import require_same
 
 CLOSING = 458394666339 / 639328600000
 SPRINGS: list[tuple[str, dict[str, Any]]] = [

@@ -11,7 +11,7 @@ import contactqp as cq
 from contactqp.analysis import friction_rates, step_jumps
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.analysis.test_friction_events import KLARBRING, random_body
-from tests.friction.problems import one_contact, two_masses
+from tests.solving.friction.problems import one_contact, two_masses
 
 # K_tt + mu K_nt < 0 above mu = 1/2: pressed by 1 and pulled by mu at t = 1 + mu / 2 it can neither stick nor slide on.
 PRESSED_AND_PULLED = [[-1.0, 0.0], [-1.0, 2.0]]

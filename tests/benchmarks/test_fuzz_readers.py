@@ -15,7 +15,7 @@ from benchmarks.fuzz_readers import JUDGED, REFUSED, outcome, run_format
 from benchmarks.mutations import MUTATIONS, bomb, mutate
 from benchmarks.valid_files import SLOW, Seed, seeds
 from contactqp.errors import InvalidProblem
-from tests.test_cli import run
+from tests.cli.test_cli import run
 
 # Mutated files of each of 40 formats, from which one on; more than so many are refused, and than so many judged.
 FEW = (0, 2, 50, 2)

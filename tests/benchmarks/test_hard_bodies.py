@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp import elimination
-from contactqp.condensation import condense
-from contactqp.pardiso import available
+from contactqp.linalg import elimination
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.pardiso import available
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

@@ -14,9 +14,9 @@ from benchmarks.friction_runs import Published, Run
 from benchmarks.friction_score import Arrays, projection, score
 from benchmarks.performance_profiles import draw
 from benchmarks.siconos_process import block_text
+from contactqp.certificate.local_certificate import certify_local
 from contactqp.exchange.siconos_text import read_siconos
-from contactqp.local_certificate import certify_local
-from tests.friction.test_local import made
+from tests.solving.friction.test_local import made
 
 needs_siconos = pytest.mark.skipif(
     not siconos_peer.available(), reason=f"Siconos is not installed for {siconos_peer.PYTHON}"

@@ -22,9 +22,9 @@ def test_every_public_name_is_documented_once() -> None:
     found = documented()
     assert public - set(found) == set()
     assert set(found) - public == {
-        "contactqp.methods.Method",
-        "contactqp.methods.Settings",
-        "contactqp.methods.register",
+        "contactqp.solving.methods.Method",
+        "contactqp.solving.methods.Settings",
+        "contactqp.solving.methods.register",
     }
     assert max(found.values()) == 1
 

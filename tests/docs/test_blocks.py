@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 from qpsolvers.solvers import solve_function
 
-from contactqp import methods
 from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
+from contactqp.solving import methods
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
 
 # Pages that another test runs, all blocks of them.
 RUN_ELSEWHERE = {
-    "README.md": "tests/test_readme.py; its first command by whoever wants the report, its second by .ci/run",
-    "docs/recipes.md": "tests/test_recipes.py",
+    "README.md": "tests/docs/test_readme.py; its first command by whoever wants the report, its second by .ci/run",
+    "docs/recipes.md": "tests/docs/test_recipes.py",
     "docs/report.md": "tests/study/test_claims.py, on a report of a few cases",
 }
 GOES_ON = "mpiexec -n 4 python -m contactqp run case.toml --engine petsc --checkpoint steps"

@@ -50,7 +50,7 @@ def test_public_names_are_told_from_words() -> None:
         "contactqp.exact",
         "contactqp.testing.problems",
     ]
-    words = ["exact", "solve", "Nobody", "history.pair", "contactqp.bounds", "u'Ku"]
+    words = ["exact", "solve", "Nobody", "history.pair", "contactqp.certificate.bounds", "u'Ku"]
     assert [text for text in words if public_name(text)] == []
 
 

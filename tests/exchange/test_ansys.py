@@ -17,7 +17,7 @@ import contactqp as cq
 from contactqp.exchange import ansys
 from contactqp.exchange.answer_files import read_answer
 from contactqp.exchange.matrix_files import read_matrix
-from tests.test_cli import run
+from tests.cli.test_cli import run
 
 
 def examples() -> Path | None:

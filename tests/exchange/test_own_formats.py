@@ -12,7 +12,7 @@ from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.refusal import Path as AnyPath
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 
 def _one(path: AnyPath) -> MatrixFile:

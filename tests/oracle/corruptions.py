@@ -17,10 +17,10 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.problem_families import family
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from tests.examples import block_between, cantilever, seeded_problem
-from tests.friction.problems import known_answer
-from tests.friction.space import several
+from tests.solving.friction.problems import known_answer
+from tests.solving.friction.space import several
 
 Given = dict[str, np.ndarray]
 PROBLEMS = 10

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp import state_answer
+from contactqp.certificate import state_answer
 from contactqp.oracle.assertions import assert_contact_solution, assert_multipliers
 from contactqp.oracle.gallery.gallery import problem, problems
 from contactqp.oracle.gallery.problem import GalleryProblem

@@ -9,7 +9,7 @@ import contactqp as cq
 from benchmarks.problem_families import family
 from contactqp.oracle.diagnosis import other_questions
 from tests.examples import seeded_problem
-from tests.friction.space import block, several
+from tests.solving.friction.space import block, several
 
 
 def causes(judged: cq.JudgedAnswer) -> set[str]:

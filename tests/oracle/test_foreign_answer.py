@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from tests.examples import block_between, seeded_problem, truss, two_bars
-from tests.friction.space import several
+from tests.solving.friction.space import several
 
 
 @pytest.fixture

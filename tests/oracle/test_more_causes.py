@@ -11,9 +11,9 @@ import contactqp as cq
 from contactqp.oracle.diagnosis import other_questions
 from contactqp.testing import assert_multipliers, problem
 from tests.examples import seeded_problem
-from tests.friction.problems import known_answer
-from tests.friction.space import several
 from tests.oracle.test_causes import causes
+from tests.solving.friction.problems import known_answer
+from tests.solving.friction.space import several
 
 UNITS = {"length": "mm", "force": "N"}
 

@@ -11,8 +11,8 @@ import pytest
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
 from tests.examples import CANTILEVER_FORCE, cantilever, truss, two_bars
-from tests.friction.problems import known_answer
-from tests.friction.space import several
+from tests.solving.friction.problems import known_answer
+from tests.solving.friction.space import several
 
 WELL_POSED = sorted(name for name, one in FAMILIES.items() if one.well_posed and one.solvable)
 SEEDS = [range(1), pytest.param(range(1, 4), marks=pytest.mark.slow)]

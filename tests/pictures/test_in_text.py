@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from contactqp.pictures.in_text import ASCII, BLOCKS, bars, course
+from contactqp.scene.in_text import ASCII, BLOCKS, bars, course
 
 
 def test_bars_are_in_proportion_to_the_eighth_of_a_letter():

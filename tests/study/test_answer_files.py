@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.test_cli import CASES, WALL, run
 from tests.examples import PUSHED_OFF
-from tests.test_cli import CASES, WALL, run
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("meshio")

@@ -10,9 +10,9 @@ import pytest
 import contactqp as cq
 from contactqp.study.check_options import CheckOptions
 from contactqp.study.friction_check import check_forces
+from tests.cli.test_cli import CASES, run
 from tests.exchange.files import global_tree, local_tree, write_hdf5
 from tests.exchange.published import needs_data, published
-from tests.test_cli import CASES, run
 
 WALL = CASES / "bar_wall.toml"
 

@@ -9,8 +9,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
+from tests.cli.test_cli import CASES, run
 from tests.exchange.test_problem_folder import PARTS
-from tests.test_cli import CASES, run
 
 ANSWER = {"displacement": {"a.x": 0.5, "b.x": 1e-3, "c.x": 0.0}, "normal_force": {"left": 1.0, "right": 2.0}}
 

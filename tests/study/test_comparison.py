@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp import methods as registry
-from contactqp.methods.method import Method, Settings
-from contactqp.solution import Candidate
+from contactqp.model.solution import Candidate
+from contactqp.solving import methods as registry
+from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows, truth
 from contactqp.study.rungs import STIFFENINGS, contact_stiffness
 from tests.examples import body_on_spring_in_mid_air, two_bars
@@ -42,7 +42,7 @@ def _believe_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.certify", blind)
+    monkeypatch.setattr("contactqp.solving.solve.certify", blind)
 
 
 def _half_the_force(_: cq.ContactProblem, __: Settings) -> Candidate:

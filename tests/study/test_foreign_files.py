@@ -15,7 +15,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
 from contactqp.exchange.unknown_names import axis_called, plain_name
-from tests.test_cli import CASES, run
+from tests.cli.test_cli import CASES, run
 
 NAMES = ("1.x", "1.y", "2.x")
 K = [[4.0, -1.0, 0.0], [-1.0, 5.0, 2.5], [0.0, 2.5, 3.0]]

@@ -9,6 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.study.friction_files import run_file
+from tests.cli.test_cli import CASES, run
 from tests.exchange.files import (
     H,
     M,
@@ -25,7 +26,6 @@ from tests.exchange.files import (
 )
 from tests.exchange.files import W as DELASSUS
 from tests.exchange.published import needs_data, published
-from tests.test_cli import CASES, run
 
 # One contact that slides to the left: r = (35/13, 28/13), u = (0, -11/13).
 SLIDING = "2\n1\n0\n2\n2\n2\t2\n1 2 2 5\n-7 -17\n0.8\n"

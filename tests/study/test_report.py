@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp import methods as registry
-from contactqp.methods.method import Method, Settings
-from contactqp.solution import Candidate
+from contactqp.model.solution import Candidate
+from contactqp.solving import methods as registry
+from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.report import report
@@ -157,7 +157,7 @@ def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkey
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.certify", blind)
+    monkeypatch.setattr("contactqp.solving.solve.certify", blind)
     believed = _write(tmp_path / "believed", ["active-set", "liar"], CASES[1:])
     assert believed.exit_code == 1
     assert believed.summary.wrong_but_passed == 1

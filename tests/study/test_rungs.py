@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.methods import find
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
+from contactqp.solving.methods import find
 from contactqp.study import rungs
 from contactqp.study.attempt import attempt
 from contactqp.study.case_study import CaseStudy, load_studies

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.factorization import DENSE_SIZE, factorise
+from contactqp.linalg.factorization import DENSE_SIZE, factorise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

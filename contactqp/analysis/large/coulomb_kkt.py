@@ -12,8 +12,8 @@ from contactqp.analysis.large.active_kkt import solve_system
 from contactqp.analysis.large.loaded_body import Forces
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NotConverged
-from contactqp.problem import ContactProblem
-from contactqp.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.problem import ContactProblem
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 # What rounding may make of a length or a force, over the lengths and forces that meet.
 ROUNDED = 1e-12

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.problem import Vector
-from contactqp.problem_data import ReadOnly, read_only
-from contactqp.solution import Solution
+from contactqp.model.problem import Vector
+from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.solution import Solution
 
 
 @dataclass(frozen=True)

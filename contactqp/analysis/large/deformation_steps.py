@@ -13,9 +13,9 @@ from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.analysis.large.loaded_body import LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
-from contactqp.certificate import certify, contact_status
+from contactqp.certificate.certificate import certify, contact_status
 from contactqp.errors import NotCertified
-from contactqp.solution import Work
+from contactqp.model.solution import Work
 
 # Friction within this part of its bound is at it.
 STICKS = 1e-9

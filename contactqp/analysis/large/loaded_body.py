@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, Vector
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 
 Array = NDArray[np.float64]
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.

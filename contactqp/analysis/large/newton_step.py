@@ -13,9 +13,9 @@ from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
 from contactqp.analysis.large.loaded_body import Array, Forces, Instant, LoadedBody
 from contactqp.elements.deformable import Vector
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
 
 # How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
 BEYOND = 1.2

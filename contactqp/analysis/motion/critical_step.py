@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.factorization import factorise
+from contactqp.linalg.factorization import factorise
 
 # Up to here all frequencies are found at once.
 DENSE_SIZE = 200

@@ -16,12 +16,12 @@ from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.motion.balance import energies, events
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.certificate import certify, contact_status
+from contactqp.certificate.certificate import certify, contact_status
 from contactqp.errors import Unsupported
-from contactqp.intrinsic_size import stiffness_sizes
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly, read_only
-from contactqp.solution import Solution
+from contactqp.linalg.intrinsic_size import stiffness_sizes
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import factorise, null_space
-from contactqp.floating_point import own_floating_point
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import read_array, read_matrix
+from contactqp.linalg.factorization import factorise, null_space
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import read_array, read_matrix
 
 # Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
 ASYMMETRY = 1e-6

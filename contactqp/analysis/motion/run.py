@@ -19,7 +19,7 @@ from contactqp.analysis.motion.mass import touched
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import Answered, Posed, StepContact
-from contactqp.certificate import refuse_not_positive
+from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.errors import (
     BackendFailed,
     InvalidProblem,
@@ -29,9 +29,9 @@ from contactqp.errors import (
     SeveralEquilibria,
     TimeStepWarning,
 )
-from contactqp.problem import Vector
-from contactqp.solution import Work
-from contactqp.stages import CERTIFY, METHOD, stage
+from contactqp.linalg.stages import CERTIFY, METHOD, stage
+from contactqp.model.problem import Vector
+from contactqp.model.solution import Work
 
 # Steps certified at once.
 BLOCK = 64

@@ -1,9 +1,9 @@
 """Many steps of a motion judged at once, by the figures of the certificate.
 
-All steps of a scheme share stiffness and rows: the figures of a block of them are those of `contactqp.violations`,
-formed by products with a whole block. Residuals are in double precision: each entry is known to a few dozen roundings
-of the sizes that meet there, far below any tolerance that passes. It judges what was posed; who answered does not
-matter.
+All steps of a scheme share stiffness and rows: the figures of a block of them are those of
+`contactqp.certificate.violations`, formed by products with a whole block. Residuals are in double precision: each entry
+is known to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. It judges what was
+posed; who answered does not matter.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.coulomb_cone import directions, lengths
-from contactqp.intrinsic_size import HELD_BY_DOUBLES
-from contactqp.problem import ContactProblem, Vector
-from contactqp.row_sizes import row_sizes
-from contactqp.violations import beyond, ratio
+from contactqp.certificate.violations import beyond, ratio
+from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES
+from contactqp.linalg.row_sizes import row_sizes
+from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.problem import ContactProblem, Vector
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
@@ -32,7 +32,7 @@ Block = NDArray[np.float64]  # one row a step
 
 @dataclass(frozen=True, eq=False)
 class StepFigures:
-    """The worst figures of each step of a block, (steps,) each; see `contactqp.certificate`."""
+    """The worst figures of each step of a block, (steps,) each; see `contactqp.certificate.certificate`."""
 
     equilibrium: Block
     penetration: Block
@@ -158,7 +158,9 @@ class StepJudge:
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
     def _intrinsic_size(self, load: Block, x: Block) -> Vector:
-        """(steps,) the size of each step, as in `contactqp.intrinsic_size`: loads and |x|_K, inertia included."""
+        """(steps,) the size of each step, as in `contactqp.linalg.intrinsic_size`: loads and |x|_K, inertia
+        included.
+        """
         D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)
         strain = np.sqrt(np.maximum(np.sum(x * (self._K @ x), axis=0), 0.0))
         return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_forces import normal_forces
 from contactqp.analysis.motion.step_friction import OPEN, correction, frictional_forces, states_of
-from contactqp.condensation import condense
 from contactqp.errors import InvalidProblem
-from contactqp.factorization import Array, DenseCholesky
-from contactqp.problem import ContactProblem, Vector
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.factorization import Array, DenseCholesky
+from contactqp.model.problem import ContactProblem, Vector
 
 # Ties whose compliance on each other, scaled to a diagonal of one, has a pivot below this are dependent.
 DEPENDENT = 1e-10

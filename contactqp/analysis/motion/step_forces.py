@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
-from contactqp.factorization import Array
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solving import solve
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.solving.solve import solve
 
 # Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.
 MAX_CHANGES = 30

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.factorization import Array
-from contactqp.local_problem import LocalProblem
-from contactqp.problem import Vector
-from contactqp.solving import solve
+from contactqp.linalg.factorization import Array
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import Vector
+from contactqp.solving.solve import solve
 
 OPEN, STICK, SLIP_ON, SLIP_BACK = 0, 1, 2, 3
 States = NDArray[np.int8]  # (m,)

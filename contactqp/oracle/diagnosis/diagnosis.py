@@ -10,7 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
+from contactqp.certificate.violations import Answer
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.duplicates import duplicates
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
@@ -27,10 +31,6 @@ from contactqp.oracle.diagnosis.two_mistakes import two_mistakes
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import JudgedContact
 from contactqp.oracle.foreign.recovery import missing_parts
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.uniqueness import POSSIBLE, SEVERAL
-from contactqp.violations import Answer
 
 Family = Callable[[Evidence], Iterator[Explanation]]
 # Families that are weighed against each other, group after group.

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from contactqp.model.problem import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import NAMED
-from contactqp.problem import Vector
 
 # Of all pushing contacts, at most this part may be counted otherwise.
 FEWER = 0.5

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
-from contactqp.condensation import unknown_scale
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.linalg.condensation import unknown_scale
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import judge
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.violations import Answer
 
 PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 # A hypothesis explains an answer if, undone, so much of the error is gone and no more than this is left.

@@ -13,14 +13,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.coulomb_cone import directions, lengths
-from contactqp.extended import extend, extended_rows
+from contactqp.certificate.violations import Violations
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.problem import Vector
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import unit_of
 from contactqp.oracle.foreign.judged_contacts import slips
-from contactqp.problem import Vector
-from contactqp.violations import Violations
 
 # Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
 MET = 1e-6

@@ -9,10 +9,10 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.model.problem import Vector
+from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
-from contactqp.problem import Vector
-from contactqp.solution import Solution
 
 # Orders that are written out.
 WRITTEN = 12

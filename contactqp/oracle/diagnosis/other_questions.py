@@ -12,16 +12,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.condensation import unknown_scale
+from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError
-from contactqp.iteration import iterated
+from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.iteration import iterated
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import NAMED
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.solving import solve
-from contactqp.violations import Answer
+from contactqp.solving.solve import solve
 
 # Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
 LARGEST, LARGEST_OF_OTHER_ROWS, MOST_CONTACTS = 200_000, 60_000, 1500

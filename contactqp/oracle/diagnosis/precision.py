@@ -7,10 +7,10 @@ from dataclasses import fields
 
 import numpy as np
 
+from contactqp.model.problem import Vector
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation, digits
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judging import judge
-from contactqp.problem import Vector
 
 # What is nearer than this to right is right to a few digits.
 FEW_DIGITS = 1e-3

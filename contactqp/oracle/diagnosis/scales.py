@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactqp.condensation import unknown_scale
+from contactqp.linalg.condensation import unknown_scale
+from contactqp.model.problem import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.named_factors import CLOSE, NamedFactor, named_factor
-from contactqp.problem import Vector
 
 CALLED = {
     "displacement": "displacements",

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from contactqp.model.problem import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, digits
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.scales import CALLED, factors
 from contactqp.oracle.diagnosis.symptoms import unit_of
-from contactqp.problem import Vector
 
 FORCES_OF_CONTACTS = {"normal_force", "friction_force"}
 # Contacts that must push before their factors mean anything.

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from contactqp.certificate import Certificate
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import Answer, Violations
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judged_contacts import slips
-from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, Violations
 
 # Contacts named one by one.
 NAMED = 3

@@ -8,9 +8,9 @@ from fractions import Fraction
 
 from flint import fmpq_mat
 
-from contactqp.friction.exact_algebra import Polyhedron
 from contactqp.oracle.exact.lemke import lemke
 from contactqp.oracle.exact.rational import fraction, take, take_columns
+from contactqp.solving.friction.exact_algebra import Polyhedron
 
 # Lemke's method takes about as many pivots as there are conditions.
 MOST_PIVOTS = 2000

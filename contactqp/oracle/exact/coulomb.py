@@ -15,13 +15,18 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import Unsupported
-from contactqp.friction.exact_enumeration import MOST_CONTACTS, MOST_UNKNOWNS, ExactEquilibrium, exact_equilibria
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.closed_set import Settled, balanced
 from contactqp.oracle.exact.combination import Combination, Direction, system_of
 from contactqp.oracle.exact.exact_problem import RationalProblem
 from contactqp.oracle.exact.rational import column, fraction, from_fraction
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
+from contactqp.solving.friction.exact_enumeration import (
+    MOST_CONTACTS,
+    MOST_UNKNOWNS,
+    ExactEquilibrium,
+    exact_equilibria,
+)
 
 # All 4^3 combinations are tried in some ten milliseconds; of more contacts only where the proposal fails.
 LISTED = 3

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, Unsupported
+from contactqp.model.solution import FreeMotion
 from contactqp.oracle.exact.definite import SAFE
 from contactqp.oracle.exact.enclosure import Enclosure, enclose
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
@@ -16,8 +17,7 @@ from contactqp.oracle.exact.fixed_point import Fixed, FixedMatrix, fixed
 from contactqp.oracle.exact.free_motions import carried, hold
 from contactqp.oracle.exact.rational_answer import Asked, symmetrised
 from contactqp.oracle.exact.refinement import refine
-from contactqp.solution import FreeMotion
-from contactqp.solving import solve
+from contactqp.solving.solve import solve
 
 REGULAR = "the system of this contact set is regular: these are its only displacements and forces"
 STRICT = "every normal force of the set and every gap outside of it is strictly positive"

@@ -19,11 +19,11 @@ from flint import arb, arb_mat
 
 from contactqp.elements.exact import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.ball import midpoint, radius, root, to_arb
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts
 from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
-from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import Scene

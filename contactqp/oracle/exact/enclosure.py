@@ -22,12 +22,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NotCertified
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.definite import EPS, SAFE, largest_row_sum, least_eigenvalue
 from contactqp.oracle.exact.exact_solution import Floats
 from contactqp.oracle.exact.fixed_point import Fixed
 from contactqp.oracle.exact.refinement import Refined
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)

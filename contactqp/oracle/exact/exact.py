@@ -8,11 +8,11 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.floating_point import own_floating_point
-from contactqp.local_problem import LocalProblem
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.problem import ContactProblem
-from contactqp.problem_data import ReadOnly
-from contactqp.solution import FreeMotion
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly
+from contactqp.model.solution import FreeMotion
 
 # Object arrays of Fractions.
 Fractions = NDArray[Any]

@@ -15,10 +15,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NotCertified
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import Floats
 from contactqp.oracle.exact.refinement import Refined
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
 
 # What may be held, as a part of all forces that there are.
 ROUNDING = 1e-9

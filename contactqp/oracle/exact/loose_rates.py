@@ -7,10 +7,10 @@ from fractions import Fraction
 
 from flint import fmpq, fmpq_mat
 
-from contactqp.friction.exact_algebra import Polyhedron
 from contactqp.oracle.exact.combination import System
 from contactqp.oracle.exact.proof import RationalAnswer
 from contactqp.oracle.exact.rational import beside, fraction, null_space, stack, take, zeros
+from contactqp.solving.friction.exact_algebra import Polyhedron
 
 Rooms = Callable[[RationalAnswer], list[fmpq]]
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from flint import fmpq_mat
 
+from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import (
     BackendFailed,
     ContactQPError,
@@ -19,7 +20,9 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
-from contactqp.existence import describe_motion
+from contactqp.linalg.existence import describe_motion
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import FreeMotion, Solution
 from contactqp.oracle.exact.closed_set import Settled, settle
 from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
 from contactqp.oracle.exact.exact_path import follow
@@ -28,10 +31,7 @@ from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fra
 from contactqp.oracle.exact.proof import status
 from contactqp.oracle.exact.rational import NoSolution, Undecided, dot, fraction, number, zeros
 from contactqp.oracle.exact.semidefinite import is_semidefinite
-from contactqp.problem import ContactProblem
-from contactqp.solution import FreeMotion, Solution
-from contactqp.solving import solve
-from contactqp.uniqueness import SEVERAL
+from contactqp.solving.solve import solve
 
 # Lemke's method, asked where no proposed set holds, takes seconds for some hundred pivots.
 MOST_PIVOTS = 400

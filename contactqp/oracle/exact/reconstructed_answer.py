@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from contactqp.errors import NotCertified, NotConverged
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.enclosed_answer import FLOATS_THAT_FLOAT, LOCAL, MINIMUM
 from contactqp.oracle.exact.enclosure import is_convex, regular
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
@@ -15,7 +16,6 @@ from contactqp.oracle.exact.fixed_point import fixed
 from contactqp.oracle.exact.rational_answer import PROVEN, Asked, symmetrised
 from contactqp.oracle.exact.reconstruction import DIGITS, Reconstructed, reconstruct
 from contactqp.oracle.exact.refinement import refine
-from contactqp.solution import Solution
 
 ONLY = "the rows of all contacts without gap are independent: these are the only forces that hold this displacement"
 

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.model.problem import ContactProblem
 from contactqp.oracle.exact.exact_solution import Fractions
 from contactqp.oracle.exact.fixed_point import Fixed, FixedMatrix, Integers, fixed
 from contactqp.oracle.exact.refinement import Refined
-from contactqp.problem import ContactProblem
 
 # Digits of the approximation, and what of them is taken to be right.
 DIGITS, RIGHT = 80, 72

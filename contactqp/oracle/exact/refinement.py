@@ -24,10 +24,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Solution
 from contactqp.oracle.exact.fixed_point import Fixed, FixedMatrix, fixed
-from contactqp.problem import ContactProblem, Vector
-from contactqp.solution import Solution
-from contactqp.solving import solve
+from contactqp.solving.solve import solve
 
 # Digits of the parts of an approximation beyond its largest, in bits.
 KEPT, MOST_DIGITS = 360, 90

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.factorization import Array
-from contactqp.problem import Vector
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem import Vector
 
 # Rows of unit length that are closer to dependent than this are dependent.
 DEPENDENT = 1e-12

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.violations import Answer
 from contactqp.errors import InvalidProblem
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly, read_array
-from contactqp.violations import Answer
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly, read_array
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
 # Names listed in a message before it says how many more there are.

@@ -12,20 +12,20 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from contactqp.certificate import Certificate
-from contactqp.condensation import Condensation
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
-from contactqp.floating_point import own_floating_point
-from contactqp.local_problem import LocalProblem
+from contactqp.linalg.condensation import Condensation
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.foreign.judged_contacts import JudgedContact, contacts_table, judged_contacts
 from contactqp.oracle.foreign.judging import judge
 from contactqp.oracle.foreign.right_answer import right_answer
-from contactqp.problem import ContactProblem
-from contactqp.solution import Solution
-from contactqp.violations import Answer
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

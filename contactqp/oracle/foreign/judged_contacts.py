@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate import Certificate
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly
-from contactqp.solution import Solution
-from contactqp.violations import Answer, lengths_that_meet
+from contactqp.certificate.certificate import Certificate
+from contactqp.certificate.violations import Answer, lengths_that_meet
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly
+from contactqp.model.solution import Solution
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 # Without bounds, forces and gaps that differ by less than this part of the largest are the same.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from contactqp.certificate import Certificate, certify
-from contactqp.condensation import Condensation
+from contactqp.certificate.certificate import Certificate, certify
+from contactqp.linalg.condensation import Condensation
+from contactqp.model.problem import ContactProblem
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.recovery import Recovery, recoveries
-from contactqp.problem import ContactProblem
 
 
 def judge(
@@ -21,7 +21,7 @@ def judge(
     Raises
     ------
     InvalidProblem, Unsupported
-        As `contactqp.certificate.certify` and `recoveries`.
+        As `contactqp.certificate.certificate.certify` and `recoveries`.
     """
     first: tuple[Certificate, Recovery] | None = None
     for tried in recoveries(problem, given):

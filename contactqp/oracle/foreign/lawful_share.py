@@ -11,12 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.condensation import unknown_scale
-from contactqp.coulomb_cone import directions, lengths
+from contactqp.certificate.violations import Answer, lengths_that_meet, tangential_lengths
+from contactqp.linalg.condensation import unknown_scale
+from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.judged_contacts import slips
-from contactqp.problem import ContactProblem, Vector
-from contactqp.violations import Answer, lengths_that_meet, tangential_lengths
 
 # A gap or a slip of this part of its lengths is none.
 NOTHING = 1e-9

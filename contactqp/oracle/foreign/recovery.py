@@ -25,18 +25,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.condensation import condense, unknown_scale
+from contactqp.certificate.violations import Answer, lengths_that_meet
 from contactqp.errors import Unsupported
-from contactqp.extended import extend, extended_rows
-from contactqp.factorization import Array
-from contactqp.iteration import iterated
+from contactqp.linalg.condensation import condense, unknown_scale
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.polishing import answer_on, shift_to_least_norm
+from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.lawful_share import lawful_share
-from contactqp.polishing import answer_on, shift_to_least_norm
-from contactqp.problem import ContactProblem, Vector
-from contactqp.saddle import free_motions, saddle_point
-from contactqp.violations import Answer, lengths_that_meet
 
 # A gap of this part of its lengths is none, and a force of this part of the largest, in what somebody gives.
 TOUCHING, PUSHING = 1e-6, 1e-12

@@ -6,13 +6,13 @@ from contextlib import suppress
 
 import numpy as np
 
+from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
+from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError
-from contactqp.multiplicity import equilibria
-from contactqp.problem import ContactProblem
-from contactqp.solution import Candidate, Solution
-from contactqp.solving import begin, solve
-from contactqp.uniqueness import POSSIBLE, SEVERAL
-from contactqp.violations import Answer
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Candidate, Solution
+from contactqp.solving.multiplicity import equilibria
+from contactqp.solving.solve import begin, solve
 
 # Contacts of which all combinations of open, stick and slip are tried.
 FEW = 6

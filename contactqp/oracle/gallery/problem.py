@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.model.problem import ContactProblem, Vector
 from contactqp.oracle.gallery.algebra import ZERO, Numbers, Rows, times
-from contactqp.problem import ContactProblem, Vector
 
 # Up to this size a stiffness is a dense array.
 DENSE = 128

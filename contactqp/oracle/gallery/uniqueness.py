@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contactqp.friction.exact_algebra import Polyhedron, solutions
 from contactqp.oracle.gallery.algebra import (
     ZERO,
     Rows,
@@ -13,6 +12,7 @@ from contactqp.oracle.gallery.algebra import (
     transposed,
 )
 from contactqp.oracle.gallery.problem import ExactAnswer, ExactProblem
+from contactqp.solving.friction.exact_algebra import Polyhedron, solutions
 
 
 def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import ContactQPError
-from contactqp.stages import STAGES, StageClock, timed
+from contactqp.linalg.stages import STAGES, StageClock, timed
 from contactqp.study.footprint.footprint import (
     IMPORT,
     OPTIONAL,
@@ -132,7 +132,7 @@ def _look_at(history: History, model: Model) -> None:
 
 def contact_count(model: Model, history: History | None) -> ContactCount:
     """Of a case that was solved."""
-    from contactqp.candidates import candidates_of
+    from contactqp.certificate.candidates import candidates_of
 
     problem = model.problem
     pairings = [contact.pairing for contact in getattr(model, "contacts", ())]

@@ -8,7 +8,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from functools import cache
 
-from contactqp.methods import Method
+from contactqp.solving.methods import Method
 
 BASE = ("contactqp", "numpy", "scipy", "qpsolvers", "cvxpy", "matplotlib")
 # Environment variables that decide on how many threads linear algebra runs.

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.methods import Method
-from contactqp.solution import Solution
+from contactqp.model.solution import Solution
+from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
 from contactqp.study.attempt import answer
 from contactqp.study.rows import Row

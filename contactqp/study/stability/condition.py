@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.friction.exact_algebra import ZERO, Row, dot
-from contactqp.methods import Method
+from contactqp.solving.friction.exact_algebra import ZERO, Row, dot
+from contactqp.solving.methods import Method
 from contactqp.study.stability.exact_answer import Rows, fractions, rows_of
 from contactqp.study.stability.posed import Posed
 from contactqp.study.stability.systems import AUGMENTED, PENALTY, PERTURBED, SADDLE, Blocks, inverse_of, system_of

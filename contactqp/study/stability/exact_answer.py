@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.friction.exact_algebra import ZERO, Row, dot, solutions
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
+from contactqp.solving.friction.exact_algebra import ZERO, Row, dot, solutions
 
 Rows = list[Row]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactqp.bounds import REDUNDANT
-from contactqp.solution import Solution
+from contactqp.certificate.bounds import REDUNDANT
+from contactqp.certificate.uniqueness import FORCES, SEVERAL
+from contactqp.model.solution import Solution
 from contactqp.study.stability.posed import SweptTruth
-from contactqp.uniqueness import FORCES, SEVERAL
 
 # What the nearest doubles of a truth may add to an error that meets its bound exactly.
 ROUNDING = 1e-12

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from contactqp.friction.exact_algebra import ONE, ZERO, Row, dot, reduced, solutions
-from contactqp.methods import Method
+from contactqp.solving.friction.exact_algebra import ONE, ZERO, Row, dot, reduced, solutions
+from contactqp.solving.methods import Method
 from contactqp.study.stability.exact_answer import Rows
 
 PLAIN, SADDLE = "K", "[K Eᵀ; E 0]"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.bounds import Bounds
+from contactqp.certificate.bounds import Bounds
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed
 from contactqp.distributed.distributing import distribute

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from contactqp.certificate import contact_status as status_of_one
+from contactqp.certificate.certificate import contact_status as status_of_one
+from contactqp.certificate.violations import FIGURES, Answer
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.scene.models import build
-from contactqp.violations import FIGURES, Answer
 
 CASES = Path(__file__).parents[3] / "cases"
 # Residuals in double precision differ from those in extended precision by a few dozen roundings.

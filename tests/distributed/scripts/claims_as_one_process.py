@@ -10,11 +10,11 @@ import numpy as np
 import contactqp as cq
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.pieces import distributed_model
 from contactqp.scene.answers_of_bodies import BodyAnswer
 from contactqp.scene.corners import end_time
 from contactqp.scene.instant import Instant
 from contactqp.scene.models import build
-from contactqp.scene.pieces import distributed_model
 from contactqp.scene.summaries import motions_in_words, summaries
 
 ranks = Ranks()

@@ -13,10 +13,10 @@ from contactqp.distributed.bounded import METHODS, SOLVERS
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.pieces import distributed_model
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
 from contactqp.scene.models import build
-from contactqp.scene.pieces import distributed_model
 
 CASES = Path(__file__).parents[3] / "cases"
 SAME = 1e-9

@@ -19,7 +19,7 @@ from contactqp.distributed.solving import iteration_of
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.distributed.stored_rows import chosen_rows, stored_rows
 from contactqp.errors import Unsupported
-from contactqp.multigrid import JACOBI
+from contactqp.linalg.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
 
 smoothed_aggregation.COARSEST = 40

@@ -8,9 +8,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.pieces import distributed_model
 from contactqp.errors import ContactQPError, Unsupported
 from contactqp.scene.models import build
-from contactqp.scene.pieces import distributed_model
 
 ranks = Ranks()
 SCENE = """

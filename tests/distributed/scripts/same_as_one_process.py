@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
+from contactqp.certificate.violations import bodies
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.pieces import distributed_model
 from contactqp.scene.models import build
-from contactqp.scene.pieces import distributed_model
-from contactqp.violations import bodies
 
 ranks = Ranks()
 ROUNDING = 1e-12

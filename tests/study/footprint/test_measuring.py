@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from contactqp.linalg.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import run_model
-from contactqp.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
 from contactqp.study.footprint.child import ImportMeter, contact_count
 from contactqp.study.footprint.footprint import IMPORT, OPTIONAL, Footprint
 from contactqp.study.footprint.measuring import measure
@@ -111,8 +111,8 @@ def test_what_is_optional_in_the_extras_is_known_here():
 
 
 def test_contacts_that_are_dropped_are_counted_and_checked(monkeypatch):
-    monkeypatch.setattr("contactqp.candidates.MANY", 40)  # contact unknowns; 3000 otherwise
-    monkeypatch.setattr("contactqp.candidates.FIRST", 20)
+    monkeypatch.setattr("contactqp.certificate.candidates.MANY", 40)  # contact unknowns; 3000 otherwise
+    monkeypatch.setattr("contactqp.certificate.candidates.FIRST", 20)
     model = build(load_scene(CASES / "hertz_line.toml"))
     history = run_model(model, "active-set")
     count = contact_count(model, history)

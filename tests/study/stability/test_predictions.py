@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.methods import find
+from contactqp.solving.methods import find
 from contactqp.study.stability.axes import find_axis, penalty_stiffness
 from contactqp.study.stability.best_penalty import of_truss
 from contactqp.study.stability.cells import stability_row

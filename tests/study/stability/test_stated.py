@@ -7,11 +7,11 @@ import dataclasses
 import pytest
 
 import contactqp as cq
-from contactqp.solution import Solution
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
+from contactqp.model.solution import Solution
 from contactqp.study.stability.axes import find_axis
 from contactqp.study.stability.posed import SweptTruth
 from contactqp.study.stability.stated import stated
-from contactqp.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 
 
 def saying(solution: Solution, **said: object) -> Solution:

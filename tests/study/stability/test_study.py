@@ -15,11 +15,11 @@ import pytest
 from click.testing import CliRunner
 
 import contactqp as cq
-from contactqp import methods as registry
 from contactqp.cli import command
-from contactqp.methods import find
-from contactqp.methods.method import Method, Settings
-from contactqp.solution import Candidate
+from contactqp.model.solution import Candidate
+from contactqp.solving import methods as registry
+from contactqp.solving.methods import find
+from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
 from contactqp.study.rungs import condensable
 from contactqp.study.running.cells import Crash
@@ -132,7 +132,7 @@ def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tm
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=(), force_bound=np.zeros(1))
 
-    monkeypatch.setattr("contactqp.solving.certify", blind)
+    monkeypatch.setattr("contactqp.solving.solve.certify", blind)
     axis = dataclasses.replace(find_axis("mesh-grading"), values=(1.0,))
     study, _, _ = write_stability(tmp_path, [axis], ["liar"])
     assert [row.verdict for row in study.rows] == [report_rows.WRONG]

@@ -19,8 +19,8 @@ from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
-from contactqp.factorization import Factorization, factorise
-from contactqp.problem import Vector
+from contactqp.linalg.factorization import Factorization, factorise
+from contactqp.model.problem import Vector
 
 
 class ModifiedMassCentral(TwoStep):

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
-from contactqp.problem import ContactProblem, Vector
-from contactqp.problem_data import ReadOnly, read_only
-from contactqp.solving import solve
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.solving.solve import solve
 
 Block = NDArray[np.float64]  # one row a step
 

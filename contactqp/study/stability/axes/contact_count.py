@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.posed import Posed, SweptTruth
 

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.exact_answer import ExactAnswer
 from contactqp.study.stability.posed import Posed, posed_with_answers

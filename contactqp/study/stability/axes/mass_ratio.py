@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis import Axis, powers_of_two
 from contactqp.study.stability.bodies import rows
 from contactqp.study.stability.posed import Posed, posed_with_closed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis import Axis, powers_of_two
 from contactqp.study.stability.bodies import chain, rows
 from contactqp.study.stability.posed import Posed, posed_with_closed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from contactqp.problem import ContactProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.exact_answer import ExactAnswer
 from contactqp.study.stability.posed import Posed, posed_with_closed

@@ -1,0 +1,364 @@
+"""A displacement that penetrates nowhere and forces that pull nowhere, near a candidate: what its bounds are made of.
+
+The pair is got from the candidate's own set of closed contacts: the refined answer on it is the solution if its signs
+hold. Where they do not, the set is corrected; where no set is found, the candidate itself is repaired: its contacts
+closed, its tensions dropped. However the pair was found, it is judged by the problem alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.energy_norm import (
+    CONTRACTION,
+    energy_norm,
+    energy_norms,
+    force_norm,
+    residual_noise,
+    response,
+)
+from contactqp.certificate.violations import Answer, Residuals, lengths_that_meet
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import delassus
+from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.intrinsic_size import stiffness_sizes
+from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
+from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
+from contactqp.model.problem import ContactProblem, Vector
+
+# Corrections of each set that the candidate may mean, and of the first when all of them have failed.
+CORRECTIONS, LAST_CORRECTIONS = 3, 50
+# A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
+# accuracy.
+TOUCHING = 1e-6
+# Sweeps of refinement that close contacts: the residual contracts by eps * condition number in each.
+CLOSING_SWEEPS = 4
+# A gap beneath this part of its lengths is zero in extended precision too.
+ZERO_GAP = 2.0**-90
+# The part of an excess that a displacement in double precision may leave of it.
+MISSED = 1e-6
+# What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
+ROUGHLY = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class AdmissiblePair:
+    """v with E v <= g, A v = b and forces l >= 0 in balance; w the response to l; c = (v + w)/2; u the candidate."""
+
+    to_middle: Extended  # (n,) c - u
+    radius: float  # >= |c - u*|_K
+    dual_radius: float  # >= |w - u*|_K
+    force: Extended  # (m,) l
+    tie_force: Extended  # (k,) nu
+    open_gap: NDArray[np.float64]  # (m,) g - E v
+    saddle: SaddlePoint  # of the contacts that were closed for v
+    exact: bool  # v and l are the solution, to rounding
+    cleared: float  # the part of the forces that K's rounding along rigid motions would have made
+    undecided: float  # what the contacts that touch or push by no more than rounding leave open [root of energy]
+
+
+class Unproven(Exception):
+    """Why there is no pair."""
+
+
+class Undecided(Unproven):
+    """Why nothing can be proven in the digits that doubles have, whatever the answer."""
+
+
+def admissible_pair(
+    problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation
+) -> AdmissiblePair:
+    """The pair nearest to the solution that can be had.
+
+    Raises
+    ------
+    Unproven
+        There is none, or refinement does not converge.
+    """
+    sets = _believed_sets(problem, answer, condensation)
+    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (sets[0], LAST_CORRECTIONS)):
+        if (found := _holding(problem, condensation, closed, corrections, answer, left)) is not None:
+            return _from_set(problem, answer, condensation, found)
+    if (found := _holding(problem, condensation, sets[0], LAST_CORRECTIONS)) is not None:
+        return _from_set(problem, answer, condensation, found)
+    searched = _searched_set(problem, condensation)
+    if (
+        searched is not None
+        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, left)) is not None
+    ):
+        return _from_set(problem, answer, condensation, found)
+    return _from_repair(problem, answer, condensation, sets[0])
+
+
+def _holding(
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    corrections: int,
+    answer: Answer | None = None,
+    left: Residuals | None = None,
+) -> OnSet | None:
+    """The refined answer on a set, or on what corrections make of it, if its signs hold.
+
+    Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
+    """
+    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, left, CAUTION)
+    if on_set.contraction >= CONTRACTION:
+        raise Unproven(
+            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
+        )
+    return on_set if holds else None
+
+
+def _believed_sets(problem: ContactProblem, answer: Answer, condensation: Condensation) -> list[NDArray[np.intp]]:
+    """The contacts closed by gap and force together, and, should these disagree, by either alone."""
+    u, force = answer.displacement, answer.normal_force
+    length = lengths_that_meet(problem, problem.normal, problem.gap, u)
+    touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
+    size = force * np.sqrt(delassus(condensation).compliance[: problem.contacts])
+    pushing = np.flatnonzero(size > TOUCHING * np.max(abs(size), initial=0.0))
+    acting = np.flatnonzero(abs(size) > TOUCHING * np.max(abs(size), initial=0.0))  # of the wrong sign, perhaps
+    return [closed_contacts(problem, condensation, u, force), touching, pushing, acting]
+
+
+def _searched_set(problem: ContactProblem, condensation: Condensation) -> NDArray[np.intp] | None:
+    """The closed contacts by a finite method, where corrections of sets go round in circles; None if bodies float."""
+    if condensation.rigid.count:
+        return None
+    operator = delassus(condensation)
+    load, _ = condensation.reduce_load(problem.load)
+    data = operator.dual_data(problem, operator.free_response(load, np.zeros(len(load))))
+    try:
+        force, _, ended = dual_active_set(*data, 50 * problem.contacts + 50)
+    except Infeasible:
+        return None
+    return np.flatnonzero(force[: problem.contacts] > 0) if ended else None
+
+
+def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
+    """The refined answer on a set whose signs hold is the solution, to its last correction and to `undecided`."""
+    dropped, tie_change = _without_tension(problem, condensation, on_set)
+    undecided = _undecided(problem, condensation, on_set)
+    if np.any(dropped.double()):
+        undecided += sum(force_norm(problem, condensation, dropped))
+    # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
+    entries = np.sqrt(stiffness_sizes(problem).size) + problem.contacts
+    reached = Answer(on_set.displacement.double(), on_set.normal_force.double(), None, on_set.tie_force.double())
+    allowance = entries * on_set.remainder + residual_noise(problem, reached) + undecided
+    return AdmissiblePair(
+        to_middle=on_set.displacement - extend(answer.displacement),
+        radius=allowance,
+        dual_radius=allowance,
+        force=(on_set.normal_force + dropped).positive_part(),
+        tie_force=on_set.tie_force + tie_change,
+        open_gap=np.maximum(on_set.gap.double(), 0.0),
+        saddle=on_set.saddle,
+        exact=True,
+        cleared=on_set.cleared,
+        undecided=undecided,
+    )
+
+
+def _without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
+    """The change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
+
+    On a body that floats the forces that stay must balance without it: those that push change by the least that does.
+    With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
+    Where nothing that pushes can take the part of a tension, this is the rounding of a load that balances to rounding.
+    """
+    force = on_set.normal_force
+    dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
+    Z, acting = condensation.rigid.motions, np.flatnonzero(force.double() > 0)
+    if not (Z.shape[1] and np.any(dropped.double())):
+        return dropped, tie_change
+    weight = 1.0 / np.sqrt(delassus(condensation).compliance)
+    weight = np.concatenate([weight[acting], weight[problem.contacts :]])
+    rows = np.vstack([problem.normal[acting] @ Z, problem.tie @ Z]) * weight[:, None]
+    missing = -Z.T @ (problem.normal.T @ dropped.double())
+    change, *_ = np.linalg.lstsq(rows.T, missing, rcond=None)
+    size = abs(Z).T @ (abs(problem.normal).T @ dropped.double()) + abs(rows).T @ abs(change)
+    if np.any(abs(rows.T @ change - missing) > BALANCED * size):
+        return dropped, tie_change
+    change = change * weight
+    changed = dropped.added_at(acting, change[: len(acting)])
+    if np.any((force + changed).double()[acting] < 0):
+        return dropped, tie_change
+    return changed, tie_change + change[len(acting) :]
+
+
+def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
+    """How far the solution may be from an answer that penetrates by rounding."""
+    length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.displacement.double())
+    excess = np.maximum(-on_set.gap.double(), 0.0)
+    excess[excess <= ZERO_GAP * length] = 0.0
+    undecided = _of_noise(condensation, on_set, length)
+    if np.any(excess):
+        undecided += _of_penetration(problem, condensation, on_set, excess, length)
+    return undecided
+
+
+def _of_noise(condensation: Condensation, on_set: OnSet, length: Vector) -> float:
+    """What gaps may hide that are zero in extended precision alone, where contacts that touch depend on each other.
+
+    Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
+    """
+    gap, force = on_set.gap.double(), on_set.normal_force.positive_part().double()
+    touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
+    if not saddle_point(condensation, touching).redundant:
+        return 0.0
+    pushing = np.flatnonzero((force > 0) & np.isfinite(length))
+    measure = abs(gap) / np.where(length > 0, length, 1.0)
+    hidden = np.append(measure[pushing], measure[(gap < 0) & (measure <= ZERO_GAP)])
+    return float(np.sqrt(2 * np.max(hidden, initial=0.0) * (force[pushing] @ length[pushing])))
+
+
+def _of_penetration(
+    problem: ContactProblem, condensation: Condensation, on_set: OnSet, excess: Vector, length: Vector
+) -> float:
+    """How far the solution may be from an answer u' in which contacts are penetrated by `excess` d >= 0.
+
+    u' solves the problem with the gaps g + d. Let w be the least displacement with E w = -d where d > 0 and E w = 0 on
+    the other closed contacts, A w = 0. Then u* - w is the solution in these gaps under the load f - K w, and the
+    solution depends on the load with constant one in the energy norm: |u* - u'| <= 2 |w|.
+
+    Where contacts depend on each other there may be no such w. For any with E w <= -d, A w = 0 the displacement u' + w
+    is admissible, and u* is so in the wider gaps, where u' has the forces l':
+
+        |u* - u'|^2 <= 2 J(u*) - 2 J(u') <= 2 J(u' + w) - 2 J(u') = |w|^2 - 2 l'E w
+
+    Raises
+    ------
+    Undecided
+        There is neither: contacts that no rounding tells from dependent ones conflict.
+    """
+    closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
+    measure = np.where(length > 0, length, 1.0)[closed]
+    largest = float(np.max(excess[closed] / measure))
+
+    def left_by(displacement: Vector) -> Vector:
+        return np.asarray((excess + problem.normal @ displacement)[closed] / measure / largest)
+
+    nothing = extend(np.zeros(problem.dimension)), extend(-excess[closed]), extend(np.zeros(problem.ties))
+    saddle = saddle_point(condensation, closed)
+    closing, _, _ = correction(condensation, saddle, *nothing)
+    if not saddle.redundant or np.max(abs(left_by(closing))) <= MISSED:
+        return 2 * sum(energy_norm(problem, extend(closing)))
+    _, unloaded = condensation.reduce_load(np.zeros(problem.dimension))
+    rows, ties = condensation.normal[closed], condensation.tie
+    back = least_retreat(rows * condensation.scale, ties * condensation.scale, excess[closed])
+    if back is not None:
+        retreat = condensation.expand(condensation.scale * back, unloaded)
+        if np.max(left := left_by(retreat)) <= MISSED:
+            return _by_retreat(problem, condensation, on_set, retreat, closed, abs(left) <= MISSED)
+    far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
+    closing = condensation.expand(condensation.scale * far, unloaded)
+    if np.max(abs(left_by(closing))) <= ROUGHLY:
+        return 2 * sum(energy_norm(problem, extend(closing)))
+    raise Undecided(f"closed contacts that depend on each other to rounding conflict by {largest:.1e} of their lengths")
+
+
+def _by_retreat(
+    problem: ContactProblem,
+    condensation: Condensation,
+    on_set: OnSet,
+    retreat: Vector,
+    closed: NDArray[np.intp],
+    exactly: NDArray[np.bool_],
+) -> float:
+    """The smaller bound of two by a displacement w with E w <= -d, E w = -d on the closed contacts of `exactly`.
+
+    One is that of `_of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
+    u' the solution in the gaps g - E w too, and |u* - u'| <= 2 |w|; what is left of their response, |l' - l|_W, is
+    added.
+    """
+    force, held = on_set.normal_force.positive_part(), closed[exactly]
+    size = sum(energy_norm(problem, extend(retreat)))
+    work = force.double() @ np.maximum(-(problem.normal @ retreat), 0.0)
+    by_energy = float(np.hypot(size, np.sqrt(2 * work)))
+    scale, resultant = condensation.scale, force.double() @ condensation.normal
+    elsewhere = least_forces(condensation.normal[held] * scale, condensation.tie * scale, resultant * scale)
+    if elsewhere is None:
+        return by_energy
+    moved = np.zeros(problem.contacts)
+    moved[held] = elsewhere
+    return min(by_energy, 2 * size + sum(force_norm(problem, condensation, force - extend(moved))))
+
+
+def _from_repair(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+) -> AdmissiblePair:
+    """v: the candidate with its contacts closed; l: its forces without tension, balanced."""
+    rows = extended_rows(problem)
+    to_feasible, saddle = _close(problem, answer, condensation, closed)
+    force, tie = _admissible_forces(problem, answer, condensation)
+    residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement) - rows.contact_force(force, tie)
+    to_dual, last = response(problem, condensation, residual, tied=False)
+    gap = extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)
+    room = np.where(np.isin(np.arange(problem.contacts), saddle.closed), 0.0, np.maximum(gap.double(), 0.0))
+    allowance = last + residual_noise(problem, answer)
+    apart = energy_norms(problem, condensation, to_feasible - to_dual)[1] + allowance
+    slack = float(force.double() @ room)
+    return AdmissiblePair(
+        to_middle=(to_feasible + to_dual).half(),
+        radius=float(np.sqrt(apart**2 / 4 + slack)) + allowance,
+        dual_radius=float(np.sqrt(apart**2 + 2 * slack)) + allowance,
+        force=force,
+        tie_force=tie,
+        open_gap=room,
+        saddle=saddle,
+        exact=False,
+        cleared=0.0,
+        undecided=0.0,
+    )
+
+
+def _close(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, closed: NDArray[np.intp]
+) -> tuple[Extended, SaddlePoint]:
+    """The nearest displacement (in energy) on which the set is closed, the set growing by what this penetrates."""
+    rows = extended_rows(problem)
+    start = extend(answer.displacement)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    for _ in range(problem.contacts + 1):
+        saddle = saddle_point(condensation, closed)
+        step = extend(np.zeros(problem.dimension))
+        for _ in range(CLOSING_SWEEPS):
+            gap = extend(problem.gap) - rows.normal @ (start + step)
+            open_tie = extend(problem.tie_value) - rows.tie @ (start + step)
+            step = step + correction(condensation, saddle, extend(np.zeros(len(start))), gap[closed], open_tie)[0]
+        gap = extend(problem.gap) - rows.normal @ (start + step)
+        penetrated = np.flatnonzero(-gap.double() > WITHIN_ROUNDING * length)
+        if not penetrated.size:
+            return step, saddle
+        larger = np.union1d(closed, penetrated).astype(np.intp)
+        if len(larger) == len(closed):
+            break
+        closed = larger
+    raise Unproven("the candidate could not be repaired to a displacement that penetrates nowhere")
+
+
+def _admissible_forces(
+    problem: ContactProblem, answer: Answer, condensation: Condensation
+) -> tuple[Extended, Extended]:
+    """The candidate's forces without tension, changed least so that they balance the load on every rigid motion."""
+    force, tie = np.maximum(answer.normal_force, 0.0), answer.tie_force
+    Z = condensation.rigid.basis
+    if not Z.shape[1]:
+        return extend(force), extend(tie)
+    acting = np.flatnonzero(force > 0)
+    rows = np.vstack([problem.normal[acting] @ Z, problem.tie @ Z])
+    missing = Z.T @ (problem.load - problem.normal.T @ force - problem.tie.T @ tie)
+    change, *_ = np.linalg.lstsq(rows.T, missing, rcond=None)
+    force = force.copy()
+    force[acting] += change[: len(acting)]
+    tie = tie + change[len(acting) :]
+    left = Z.T @ (problem.load - problem.normal.T @ force - problem.tie.T @ tie)
+    size = abs(Z).T @ (abs(problem.load) + abs(problem.normal).T @ force + abs(problem.tie).T @ abs(tie))
+    if np.any(force < 0) or np.any(abs(left) > BALANCED * size):
+        raise Unproven("no forces near the candidate's balance the load on every rigid motion")
+    return extend(force), extend(tie)

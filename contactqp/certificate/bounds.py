@@ -1,0 +1,290 @@
+"""How far an answer is from the truth: proven bounds for frictionless problems.
+
+Let |v|_K^2 = v'Kv, u* the solution and l*, nu* its forces. For any v that satisfies E v <= g, A v = b and any forces
+l >= 0, nu with balanced resultants, let w solve K w = f - E'l - A'nu. With J the energy and D the dual energy,
+
+    J(v) - J(u*)    = 1/2 |v - u*|^2 + l*'(g - E v)        (l* and u* are complementary, A v = b)
+    J(u*) - D(l,nu) = 1/2 |w - u*|^2 + l'(g - E u*)        (D is the minimum over all w of the Lagrangian)
+    J(v) - D(l,nu)  = 1/2 |v - w|^2  + l'(g - E v)         (insert f = K w + E'l + A'nu)
+
+and adding the first two, whose last terms are not negative,
+
+    |v - u*|^2 + |w - u*|^2 <= G^2 := |v - w|^2 + 2 l'(g - E v).                                          (1)
+
+By the parallelogram identity the midpoint c = (v + w)/2 is nearer,
+
+    |c - u*|^2 <= |v - w|^2/4 + l'(g - E v).                                                               (2)
+
+Since w - u* = -K^+ (E'(l - l*) + A'(nu - nu*)),
+
+    |l - l*|_W <= |w - u*|_K,                                                                              (3)
+
+with |d|_W the energy norm of the response of the tied bodies to the contact forces d.
+From the first two lines also l_i* <= G^2 / (2 (g - E v)_i) where v is open; and with v_i, mu_i from
+K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A v_i = 0 on independent rows B,
+
+    |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                    (4)
+
+How the pair (v, l) is found is told in `admissible_pair`. The bound of the candidate is its distance to the pair and
+the pair's own.
+
+Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
+large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
+s q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 nothing is proven and the reason
+is given. What contacts leave undecided that touch or push by rounding alone is added too. Where bodies float, norms
+are taken with K's rounding along rigid motions and without, and the worse one counts. This is an a-posteriori estimate
+of rounding, not an interval enclosure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.certificate.admissible_pair import AdmissiblePair, Undecided, Unproven, admissible_pair
+from contactqp.certificate.energy_norm import (
+    FEW_DIGITS,
+    RIGID_ROUNDING,
+    energy_norm,
+    energy_norms,
+    force_norm,
+    force_size,
+    residual_noise,
+    response,
+    rigid_rounding,
+    without_part_along,
+)
+from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
+from contactqp.certificate.violations import Answer, Residuals, lengths_that_meet, own_compliance
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.intrinsic_size import rigid_part
+from contactqp.linalg.iteration import Iteration
+from contactqp.linalg.polishing import WITHIN_ROUNDING
+from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.model.problem import ContactProblem, Vector
+
+# Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
+VANISHING = 1e-22
+# Forces of this part of the displacement's energy norm, or a displacement of this part of the forces', have an absolute
+# error.
+NEXT_TO_NOTHING = 1e-12
+# The same where residuals are formed in double precision.
+ITERATED_NOTHING = 1e-10
+# A strain of so many times that of the rigid part alone is still one that K's rounding makes.
+STRAINED_BY_ROUNDING = 16.0
+# Why the forces of single contacts have no bound, though their resultants have one.
+REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
+FRICTION_HAS_NONE = "Coulomb friction is no minimisation: its energy bounds nothing"
+# Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
+LARGEST = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Proven bounds; None where one could not be had, with the reason. Energies are square roots of energies."""
+
+    energy_error: float | None = None
+    force_error: float | None = None
+    force_bound: Vector | None = None
+    relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W, D = 1/sqrt(K_jj): no units
+    energy_scale: float = 0.0  # |u*|_K or what is known of it
+    force_scale: float = 0.0  # |l*|_W likewise
+    rounding: float = 0.0  # what the refinement cannot tell from zero
+    rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
+    force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
+    free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
+    cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
+    estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
+    solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
+    suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def proven(self) -> bool:
+        """Whether energy and force error are bounded, and not only estimated."""
+        return self.energy_error is not None and self.force_error is not None and not self.estimated
+
+
+def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:
+    """The bounds of an answer, or the reasons why there are none."""
+    if problem.frictional:
+        return no_bounds(FRICTION_HAS_NONE)
+    if isinstance(way, Iteration):
+        return iterated_bounds(problem, answer, way)
+    return _condensed(problem, answer, left, way)
+
+
+def _condensed(problem: ContactProblem, answer: Answer, left: Residuals, condensation: Condensation) -> Bounds:
+    if len(condensation.retained) > LARGEST:
+        return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
+    try:
+        pair = admissible_pair(problem, answer, left, condensation)
+    except Undecided as reason:
+        return no_bounds(str(reason))
+    except Unproven as reason:
+        return replace(no_bounds(str(reason)), suspicious=str(reason))
+    return _from_pair(problem, answer, condensation, pair)
+
+
+def no_bounds(reason: str) -> Bounds:
+    """None of the bounds, for one reason."""
+    return Bounds(reasons=tuple(f"{name}: {reason}" for name in ("energy_error", "force_error", "force_bound")))
+
+
+def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
+    """Those of an answer without friction, by products and responses (`contactqp.certificate.multigrid_bounds`)."""
+    try:
+        found = distances(problem, answer, way)
+    except Unrepaired as reason:
+        return replace(no_bounds(str(reason)), suspicious=str(reason))
+    force_scale = found.force_scale if found.force_scale > ITERATED_NOTHING * found.energy_scale else 0.0
+    return Bounds(
+        energy_error=_relative(found.displacement, found.energy_scale, found.displacement),
+        force_error=_relative(found.force, force_scale, found.radius),
+        energy_scale=found.energy_scale,
+        force_scale=force_scale,
+        estimated=found.estimated,
+        reasons=("force_bound: contact by contact it takes a response to a unit force on each",),
+    )
+
+
+def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair) -> Bounds:
+    energy_scale, uncertain = _strain(problem, answer, condensation, pair)
+    rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
+    # A displacement without strain has none in extended precision, but for that of its rigid part, which K's rounding
+    # makes.
+    rigid = rigid_rounding(problem, condensation, answer.displacement)
+    if condensation.rigid.count and energy_scale <= rigid:
+        uncertain += STRAINED_BY_ROUNDING * _strain_of_rigid_part(problem, condensation, answer.displacement)
+    hidden = uncertain > rounding and energy_scale <= uncertain
+    energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
+    size = force_size(problem, pair.force.double())
+    # Forces that act on rigid motions or on what ties hold strain nothing; in double precision that is not quite
+    # nothing.
+    force_rounding = RIGID_ROUNDING * size if condensation.rigid.count or problem.ties else 0.0
+    known = Bounds(
+        energy_scale=energy_scale,
+        rounding=rounding,
+        rigid_rounding=rigid,
+        force_rounding=force_rounding,
+        free_distance=_free_distance(problem, condensation, pair),
+        cleared=pair.cleared,
+    )
+    distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
+    error, scale = _force_error(problem, answer, condensation, pair, known)
+    # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
+    energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
+    force_bound, reason = _force_bound(problem, answer, condensation, pair)
+    # Where nothing is elastic every displacement and every force has the energy norm zero.
+    nothing_elastic = not np.any(problem.diagonal)
+    relative = None
+    if force_bound is not None and scale > 0:
+        relative = force_bound * np.sqrt(own_compliance(problem, problem.normal)) / max(scale, size)
+    energy_error = _relative(distance, energy_scale, pair.radius + uncertain)
+    if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
+        energy_error = float("inf")
+    return replace(
+        known,
+        energy_scale=energy_scale,
+        energy_error=0.0 if nothing_elastic else energy_error,
+        force_error=0.0 if nothing_elastic else error,
+        force_scale=scale,
+        force_bound=force_bound,
+        relative_force_bound=relative,
+        solution=extend(answer.displacement) + pair.to_middle if pair.exact else None,
+        reasons=() if reason is None else (f"force_bound: {reason}",),
+    )
+
+
+def _strain(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
+) -> tuple[float, float]:
+    """|u*|_K, and what it may be off by.
+
+    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
+    does not move rigidly.
+    """
+    solution = extend(answer.displacement) + pair.to_middle
+    norm, uncertain = energy_norm(problem, solution)
+    if not (condensation.rigid.count and pair.exact and uncertain > FEW_DIGITS * norm):
+        return energy_norms(problem, condensation, solution)[0], uncertain
+    forces = extend(problem.load) - extended_rows(problem).contact_force(pair.force, pair.tie_force)
+    elastic, missing = response(problem, condensation, forces, tied=False)
+    strain, rounding = energy_norm(problem, elastic)
+    return (strain, rounding + missing) if rounding + missing < uncertain else (norm, uncertain)
+
+
+def _strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """The energy norm that K, being rounded, gives the rigid part of a displacement."""
+    K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
+    forces = forces @ rigid_part(problem, displacement, condensation.rigid)
+    elastic, missing = response(problem, condensation, extend(forces), tied=False)
+    return sum(energy_norm(problem, elastic)) + missing
+
+
+def _free_distance(problem: ContactProblem, condensation: Condensation, pair: AdmissiblePair) -> float:
+    """The part of the distance that lies along motions which nothing resists, and which no exact K would count."""
+    motions = free_motions(condensation, pair.saddle)
+    if not motions.shape[1]:
+        return 0.0
+    resisted, _ = energy_norm(problem, without_part_along(motions, pair.to_middle))
+    counted = max(sum(energy_norm(problem, pair.to_middle)) - resisted, 0.0)
+    return min(counted, rigid_rounding(problem, condensation, pair.to_middle.double()))
+
+
+def _force_error(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, known: Bounds
+) -> tuple[float, float]:
+    """(3) relative to |l*|_W, and |l*|_W.
+
+    Zero are forces beneath the rounding of the data: a load that is one unit in its last place larger changes |l*|_W by
+    as much as it changes |u*|_K.
+
+    Where ties act on a stiffness that needs none, W may also be taken without them; from the forces of the solution
+    itself both are known, and the larger error is the bound.
+    """
+    change = extend(answer.normal_force) - pair.force
+    both = pair.exact and problem.ties > 0 and not condensation.rigid.count
+    nothing = max(known.rounding, known.force_rounding, 2 * pair.undecided)
+    vanishing = max(NEXT_TO_NOTHING * known.energy_scale, nothing)
+    errors, scales = [], []
+    for tied in (True, False) if both else (True,):
+        scale, uncertain = force_norm(problem, condensation, pair.force, tied)
+        scale = 0.0 if scale <= vanishing else scale
+        error = sum(force_norm(problem, condensation, change, tied)) + pair.dual_radius
+        errors.append(_relative(error, scale, pair.dual_radius + uncertain))
+        scales.append(scale)
+    return max(errors), scales[0]
+
+
+def _relative(error: float, scale: float, uncertainty: float) -> float:
+    """error over the least that the true scale can be; absolute, with its uncertainty, where the scale is zero."""
+    if scale == 0:
+        return error + uncertainty
+    return error / (scale - uncertainty) if scale > uncertainty else float("inf")
+
+
+def _force_bound(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
+) -> tuple[Vector | None, str | None]:
+    """(4) on every contact that is closed in v, the bound of the first lines on those that are open."""
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    active = np.flatnonzero(pair.open_gap <= WITHIN_ROUNDING * length)
+    saddle = saddle_point(condensation, active)
+    if saddle.redundant:
+        return None, REDUNDANT
+    m, count = problem.contacts, len(active)
+    bound = np.zeros(m)
+    outside = np.setdiff1d(np.arange(m), active)
+    bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
+    if count:
+        unit = np.eye(count)
+        nothing = np.zeros((len(condensation.retained), count))
+        motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
+        stiffness = np.sqrt(np.maximum(-np.diag(reaction), 0.0))
+        bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+    return bound + abs((extend(answer.normal_force) - pair.force).double()), None

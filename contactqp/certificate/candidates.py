@@ -1,0 +1,155 @@
+"""Candidate contacts: of very many contacts, condense onto those that may close, and check all the others.
+
+If the solution with some of the contacts, E_C u <= g_C, penetrates none of the others, it solves the problem with all
+of them: the others carry no force and every condition holds. If it does, what it penetrates and what lies near joins
+the candidates; these only grow, so it ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.bounds import Bounds, bounds, no_bounds
+from contactqp.certificate.violations import Answer, Residuals, lay_out, lengths_that_meet, own_compliance
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.extended import extend
+from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.polishing import WITHIN_ROUNDING
+from contactqp.model.problem import ContactProblem, Vector
+
+# Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
+MANY = 3000
+# Contact unknowns to begin with.
+FIRST = 1000
+# Layers of unknowns around a penetrated contact whose contacts become candidates with it.
+LAYERS = 3
+# Contacts of a foreign answer with a smaller gap than this, as a part of the lengths that meet, may be closed.
+TOUCHING = 1e-6
+# Candidates of a certificate are widened so often before it says that it has no bound.
+WIDENINGS = 5
+
+
+def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
+    """The contacts nearest to closing, gaps measured in energy, or those of the last load; None: all are few enough."""
+    if not _many(problem):
+        return None
+    if "among" in problem._shared:
+        return np.asarray(problem._shared["among"][0])
+    touched = len(np.unique(problem.normal.indices))
+    nearness = problem.gap / np.sqrt(np.maximum(own_compliance(problem, problem.normal), np.finfo(float).tiny))
+    count = max(1, FIRST * problem.contacts // touched)
+    return np.sort(np.argsort(nearness, kind="stable")[:count])
+
+
+def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.intp] | None:
+    """The contacts that an answer closes, and those that were candidates before; None: all are few enough."""
+    if not _many(problem):
+        return None
+    gap = problem.gap - problem.normal @ answer.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
+    closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
+    before = problem._shared["among"][0] if "among" in problem._shared else closed
+    return np.union1d(before, closed).astype(np.intp)
+
+
+def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
+    """The contacts that a problem, once solved, was condensed onto; None: all of them."""
+    return np.asarray(problem._shared["among"][0]) if "among" in problem._shared else None
+
+
+def take_all(problem: ContactProblem) -> None:
+    """Have every contact of a problem condensed onto, however many there are."""
+    problem._shared.pop("among", None)
+    problem._shared["few_enough"] = True
+
+
+def _many(problem: ContactProblem) -> bool:
+    shared = problem._shared
+    if "few_enough" not in shared:
+        shared["few_enough"] = problem.contacts < 2 or len(np.unique(problem.normal.indices)) <= MANY
+    return not shared["few_enough"] and not problem.frictional
+
+
+def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
+    """The problem with some of its contacts; kept, with its condensation, for the loads that follow."""
+    return _kept_among(problem, candidates, "among")
+
+
+def _kept_among(problem: ContactProblem, candidates: NDArray[np.intp], place: str) -> ContactProblem:
+    """Candidates that only a certificate asks for have a place of their own: what solves is not to grow by them."""
+    shared = problem._shared
+    solved, few = shared.get("among", (None, None))
+    if solved is None or not np.array_equal(solved, candidates):
+        known, few = shared.get(place, (None, None))
+        if known is None or not np.array_equal(known, candidates):
+            lay_out(problem)
+            few = problem.with_contacts(candidates)
+            few._shared["few_enough"] = True
+            shared[place] = (candidates, few)
+    changed: ContactProblem = few.replace(
+        load=problem.load,
+        gap=problem.gap[candidates],
+        tie_value=problem.tie_value,
+        dof_names=problem.dof_names,
+        contact_names=[problem.contact_name(int(i)) for i in candidates],
+        units=problem.units,
+    )
+    return changed
+
+
+def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, u: Vector) -> NDArray[np.intp] | None:
+    """The candidates, the others that gaps (m,) of a displacement show as closed, and what lies near; None if none."""
+    length = lengths_that_meet(problem, problem.normal, problem.gap, u)
+    closed = np.setdiff1d(np.flatnonzero(gap <= WITHIN_ROUNDING * length), candidates)
+    if not closed.size:
+        return None
+    rows, K = abs(problem.normal), problem.stiffness_rows
+    near = np.zeros(problem.dimension, dtype=bool)
+    near[rows[closed].indices] = True
+    for _ in range(LAYERS):
+        near[K[np.flatnonzero(near)].indices] = True
+    touching = np.flatnonzero(rows @ near.astype(float))
+    return np.union1d(candidates, np.union1d(closed, touching)).astype(np.intp)
+
+
+def bounds_among(
+    problem: ContactProblem, answer: Answer, left: Residuals, candidates: NDArray[np.intp]
+) -> tuple[Bounds, RigidMotions]:
+    """The bounds of an answer, from the problem with its candidates alone, and the rigid motions of the bodies.
+
+    They are bounds of the whole problem, since what they call the solution, to its last digits, opens all other
+    contacts; these have no force then, and a bound of it by (1) of `bounds`.
+    """
+    for _ in range(WIDENINGS):
+        few = _kept_among(problem, candidates, "judged")
+        condensation = condense(few)
+        of_few = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
+        known = bounds(few, of_few, Residuals(left.force, left.gap[candidates], left.tie), condensation)
+        if known.solution is None:
+            reasons = known.reasons or ("no set of candidate contacts holds",)
+            return replace(no_bounds(reasons[0].split(": ", 1)[-1]), suspicious=known.suspicious), condensation.rigid
+        u = known.solution
+        gap = (extend(problem.gap) - problem.normal @ u.double()).double()
+        wider = widened(problem, candidates, gap, u.double())
+        if wider is None:
+            return _of_all(problem, candidates, known, gap), condensation.rigid
+        candidates = wider
+    reason = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
+    return no_bounds(reason), condensation.rigid
+
+
+def _of_all(problem: ContactProblem, candidates: NDArray[np.intp], known: Bounds, gap: Vector) -> Bounds:
+    """The bounds with an entry for every contact."""
+    if known.force_bound is None or known.energy_error is None:
+        return known
+    distance = known.energy_error * (known.energy_scale or 1.0)
+    force = distance**2 / (2 * np.where(gap > 0, gap, np.inf))
+    force[candidates] = known.force_bound
+    relative = None
+    if known.relative_force_bound is not None:
+        relative = force * np.sqrt(own_compliance(problem, problem.normal)) / known.force_scale
+        relative[candidates] = known.relative_force_bound
+    return replace(known, force_bound=force, relative_force_bound=relative)

@@ -1,0 +1,336 @@
+"""The certificate: one truth-teller for every method and every foreign code. It imports no method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.certificate.balance import balance
+from contactqp.certificate.bounds import Bounds, bounds
+from contactqp.certificate.candidates import believed_candidates, bounds_among
+from contactqp.certificate.coulomb_residual import IMPLIED, coulomb_residual
+from contactqp.certificate.failures import (
+    failed_bounds,
+    failed_figures,
+    failed_law,
+    not_finite_parts,
+    notes,
+    said_of_dependent_ties,
+)
+from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
+from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
+from contactqp.certificate.violations import (
+    FIGURES,
+    Answer,
+    Residuals,
+    Violations,
+    own_compliance,
+    plain_residuals,
+    ratio,
+    residuals,
+    violations,
+)
+from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.iteration import iterated, iteration
+from contactqp.linalg.saddle import dependent_ties
+from contactqp.linalg.stages import CERTIFY, stage
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly, is_number, read_array
+
+# Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
+# answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
+ROUNDING_OF_ANSWERS = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate(ReadOnly):
+    """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
+
+    `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
+    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
+    and not only estimated, as those of bodies too large to factorise.
+
+    With friction, `natural_map` measures Signorini's and Coulomb's law as one equation. It enters the verdict with four
+    times the tolerance, up to which the other figures imply it: it refuses nothing that they pass.
+    `uniqueness` is empty where this is found to be the only answer, and enters no verdict: an answer among several is
+    right. "several answers": others exist at this load; "several answers possible": none of the tests excludes them
+    (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
+    unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
+    factor by which Tresca's fixed point changes the error of its bounds around this answer.
+
+    `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
+    the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
+    alone, because neither could be had; `notes` or `reasons` say why.
+    """
+
+    equilibrium: float  # componentwise backward error
+    balance: float  # of the forces on every rigid motion of the bodies
+    penetration: float
+    tension: float
+    complementarity: float
+    cone: float
+    slip_direction: float
+    tie: float
+    natural_map: (
+        float | None
+    )  # contact and friction as one equation (`contactqp.certificate.coulomb_residual`); None without friction
+    energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
+    force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
+    force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]
+    reasons: tuple[str, ...]  # why a bound is None
+    grazing: tuple[int, ...]  # contacts whose gap and force both vanish
+    failures: tuple[str, ...]  # what failed, where, by how much
+    notes: tuple[str, ...]
+    uniqueness: tuple[str, ...]  # with friction, what speaks against this being the only answer
+    contraction: float | None  # from 1 on, Tresca's fixed point cycles without damping; None beyond 100 closed contacts
+    tolerance: float
+    error_tolerance: float
+    passed: bool
+    proven: bool
+    basis: str  # "bounds", "state" or "figures"
+    distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
+    violations: Violations | None = field(
+        repr=False, default=None
+    )  # contact by contact; None where the answer is not finite
+
+    def __str__(self) -> str:
+        verdict = "passed" if self.passed else "REFUSED"
+        lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
+        if self.basis == STATE and self.distance is not None:
+            lines.append(f"  {self.distance:.3g} away from the answer of its own combination of open, stick and slip")
+        lines += [f"  {failure}" for failure in self.failures]
+        lines += [f"  no bound: {reason}" for reason in self.reasons]
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+
+@own_floating_point
+def certify(
+    problem: ContactProblem,
+    displacement: ArrayLike,
+    normal_force: ArrayLike,
+    friction_force: ArrayLike | None = None,
+    tie_force: ArrayLike | None = None,
+    tolerance: float = 1e-9,
+    error_tolerance: float = 1e-6,
+    factorization: Condensation | None = None,
+) -> Certificate:
+    """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
+
+    With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
+    slips. Another law's answer, such as that of the associated relaxation, is refused. No bound can be had, Coulomb's
+    law being no minimisation; instead the certificate says whether other answers exist, as far as that can be told.
+
+    Parameters
+    ----------
+    displacement : (n,) array [length]
+    normal_force : (m,) array [force], positive in compression
+    friction_force : (m, d-1) or flat array [force], needed where the problem has tangential rows and friction
+    tie_force : (k,) array [force], needed where the problem has ties
+    tolerance : float
+        Largest figure that passes.
+    error_tolerance : float
+        Largest bound on the relative error that passes.
+    factorization : Condensation, optional
+        Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, missing forces, or an indefinite stiffness. NaN is no error here: it fails.
+    Unsupported
+        A body floats that is too large to factorise.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> wall = cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> cq.certify(wall, displacement=[1e-3], normal_force=[142.5]).passed
+    True
+    >>> cq.certify(wall, displacement=[1e-3], normal_force=[-142.5]).failures[1]
+    'tension: contact 0 is held with a force of -142.5 (0.237 of the forces that meet there, tolerance 1e-09)'
+    """
+    refuse_not_positive("tolerance", tolerance)
+    refuse_not_positive("error_tolerance", error_tolerance)
+    refuse_other("certify", problem, ContactProblem)
+    answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
+    if not answer.finite():
+        failures = list(not_finite_parts(problem, answer))
+        return not_finite(problem.frictional, failures, tolerance, error_tolerance)
+    with stage(CERTIFY):
+        if (rows := acting_rows(problem)) is not None:
+            judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
+            whole: Certificate = rows.certificate(judged, answer)
+            return whole
+        return _judged(problem, answer, tolerance, error_tolerance, factorization)
+
+
+def _judged(
+    problem: ContactProblem,
+    answer: Answer,
+    tolerance: float,
+    error_tolerance: float,
+    factorization: Condensation | None,
+) -> Certificate:
+    with problem.lock:
+        left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
+        found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
+        others = uniqueness(problem, answer, found, condensation, tolerance)
+        state = StateVerdict(basis_without_friction(known))
+        if problem.frictional:
+            allowed = error_tolerance, ROUNDING_OF_ANSWERS * tolerance
+            state = state_verdict(problem, answer, found, condensation, allowed)
+            known = replace(known, energy_scale=state.energy)
+    figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in FIGURES if name != "balance"}
+    figures["balance"] = balance(problem, answer, rigid)
+    law = coulomb_residual(problem, answer, found)
+    failures = list(failed_figures(problem, answer, found, figures, tolerance))
+    failures += failed_law(problem, law, IMPLIED * tolerance)
+    nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
+    failures += failed_bounds(problem, answer, known, error_tolerance, nothing)
+    failures += state.failures
+    grazing = grazes(answer, found, own_compliance(problem, problem.normal), known, tolerance)
+    dependent = () if condensation is None or problem.ties < 2 else dependent_ties(problem, condensation)
+    said = (*notes(problem, grazing, known), *said_of_dependent_ties(problem, dependent))
+    return Certificate(
+        **figures,
+        natural_map=None if law is None else float(np.max(law, initial=0.0)),
+        energy_error=known.energy_error,
+        force_error=known.force_error,
+        force_bound=known.force_bound,
+        reasons=known.reasons,
+        grazing=tuple(int(i) for i in np.flatnonzero(grazing)),
+        failures=tuple(failures),
+        notes=(*said, *others.notes, *state.notes),
+        uniqueness=others.findings,
+        contraction=others.contraction,
+        tolerance=tolerance,
+        error_tolerance=error_tolerance,
+        passed=not failures,
+        proven=known.proven,
+        basis=state.basis,
+        distance=state.distance,
+        violations=found,
+    )
+
+
+def _residuals_and_bounds(
+    problem: ContactProblem, answer: Answer, factorization: Condensation | None
+) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
+    """What an answer leaves, how far from the truth that is, the rigid motions of the bodies, and their condensation.
+
+    The last is None where not all contacts were condensed onto.
+    """
+    if factorization is None and iterated(problem):
+        left = plain_residuals(problem, answer)
+        known = bounds(problem, answer, left, iteration(problem))
+        return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
+    left = residuals(problem, answer)
+    if factorization is None and (candidates := believed_candidates(problem, answer)) is not None:
+        return left, *bounds_among(problem, answer, left, candidates), None
+    condensation = condense(problem) if factorization is None else _matching(problem, factorization)
+    return left, bounds(problem, answer, left, condensation), condensation.rigid, condensation
+
+
+def grazes(answer: Any, found: Violations, compliance: Vector, known: Bounds, tolerance: float) -> NDArray[np.bool_]:
+    """Contacts whose gap and force both vanish, of an `Answer` or of one rank's part of one; `own_compliance` (m,).
+
+    Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
+    the energy of the answer is known it must vanish against that too.
+    """
+    vanish = (ratio(abs(found.gap), found.lengths) <= tolerance) & (found.force_measure <= tolerance)
+    if known.energy_scale > 0:
+        vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * known.energy_scale
+    return np.asarray(vanish)
+
+
+def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
+    """(m,) of open, closed, grazing and, with friction, stick, slip: each contact in the certificate's own measures."""
+    grazing = np.isin(np.arange(problem.contacts), certificate.grazing)
+    return status_words(certificate, problem.friction, grazing)
+
+
+def status_words(certificate: Certificate, friction: Vector | None, grazing: NDArray[np.bool_]) -> Any:
+    """The words of `contact_status` for the contacts that the certificate's violations speak of."""
+    found = certificate.violations
+    if found is None:
+        return np.full(len(grazing), "unknown")
+    pushes = (found.force_measure > 0) & (found.gap_measure <= np.maximum(found.force_measure, certificate.tolerance))
+    status = np.where(pushes, "closed", "open").astype("<U8")
+    if friction is not None:
+        frictional = (friction > 0) & (status == "closed")
+        status[frictional] = np.where(found.slip_measure[frictional] > certificate.tolerance, "slip", "stick")
+    status[grazing] = "grazing"
+    return status
+
+
+def refuse_not_positive(name: str, value: Any) -> None:
+    """Raise unless a number is positive and finite."""
+    if not is_number(value) or not 0 < value < np.inf:
+        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
+
+
+def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
+    n, m, k = problem.dimension, problem.contacts, problem.ties
+    if tie is None and k:
+        raise InvalidProblem(f"tie_force: the problem has {k} ties; expected their forces, shape ({k},), got None")
+    tangential = None
+    if problem.slip_origin is not None:
+        if friction is None and problem.frictional:
+            raise InvalidProblem("friction_force: the problem has friction; expected one force a contact, got None")
+        shape = problem.slip_origin.shape
+        tangential = _shaped("friction_force", np.zeros(shape) if friction is None else friction, shape)
+    elif friction is not None and np.size(friction):
+        raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
+    return Answer(
+        _shaped("displacement", u, (n,)),
+        _shaped("normal_force", force, (m,)),
+        tangential,
+        _shaped("tie_force", np.zeros(0) if tie is None else tie, (k,)),
+    )
+
+
+def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = read_array(name, value)
+    flat = (int(np.prod(shape)),)
+    if array.shape not in (shape, flat):
+        raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
+    return array.reshape(shape)
+
+
+def _matching(problem: ContactProblem, factorization: Condensation) -> Condensation:
+    if not isinstance(factorization, Condensation):
+        raise InvalidProblem(f"factorization: expected a Condensation, got {type(factorization).__name__}")
+    if not factorization.fits(problem):
+        raise InvalidProblem("factorization: it was made for another stiffness or other rows than this problem's")
+    return factorization
+
+
+def not_finite(frictional: bool, failures: list[str], tolerance: float, error_tolerance: float) -> Certificate:
+    """That of an answer with parts that are not finite."""
+    figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
+    return Certificate(
+        **figures,
+        natural_map=float("inf") if frictional else None,
+        energy_error=None,
+        force_error=None,
+        force_bound=None,
+        reasons=tuple(f"{name}: the answer is not finite" for name in ("energy_error", "force_error", "force_bound")),
+        grazing=(),
+        failures=tuple(failures),
+        notes=(),
+        uniqueness=(UNKNOWN,) if frictional else (),
+        contraction=None,
+        tolerance=tolerance,
+        error_tolerance=error_tolerance,
+        passed=False,
+        proven=False,
+        basis=FIGURES_ALONE,
+    )

@@ -1,0 +1,216 @@
+"""How near friction is to the coefficients above which Coulomb's law may have several answers.
+
+Two answers to one load differ by contact forces d, and their slips by e = (W d)_T. Signorini's and Coulomb's laws
+give d'W d <= sum mu_i |d_N,i| |e_i|, and d'W d = d_N'S d_N + e'W_TT^-1 e with S^-1 = (W^-1)_NN, so that there is one
+answer to every load where, for any positive weights c,
+
+    kappa = 1/2 |diag(c sqrt(mu)) S^-1 diag(sqrt(mu) c)|^(1/2) |diag(sqrt(mu)/c) W_TT diag(sqrt(mu)/c)|^(1/2) < 1
+
+(spectral norms; after Necas, Jarusek and Haslinger 1980). In the plane, with few contacts, more is known: the graph of
+the law is a surface of four pieces a contact, and there is one answer to every load if and only if the determinants
+of all combinations of open, stick and slip have one sign. For one contact that is mu < mu_c = W_NN / |W_NT|.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.contact_compliance import ContactCompliance, contact_compliance
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.iteration import iterated
+from contactqp.model.floating_point import computes, own_floating_point
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly, read_only
+
+# Beyond these, dense operators of all contacts cost more than a certificate should.
+MOST_CONTACTS = 300
+MOST_UNKNOWNS = 2000
+# 4^6 determinants take a tenth of a second, once for a stiffness.
+MOST_COMBINED = 6
+# A determinant of this part of the product of its rows' lengths may be zero.
+SINGULAR = 1e-12
+# Singular values of this part of the largest are zero.
+DEPENDENT = 1e-11
+
+OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class CriticalFriction(ReadOnly):
+    """What the bodies' compliance says of friction, whatever the load."""
+
+    single: Vector  # (m,) mu_c = W_NN / |W_NT|, each contact alone; infinite where normal and tangent are uncoupled
+    contraction: float  # max mu_i / mu_c,i: the factor by which Tresca's fixed point contracts at one sliding contact
+    kappa: float  # below 1 there is one answer to every load; infinite where W is singular or a body floats
+    unique: bool  # there is one answer to every load, by kappa or by all determinants
+    examined: str  # how that was found out
+
+    @property
+    def above(self) -> NDArray[np.intp]:
+        """Contacts whose coefficient is at least their own critical one, for which some load has several answers."""
+        return read_only(np.flatnonzero(self.ratio >= 1.0))
+
+    @property
+    def ratio(self) -> Vector:
+        """(m,) mu_i / mu_c,i."""
+        return read_only(_above(self._friction, self.single))
+
+    _friction: Vector
+
+
+@own_floating_point
+def critical_friction(problem: ContactProblem) -> CriticalFriction:
+    """The critical coefficients of the contacts, the estimate of Tresca's contraction, and whether answers are unique.
+
+    Where the largest mu_i/mu_c,i is 1 or more, Tresca's fixed point cycles without damping as soon as that contact
+    slides in the unfavourable direction, and loads exist that have several answers (Klarbring 1990).
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With friction, in the plane or in space.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no friction.
+    Unsupported
+        More than 300 contacts, more than 2000 contact unknowns, or bodies too large to factorise.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    >>> found = critical_friction(cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8))
+    >>> found.single.round(9), round(found.contraction, 9), found.unique
+    (array([0.5]), 1.6, False)
+    """
+    refuse_other("critical_friction", problem, ContactProblem)
+    if not problem.frictional or problem.friction is None:
+        raise InvalidProblem("critical_friction: expected a problem with friction")
+    idle, idle_ties = problem.idle_rows()
+    if np.any(idle) or np.any(idle_ties):
+        found = critical_friction(problem.with_contacts(np.flatnonzero(~idle)).with_ties(np.flatnonzero(~idle_ties)))
+        single = np.full(problem.contacts, np.inf)  # what never closes is never critical
+        single[~idle] = found.single
+        return replace(found, single=single, _friction=problem.friction)
+    if iterated(problem):
+        raise Unsupported("critical_friction: a body this large is not factorised")
+    with problem.lock:
+        condensation = condense(problem)
+        if (reason := too_many(problem, condensation)) is not None:
+            raise Unsupported(f"critical_friction: {reason}")
+        return critical(problem, condensation)
+
+
+def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
+    """Why a problem is too large for dense operators of all contacts, or None."""
+    if problem.contacts > MOST_CONTACTS:
+        return f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
+    if len(condensation.retained) > MOST_UNKNOWNS:
+        return f"{len(condensation.retained)} contact unknowns, at most {MOST_UNKNOWNS} are examined"
+    return None
+
+
+def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFriction:
+    """`critical_friction`, made once for a stiffness, its rows and coefficients."""
+    mu = np.zeros(problem.contacts) if problem.friction is None else problem.friction
+    known = problem._shared.get("critical_friction")
+    if known is None or not np.array_equal(known._friction, mu):
+        known = _made(problem, mu, contact_compliance(problem, condensation))
+        problem._shared["critical_friction"] = known
+    found: CriticalFriction = known
+    return found
+
+
+def _made(problem: ContactProblem, mu: Vector, compliance: ContactCompliance) -> CriticalFriction:
+    return of_operator(compliance.W, mu, problem.contacts, floats=compliance.floats)
+
+
+def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:
+    """`critical_friction` of a Delassus operator W (d m, d m), normal rows first; kappa is of symmetric ones only."""
+    m, d = contacts, len(W) // contacts
+    blocks = W.reshape(m, d, m, d)
+    own = blocks[np.arange(m), :, np.arange(m), :]
+    coupling = np.linalg.norm(own[:, 0, 1:], axis=1)
+    # Coupling beneath the rounding of the block is none.
+    coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
+    single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
+    kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
+    unique, examined = kappa < 1.0, "kappa"
+    if not unique and d == 2 and m <= MOST_COMBINED and not floats:
+        unique, examined = _one_sign(W, mu), "determinants of all combinations of open, stick and slip"
+    contraction = float(np.max(_above(mu, single), initial=0.0))
+    return CriticalFriction(single, contraction, kappa, unique, examined, mu)
+
+
+def _kappa(blocks: Array, mu: Vector) -> float:
+    """Weights c make the diagonals of the two matrices alike."""
+    rubs = np.flatnonzero(mu > 0)
+    m, d, mu_r = len(mu), blocks.shape[1], mu[rubs]
+    tangential = np.r_[[i * d + k for i in rubs for k in range(1, d)]].astype(int)
+    kept = np.r_[np.arange(m) * d, tangential]
+    W = blocks.reshape(m * d, m * d)[np.ix_(kept, kept)]
+    try:
+        factor = np.linalg.cholesky(W)
+    except np.linalg.LinAlgError:
+        return np.inf
+    pivots = np.diag(factor) ** 2
+    if np.min(pivots / np.diag(W)) < SINGULAR:
+        return np.inf
+    half = np.linalg.solve(factor, np.eye(len(W)))
+    normal = (half.T @ half)[np.ix_(rubs, rubs)]  # S^-1
+    tangent = W[m:, m:]
+    across = np.max(np.diag(tangent).reshape(len(rubs), d - 1), axis=1)
+    weight = np.sqrt(mu_r) * (across / np.diag(normal)) ** 0.25
+    other = np.repeat(mu_r / weight, d - 1)
+    norms = (np.linalg.norm(M * np.outer(w, w), 2) for M, w in ((normal, weight), (tangent, other)))
+    return float(0.5 * np.sqrt(np.prod(list(norms))))
+
+
+def combinations(mu: Vector) -> NDArray[np.int8]:
+    """(c, m) of OPEN, STICK, SLIP_BACK, SLIP_ON; without friction, slipping says all of a closed contact."""
+    choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if value > 0 else (OPEN, SLIP_ON) for value in mu]
+    return np.array(list(itertools.product(*choices)), dtype=np.int8).reshape(-1, len(mu))
+
+
+def system_matrices(W: Array, mu: Vector, status: NDArray[np.int8]) -> Array:
+    """(c, 2m, 2m): l_N = 0 or (W l)_N, then l_T = 0, (W l)_T or l_T - s mu l_N, contact by contact."""
+    m = len(mu)
+    unit = np.eye(2 * m).reshape(m, 2, 2 * m)
+    rows = W.reshape(m, 2, 2 * m)
+    closed, stuck = (status != OPEN)[:, :, None], (status == STICK)[:, :, None]
+    sliding = np.where(status == STICK, 0.0, status)[:, :, None] * mu[:, None]
+    matrices = np.empty((len(status), m, 2, 2 * m))
+    matrices[:, :, 0] = np.where(closed, rows[:, 0], unit[:, 0])
+    matrices[:, :, 1] = np.where(stuck, rows[:, 1], unit[:, 1] - sliding * unit[:, 0])
+    return matrices.reshape(len(status), 2 * m, 2 * m)
+
+
+def regular(matrices: Array) -> NDArray[np.bool_]:
+    """Which of (c, q, q) matrices are regular beyond doubt: the determinant is no rounding of the rows' lengths."""
+    _, size = np.linalg.slogdet(matrices)
+    lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
+    return np.asarray(size > lengths + np.log(SINGULAR))
+
+
+def _one_sign(W: Array, mu: Vector) -> bool:
+    """Whether all determinants are positive, as those of W itself and of no contact at all are."""
+    matrices = system_matrices(W, mu, combinations(mu))
+    if np.any(np.linalg.slogdet(matrices)[0] <= 0):
+        return False
+    # A small determinant may be that of many small eigenvalues, and its sign still be known.
+    values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
+    return bool(np.all(values[:, -1] > DEPENDENT * values[:, 0]))
+
+
+def _above(friction: Vector, critical: Vector) -> Vector:
+    """mu / mu_c, infinite where any friction is above a critical coefficient of zero."""
+    return np.divide(friction, critical, out=np.where(friction > 0, np.inf, 0.0), where=critical > 0)

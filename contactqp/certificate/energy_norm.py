@@ -1,0 +1,178 @@
+"""Norms of displacements and of contact forces in the square root of energy, and the rounding that they cannot avoid.
+
+    |v|_K^2 = v'Kv,    |d|_W^2 = the energy of the bodies' response to contact forces d
+
+Differences come in as extended-precision vectors, so their norms mean something far beneath 1e-16 of the displacement.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactqp.certificate.violations import Answer, forces_that_meet
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import delassus
+from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
+from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
+from contactqp.linalg.intrinsic_size import rigid_part, stiffness_sizes
+from contactqp.linalg.polishing import CAUTION, LEAST_CONTRACTION, correction
+from contactqp.linalg.range_space import REGULAR
+from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.model.problem import ContactProblem, Vector
+
+# Refinement that contracts less than this proves nothing.
+CONTRACTION = 0.5
+# Pivots flatter the condition of a matrix: the rounding of W was up to 1e2 times what they say over the families of
+# `benchmarks/silently_wrong.py`.
+PIVOTS_FLATTER = 1e3
+# A norm that double precision knows to this part is known well enough for a bound.
+FEW_DIGITS = 1e-4
+# Rounding of v'Kv in extended precision, in units of EPS |v|'|K||v|.
+PRODUCT = 16
+# Sweeps of refinement that a response may take, and the part of it that need not be known: good ones need two.
+SWEEPS, ENOUGH = 8, 1e-9
+# A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
+# motion; so is a contact force's whose energy norm is this part of its size.
+RIGID_ROUNDING = 64 * np.finfo(float).eps
+
+
+def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
+    """|v|_K [square root of energy], and a bound on its error: even extended precision rounds a large rigid motion.
+
+    In double precision, unless that rounds away more than a few digits.
+    """
+    v = displacement.double()
+    square = float(v @ (problem.stiffness @ v))
+    size = float(abs(v) @ (stiffness_sizes(problem) @ abs(v)))
+    terms = problem.dimension + 2  # of the longest sum
+    rounding = float(terms * np.finfo(float).eps * size)
+    if rounding > FEW_DIGITS * square:
+        square = max(float(displacement.dot(extended_rows(problem).stiffness @ displacement)), 0.0)
+        rounding = float(PRODUCT * EPS * size)
+    norm = float(np.sqrt(square))
+    return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
+
+
+def energy_norms(problem: ContactProblem, condensation: Condensation, displacement: Extended) -> tuple[float, float]:
+    """The least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
+
+    That rounding makes K z of a rigid motion z a force of either sign: where v is nearly rigid, v'Kv may be more or
+    less than the energy of its strain, which is that of v without its rigid part.
+    """
+    norm, uncertain = energy_norm(problem, displacement)
+    if not condensation.rigid.count:
+        return norm, norm + uncertain
+    motions = condensation.rigid.motions
+    moved = motions @ rigid_part(problem, displacement.double(), condensation.rigid)
+    strained, beyond = energy_norm(problem, displacement - moved)
+    return min(norm, strained), max(norm + uncertain, strained + beyond)
+
+
+def force_norm(
+    problem: ContactProblem, condensation: Condensation, force: Extended, tied: bool = True
+) -> tuple[float, float]:
+    """|d|_W of contact forces d (m,) on the tied (or untied) bodies, and a bound on its error."""
+    d = force.double()
+    if not np.any(d):
+        return 0.0, 0.0
+    if (tied is False or not problem.ties) and not condensation.rigid.count:
+        operator = delassus(condensation)
+        if operator.smallest_pivot >= REGULAR:
+            square, size = operator.squared_norm(d)
+            rounding = PIVOTS_FLATTER * condensation.lost_digits / operator.smallest_pivot * size
+            if rounding <= FEW_DIGITS * square and square > 0:  # squares of very small forces are zero
+                return float(np.sqrt(square)), float(rounding / np.sqrt(square))
+    load = extended_rows(problem).contact_force(force, extend(np.zeros(problem.ties)))
+    u, error = response(problem, condensation, load, tied)
+    norm, rounding = energy_norm(problem, u)
+    return norm, error + rounding
+
+
+def response(problem: ContactProblem, condensation: Condensation, load: Extended, tied: bool) -> tuple[Extended, float]:
+    """The displacement u under a load, contacts open, with a bound on its error in the energy norm.
+
+    K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P leaves the part of the load out that drives
+    motions which nothing resists.
+    """
+    rows = extended_rows(problem)
+    saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp), tied)
+    motions = free_motions(condensation, saddle)
+    left = _left_along(problem, condensation, motions, load, tied)
+    load = without_part_along(motions, load)
+    u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
+    none = extend(np.zeros(0))
+
+    def step(residual: Extended) -> tuple[Vector, Vector, float]:
+        du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
+        return du, dn if tied else np.zeros(problem.ties), energy_norm(problem, extend(du))[0]
+
+    du, dn, first = step(load)
+    u, eta = u + du, eta + dn
+    foreseen = (saddle.contraction or 1.0) * CAUTION
+    if foreseen <= ENOUGH or not first:  # another load has shown what the next sweep leaves to do
+        return u, 2 * foreseen * first + left
+    # As a rule the next sweep shows that nothing is left to do, and residuals in double precision can tell.
+    held = problem.stiffness_rows @ u.double() + problem.tie.T @ eta.double()
+    du, _, size = step(extend(load.double() - held))
+    if size <= ENOUGH * first:
+        saddle.contraction = max(saddle.contraction or 0.0, size / first, LEAST_CONTRACTION)
+        return u + du, 2 * size + left
+    last = first
+    for _ in range(SWEEPS):
+        du, dn, size = step(load - rows.stiffness @ u - rows.contact_force(no_contact, eta))
+        u, eta = u + du, eta + dn
+        if size <= ENOUGH * first or size > CONTRACTION * last:
+            break
+        last = size
+    return u, 2 * size + left
+
+
+def _left_along(
+    problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
+) -> float:
+    """The energy norm of the response to what rounding leaves of a load that motions (n, q) or ties take.
+
+    Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
+    of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
+    with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
+    """
+    held = tied and problem.ties > 0
+    if not (motions.shape[1] or held):
+        return 0.0
+    size = abs(load.double())
+    taken = size + abs(motions) @ (abs(motions).T @ size)
+    norm = float(np.linalg.norm(inverse_root(problem.diagonal) * taken))
+    known = max(RIGID_ROUNDING, _resisted(problem, motions)) if held else RIGID_ROUNDING
+    return float(known * norm / np.sqrt(condensation.rigid.softest))
+
+
+def _resisted(problem: ContactProblem, motions: Vector) -> float:
+    """What ties resist of motions (n, q), as a part of these."""
+    most = abs(problem.tie).sum(axis=1)[:, None] * np.max(abs(motions), axis=0, initial=0.0)
+    return float(np.max(abs(problem.tie @ motions) / np.where(most > 0, most, 1.0), initial=0.0))
+
+
+def without_part_along(motions: Vector, vector: Extended) -> Extended:
+    """A vector less its part along orthonormal motions (n, q)."""
+    if not motions.shape[1]:
+        return vector
+    return vector - motions @ (motions.T @ vector.double())
+
+
+def residual_noise(problem: ContactProblem, answer: Answer) -> float:
+    """What the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
+    scale = inverse_root(problem.diagonal)
+    return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
+
+
+def rigid_rounding(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
+    """The energy norm that the rounding of a rigid displacement has; zero where nothing floats."""
+    if not condensation.rigid.count:
+        return 0.0
+    size = abs(displacement)
+    return float(RIGID_ROUNDING * np.sqrt(size @ (stiffness_sizes(problem) @ size)))
+
+
+def force_size(problem: ContactProblem, force: Vector) -> float:
+    """|D E'l|: the contact forces at their own unknowns, the rest held [square root of energy]."""
+    return float(np.linalg.norm(inverse_root(problem.diagonal) * (problem.normal.T @ force)))

@@ -1,0 +1,209 @@
+"""What a certificate refuses, in words: what failed, where, by how much, in the user's names and units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.bounds import Bounds
+from contactqp.certificate.violations import FIGURES, Answer, Violations
+from contactqp.model.problem import ContactProblem, Units, Vector
+
+# Grazing contacts that a note names.
+MOST_NAMED = 8
+# Changes of the forces that are less than this part of them are as good as none.
+WORTH_SAYING = 1e-9
+
+
+class Named(Protocol):
+    """A problem, or one rank's part of one, as messages know it."""
+
+    @property
+    def units(self) -> Units: ...
+
+    @property
+    def dof_name(self) -> Callable[[int], str]: ...
+
+    @property
+    def contact_name(self) -> Callable[[int], str]: ...
+
+    @property
+    def tie_name(self) -> Callable[[int], str]: ...
+
+
+PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
+
+
+def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
+    for name in PARTS:
+        values = getattr(answer, name)
+        if values is not None and not np.all(np.isfinite(values)):
+            yield said_of_part(problem, name, values, int(np.argwhere(~np.isfinite(values))[0][0]))
+
+
+def said_of_part(problem: Named, name: str, values: NDArray[np.float64], i: int) -> str:
+    """What part i of an answer is that is not finite."""
+    called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
+    part = np.atleast_1d(values[i])
+    return f"{name}: {part[~np.isfinite(part)][0]} at {called(i)}"
+
+
+def failed_figures(
+    problem: ContactProblem, answer: Answer, found: Violations, figures: dict[str, float], tolerance: float
+) -> Iterator[str]:
+    for name in FIGURES:
+        if figures[name] <= tolerance:
+            continue
+        if name == "balance":
+            yield said_of_balance(figures[name], tolerance)
+        else:
+            i = int(np.argmax(getattr(found, name)))
+            yield said_of_figure(problem, answer, found, name, i, tolerance)
+
+
+def said_of_balance(figure: float, tolerance: float) -> str:
+    text = "the forces on a body do not balance over a rigid motion"
+    return f"balance: {text} ({figure:.3g} of the forces that act on it, tolerance {tolerance:g})"
+
+
+def said_of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
+    """How unknown, contact or tie i of an answer, or of a part of one, misses a figure other than balance."""
+    force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
+    of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
+    if name == "equilibrium":
+        text = f"{problem.dof_name(i)} is out of balance by {found.residual[i]:.6g}{force}"
+    elif name == "penetration":
+        text = f"{problem.contact_name(i)} is penetrated by {-found.gap[i]:.6g}{length}"
+    elif name == "tension":
+        text = f"{problem.contact_name(i)} is held with a force of {answer.normal_force[i]:.6g}{force}"
+    elif name == "complementarity":
+        text = (
+            f"{problem.contact_name(i)} is open by {found.gap[i]:.6g}{length} "
+            f"and pushes with {answer.normal_force[i]:.6g}{force}"
+        )
+    elif name == "cone":
+        text = f"the friction of {problem.contact_name(i)} exceeds its bound"
+    elif name == "slip_direction":
+        text = f"{problem.contact_name(i)} slips and its friction does not oppose the slip at its bound"
+    else:
+        text = f"{problem.tie_name(i)} is not met"
+    measured = f"{getattr(found, name)[i]:.3g} of the {of.get(name, 'forces')} that meet there"
+    return f"{name}: {text} ({measured}, tolerance {tolerance:g})"
+
+
+def failed_law(problem: ContactProblem, law: Vector | None, limit: float) -> Iterator[str]:
+    if law is not None and not np.all(law <= limit):
+        yield said_of_law(problem, law, int(np.argmax(law)), limit)
+
+
+def said_of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
+    return (
+        f"natural_map: {problem.contact_name(i)} misses the law of contact and friction by {law[i]:.3g} "
+        f"of the sizes that meet there (tolerance {limit:g})"
+    )
+
+
+def failed_bounds(
+    problem: ContactProblem, answer: Answer, known: Bounds, tolerance: float, nothing: float
+) -> Iterator[str]:
+    """`nothing` is as in `failed_errors`."""
+    yield from failed_errors(known, tolerance, nothing)
+    if fails_force_bound(known, tolerance) and known.relative_force_bound is not None:
+        yield said_of_force_bound(problem, answer, known, int(np.argmax(known.relative_force_bound)), tolerance)
+
+
+def failed_errors(known: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """What is said of the bounds on the whole answer; errors up to `nothing` [square root of energy] are none."""
+    if known.suspicious is not None:
+        yield f"unproven: {known.suspicious}"
+    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
+    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none,
+    # unless the contact forces say how little that is.
+    beside_forces = min(nothing, tolerance * known.force_scale) if known.force_scale > 0 else nothing
+    strain, pushed = max(known.rigid_rounding, beside_forces), max(tolerance * known.energy_scale, nothing)
+    pairs = (
+        ("energy_error", "displacement", known.energy_scale, strain, known.free_distance),
+        ("force_error", "contact forces", known.force_scale, pushed, known.force_rounding),
+    )
+    for name, what, scale, absolute, forgiven in pairs:
+        value = getattr(known, name)
+        if value is None:
+            continue
+        limit, size = (tolerance, scale) if scale > 0 else (absolute, 1.0)
+        # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
+        if not value * size <= max(limit * size, known.rounding) + forgiven:
+            kind = "of their size" if scale > 0 else "in the square root of energy, where the truth is zero"
+            yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g})"
+
+
+def fails_force_bound(known: Bounds, tolerance: float) -> bool:
+    """Whether the bound of a contact force, of those that are here, is beyond the tolerance."""
+    relative = known.relative_force_bound
+    beneath = known.rounding / known.force_scale if known.force_scale > 0 else 0.0
+    return relative is not None and known.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
+
+
+def said_of_force_bound(problem: Named, answer: Any, known: Bounds, i: int, tolerance: float) -> str:
+    if known.force_bound is None or known.relative_force_bound is None:
+        raise ValueError("there is no bound to speak of")
+    unit = _with_unit(problem.units.force)
+    return (
+        f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
+        f"{unit}, may be off by {known.force_bound[i]:.3g}{unit} "
+        f"({known.relative_force_bound[i]:.3g} of the contact forces, tolerance {tolerance:g})"
+    )
+
+
+def _with_unit(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def notes(problem: ContactProblem, grazing: NDArray[np.bool_], known: Bounds) -> tuple[str, ...]:
+    said = list(said_of_grazing([problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[:MOST_NAMED]]))
+    if problem.asymmetry > 0:
+        said.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
+    if known.cleared > WORTH_SAYING:
+        said.append(
+            f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
+            f"{known.cleared:.2g} of the forces there"
+        )
+    if problem.rigid_change > 0:
+        said.append(said_of_printing(problem))
+    return (*said, *said_of_estimates(known))
+
+
+def said_of_dependent_ties(
+    problem: ContactProblem, dependent: Sequence[tuple[int, NDArray[np.intp]]]
+) -> tuple[str, ...]:
+    """Which ties depend on which: `dependent` are their numbers, and those of the others."""
+    said = []
+    for i, others in dependent[:MOST_NAMED]:
+        names = [problem.tie_name(int(j)) for j in others[:MOST_NAMED]]
+        more = f" and {len(others) - len(names)} more" if len(others) > len(names) else ""
+        said.append(
+            f"{problem.tie_name(i)} depends on {', '.join(names)}{more}: it is set aside where these are met, and how "
+            "they share their force is not unique"
+        )
+    if len(dependent) > MOST_NAMED:
+        said.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
+    return tuple(said)
+
+
+def said_of_printing(problem: ContactProblem) -> str:
+    """How much of the stiffness was taken for the rounding of printed digits."""
+    return (
+        f"the stiffness was changed by {problem.rigid_change:.2g} of its diagonal at most, the rounding of printed "
+        "digits, so that rigid motions cost no energy"
+    )
+
+
+def said_of_grazing(names: Sequence[str]) -> tuple[str, ...]:
+    return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
+
+
+def said_of_estimates(known: Bounds) -> tuple[str, ...]:
+    said = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
+    return (said,) if known.estimated else ()

@@ -1,0 +1,242 @@
+"""Rows that constrain nothing: contacts with a gap of infinity, which never close, and rows of zeros.
+
+A row of zeros says 0 <= g or 0 = b of a node that is fixed: it is met, and then its force is 0, or it proves that there
+is no equilibrium. What solves and what certifies sees the other rows alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.violations import Answer, Violations, force_measure, forces_that_meet, vector_measure
+from contactqp.errors import NoEquilibrium
+from contactqp.linalg.existence import Conflict
+from contactqp.linalg.intrinsic_size import Nothing
+from contactqp.linalg.row_sizes import contact_entries
+from contactqp.model.problem import ContactProblem, Vector
+
+# What `Violations` has for every contact.
+_OF_CONTACTS = (
+    "penetration",
+    "tension",
+    "complementarity",
+    "cone",
+    "slip_direction",
+    "slip_measure",
+    "lengths",
+    "tangential_lengths",
+    "gap",
+    "gap_measure",
+    "force_measure",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ActingRows:
+    """The contacts and ties of a problem that constrain something, and the problem with these alone."""
+
+    whole: ContactProblem
+    contacts: NDArray[np.intp]
+    ties: NDArray[np.intp]
+    problem: ContactProblem
+
+    @property
+    def met(self) -> bool:
+        """Whether every row of zeros is met."""
+        contacts, ties = _others(self.whole.contacts, self.contacts), _others(self.whole.ties, self.ties)
+        return not (np.any(self.whole.gap[contacts] < 0) or np.any(self.whole.tie_value[ties] != 0))
+
+    def refuse_conflict(self) -> None:
+        """Raise NoEquilibrium where a row of zeros is not met: 0 <= g < 0, or 0 = b."""
+        whole = self.whole
+        for name, called, limit, idle in (
+            ("normal", whole.contact_name, whole.gap, _others(whole.contacts, self.contacts)),
+            ("tie", whole.tie_name, whole.tie_value, _others(whole.ties, self.ties)),
+        ):
+            missed = idle[limit[idle] < 0] if name == "normal" else idle[limit[idle] != 0]
+            if missed.size:
+                i = int(missed[0])
+                normal, tie = np.zeros(whole.contacts), np.zeros(whole.ties)
+                (normal if name == "normal" else tie)[i] = 1.0 if name == "normal" else -np.sign(limit[i])
+                what = "overlap" if name == "normal" else "value"
+                raise NoEquilibrium(
+                    f"{called(i)} acts on nothing that moves, and no displacement removes its {what} of "
+                    f"{abs(limit[i]):.6g}",
+                    Conflict(normal, tie, abs(float(limit[i])), 0.0, True),
+                )
+
+    def answer(self, answer: Answer) -> Answer:
+        """What an answer says of the rows that act."""
+        friction = None if answer.friction_force is None else answer.friction_force[self.contacts]
+        return Answer(answer.displacement, answer.normal_force[self.contacts], friction, answer.tie_force[self.ties])
+
+    def start(self, solution: Any) -> Any:
+        """What a solution of the whole problem, to start from, says of the rows that act."""
+        friction = None if solution.friction_force is None else solution.friction_force[self.contacts]
+        forces = dict(normal_force=solution.normal_force[self.contacts], friction_force=friction)
+        return replace(solution, problem=self.problem, tie_force=solution.tie_force[self.ties], **forces)
+
+    def at(self, step: ContactProblem) -> ActingRows:
+        """The same rows at a step: a problem with these rows, its own load and its own slip origin."""
+        changes: dict[str, Any] = dict(load=step.load)
+        if self.whole.slip_origin is not None and step.slip_origin is not None:
+            changes["slip_origin"] = np.array(self.whole.slip_origin)
+            changes["slip_origin"][self.contacts] = step.slip_origin
+        return replace(self, whole=self.whole.replace(**changes), problem=step)
+
+    def solution(self, found: Any) -> Any:
+        """A solution of the problem with the rows that act, as one of the whole problem."""
+        changed = self.forces(found) | dict(certificate=self._judged(found))
+        if found.raw is not None:
+            changed["raw"] = replace(found.raw, **self._both(found.raw), certificate=self._judged(found.raw))
+        return replace(found, **changed)
+
+    def forces(self, found: Any) -> dict[str, Any]:
+        """The problem, the forces and the states of the contacts of a solution, as those of the whole problem."""
+        whole = self.whole
+        status = np.full(whole.contacts, "open", dtype=found.contact_status.dtype)
+        status[self.contacts] = found.contact_status
+        friction = None if found.friction_force is None else self.friction(found.friction_force)
+        return dict(problem=whole, contact_status=status, friction_force=friction, **self._both(found))
+
+    def friction(self, force: Any) -> Any:
+        """Friction forces (..., m, d-1) of the contacts that act, as those of all."""
+        origin = self.whole.slip_origin
+        if origin is None:
+            return None
+        every = np.zeros((*force.shape[:-2], *origin.shape))
+        every[..., self.contacts, :] = force
+        return every
+
+    def normal(self, force: Any) -> Any:
+        """Contact forces (..., m) of the contacts that act, as those of all."""
+        return _spread(self.whole.contacts, self.contacts, force)
+
+    def tie(self, force: Any) -> Any:
+        """Forces (..., k) of the ties that act, as those of all."""
+        return _spread(self.whole.ties, self.ties, force)
+
+    def _both(self, found: Any) -> dict[str, Any]:
+        return dict(normal_force=self.normal(found.normal_force), tie_force=self.tie(found.tie_force))
+
+    def _judged(self, found: Any) -> Any:
+        nothing = Answer(found.displacement, np.zeros(self.whole.contacts), None, np.zeros(self.whole.ties))
+        return self.certificate(found.certificate, nothing)
+
+    def certificate(self, certificate: Any, answer: Answer) -> Any:
+        """The certificate of the rows that act, as that of an answer (of the whole problem) with forces on the others.
+
+        A force on a row that constrains nothing is refused, as is a row of zeros that is not met.
+        """
+        if certificate.violations is None:
+            return certificate
+        found = self._violations(certificate.violations, answer)
+        figures = {name: float(np.max(getattr(found, name), initial=0.0)) for name in ("penetration", "tension")}
+        figures |= {
+            name: float(np.max(getattr(found, name), initial=0.0)) for name in ("complementarity", "cone", "tie")
+        }
+        failures = (*certificate.failures, *self._failures(found, answer, certificate.tolerance))
+        bound = None
+        if certificate.force_bound is not None:
+            bound = self._contacts(certificate.force_bound, abs(answer.normal_force))
+        return replace(
+            certificate,
+            **figures,
+            force_bound=bound,
+            grazing=tuple(int(self.contacts[i]) for i in certificate.grazing),
+            failures=failures,
+            passed=not failures,
+            violations=found,
+        )
+
+    def _contacts(self, values: Vector, others: Vector | None = None) -> Vector:
+        return np.asarray(_spread(self.whole.contacts, self.contacts, values, others))
+
+    def _violations(self, found: Violations, answer: Answer) -> Violations:
+        """Every figure for all rows: those that constrain nothing are measured by what pushes there."""
+        whole = self.whole
+        push, rub = _pushes(whole, answer)
+        free = np.where(np.isinf(whole.gap) | (whole.gap >= 0), 0.0, 1.0)
+        others: dict[str, Vector] = {name: np.zeros(whole.contacts) for name in _OF_CONTACTS}
+        others |= dict(lengths=np.full(whole.contacts, np.inf), tangential_lengths=np.full(whole.contacts, np.inf))
+        others |= dict(gap=whole.gap, force_measure=push, cone=rub, penetration=free)
+        others |= dict(gap_measure=np.where(whole.gap == 0, 0.0, 1.0))
+        others["tension"] = np.where(answer.normal_force < 0, push, 0.0)
+        others["complementarity"] = np.where(answer.normal_force > 0, push, 0.0)
+        spread: dict[str, Any] = {n: self._contacts(getattr(found, n), others[n]) for n in _OF_CONTACTS}
+        unmet = np.where((whole.tie_value != 0) | (answer.tie_force != 0), 1.0, 0.0)
+        tie = _spread(whole.ties, self.ties, found.tie, unmet)
+        return replace(replace(found, tie=tie, nothing=self._nothing(found.nothing)), **spread)
+
+    def _nothing(self, few: Nothing) -> Nothing:
+        """With rows that constrain nothing: there, nothing but zero is nothing."""
+        whole = self.whole
+        tangent = few.tangent
+        if whole.slip_origin is not None:
+            shape = whole.slip_origin.shape
+            across = np.zeros(shape)
+            across[self.contacts] = tangent.reshape(len(self.contacts), -1)
+            tangent = across.ravel()
+        return Nothing(few.force, self._contacts(few.normal), tangent, _spread(whole.ties, self.ties, few.tie))
+
+    def _failures(self, found: Violations, answer: Answer, tolerance: float) -> Iterator[str]:
+        whole, idle = self.whole, _others(self.whole.contacts, self.contacts)
+        for i in idle.tolist():
+            name, force = whole.contact_name(i), answer.normal_force[i]
+            if found.penetration[i] > tolerance:
+                yield f"penetration: {name} acts on nothing that moves, and its gap is {whole.gap[i]:.6g}"
+            if max(found.tension[i], found.complementarity[i]) > tolerance:
+                kind = "tension" if force < 0 else "complementarity"
+                yield f"{kind}: {name} constrains nothing and has a force of {force:.6g}"
+            if found.cone[i] > tolerance:
+                yield f"cone: {name} constrains nothing and has friction"
+        for i in _others(whole.ties, self.ties).tolist():
+            if found.tie[i] > tolerance:
+                value, force = whole.tie_value[i], answer.tie_force[i]
+                what = f"its value is {value:.6g}, its force {force:.6g}"
+                yield f"tie: {whole.tie_name(i)} acts on nothing that moves; {what}"
+
+
+def acting_rows(problem: ContactProblem) -> ActingRows | None:
+    """The rows of a problem that constrain something; None where all do."""
+    idle_contacts, idle_ties = problem.idle_rows()
+    if not (idle_contacts.any() or idle_ties.any()):
+        return None
+    contacts, ties = np.flatnonzero(~idle_contacts), np.flatnonzero(~idle_ties)
+    known = problem._shared.get("acting")
+    if known is None or not np.array_equal(known[0], contacts):
+        known = problem._shared["acting"] = (contacts, problem.with_contacts(contacts).with_ties(ties))
+    changes: dict[str, Any] = dict(load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties])
+    changes |= dict(dof_names=problem.dof_names, units=problem.units)
+    changes |= dict(contact_names=[problem.contact_name(int(i)) for i in contacts])
+    if problem.friction is not None and problem.slip_origin is not None:
+        changes |= dict(friction=problem.friction[contacts], slip_origin=problem.slip_origin[contacts])
+    few = known[1].replace(**changes)
+    if "load_size" in problem._shared:
+        few = few.with_load_sum(problem.load, problem.load_size)
+    return ActingRows(problem, contacts, ties, few)
+
+
+def _others(count: int, members: NDArray[np.intp]) -> NDArray[np.intp]:
+    return np.setdiff1d(np.arange(count), members)
+
+
+def _spread(count: int, members: NDArray[np.intp], values: Any, others: Vector | None = None) -> Any:
+    everywhere = np.zeros((*np.shape(values)[:-1], count)) if others is None else np.array(others, dtype=float)
+    everywhere[..., members] = values
+    return everywhere
+
+
+def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
+    """Every normal and friction force (m,) in its measure; one on a row of zeros meets no other and measures one."""
+    F, m = forces_that_meet(problem, answer), problem.contacts
+    zero = np.diff(problem.normal.indptr) == 0
+    push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
+    if answer.friction_force is None or problem.tangent is None:
+        return push, np.zeros(m)
+    return push, vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))

@@ -1,0 +1,236 @@
+"""How far an answer is from the truth where nothing can be factorised: bounds from products and conjugate gradients.
+
+Let v satisfy E v <= g, A v = b, let l >= 0 and nu be any forces, w the response to them, K w = f - E'l - A'nu. Then
+(`bounds`, equation 1)
+
+    |v - u*|^2 + |w - u*|^2 <= G^2 = |v - w|^2 + 2 l'(g - E v),    |v - w|^2 = r'K^-1 r,    r = f - K v - E'l - A'nu,
+
+and |l - l*|_W <= |w - u*|_K <= G. v is the candidate moved onto the ties and onto the contacts with
+l_i > (g - E u)_i / (E_i D^-1 E_i'), D = diag K: those that it penetrates, and those that cost less when closed than
+2 l_i (g - E u)_i. The distance |v - u|_K is added. l are the candidate's forces without tension.
+
+r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`conjugate_gradients`): no
+eigenvalue of M K exceeds one (`v_cycle`), and
+
+    sum of a_j rho_j + rho_k <= r'K^-1 r <= sum of a_j rho_j + rho_k / (least eigenvalue of M K),
+
+until the last term, with the least Ritz value of the run, of at least ENOUGH_STEPS steps, over SAFETY for the
+eigenvalue, is at most GENEROUS times the left side. Ritz values estimate that eigenvalue from above: the bound
+is an a-posteriori estimate, no enclosure; where M is a factorisation refinement bounds r'K^-1 r (`refined_norm`). The
+estimate fails where r misses, to rounding, a motion along which M is SAFETY times
+worse than along all that the run has met.
+
+|l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
+
+Rounding: r is formed in double precision, each entry with an error of at most ROUNDING F_j (F of `violations`); the
+bound is raised in the ratio of the D-norms of r and of that. Gaps that were closed are zero to the rounding of their
+lengths L_i; ROUNDING L_i / sqrt(E_i D^-1 E_i') is added for each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.model.problem import Vector
+
+# Refinement that contracts less than this proves nothing, as in `energy_norm`.
+CONTRACTION = 0.5
+SAFETY = 10.0
+# The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
+GENEROUS = 25.0
+# What is left to gain is rounding of what was gained: further steps would go along nothing, anywhere.
+EXHAUSTED = float(np.finfo(float).eps) ** 2
+# Steps of the longest run that Ritz values are believed of.
+ENOUGH_STEPS, MOST_STEPS = 8, 60
+ROUNDING = 16 * np.finfo(float).eps
+# Corrections of the set that the candidate is moved onto.
+REPAIRS = 8
+# A penetration of this part of its lengths is the rounding of a closed contact.
+CLOSED = 1e-14
+
+
+# Of the response to r, what refinement has to leave of it.
+FEW_DIGITS = 1e-4
+SWEEPS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """What is known of an answer; all in square roots of energy."""
+
+    displacement: float  # >= |u - u*|_K
+    force: float  # >= |l - l*|_W
+    energy_scale: float  # |u|_K
+    force_scale: float  # <= |l|_W, 0 without forces
+    radius: float  # >= |v - u*|_K and |w - u*|_K
+    estimated: bool  # by Ritz values
+
+
+class Unrepaired(Exception):
+    """Why the candidate could not be moved to a displacement that penetrates nowhere."""
+
+
+class Forces(Protocol):
+    """An answer without friction."""
+
+    @property
+    def displacement(self) -> Vector: ...  # (n,)
+
+    @property
+    def normal_force(self) -> Vector: ...  # (m,)
+
+    @property
+    def tie_force(self) -> Vector: ...  # (k,)
+
+
+def distances(problem: Limits, answer: Forces, way: ContactIteration) -> Distances:
+    """The bounds of an answer.
+
+    Raises
+    ------
+    Unrepaired
+        No displacement without penetration was found near it.
+    """
+    given = np.append(answer.normal_force, answer.tie_force)
+    push, forces = _forces(problem, answer, given, way)
+    moved, gap, rounding = _repaired(problem, answer, push, way)
+    v = answer.displacement + moved
+    outer = way.forces(forces)
+    r = problem.load - way.product(v) - outer
+    change = way.forces(forces - given)
+    response, shifted, estimated = _responses(way, r, change)
+    stationary = response * (1 + _noise(problem, v, outer, r, way))
+    radius = float(np.sqrt(stationary**2 + 2 * way.dot(push, gap))) + rounding
+    return Distances(
+        displacement=_energy_norm(way, moved) + radius,
+        force=shifted + radius,
+        energy_scale=_energy_norm(way, answer.displacement),
+        force_scale=force_norm(push, len(answer.normal_force), way),
+        radius=radius,
+        estimated=estimated,
+    )
+
+
+def _forces(problem: Limits, answer: Forces, given: Vector, way: ContactIteration) -> tuple[Vector, Vector]:
+    """Contact forces without tension, zero on ties, and all forces: in balance with the load where a body floats."""
+    contact = np.arange(len(given)) < len(answer.normal_force)
+    forces = np.where(contact, np.maximum(given, 0.0), given)
+    residual = problem.load - way.product(answer.displacement) - way.forces(forces)
+    # In parts of themselves: contact forces that are changed little stay pressure.
+    forces = forces + way.balanced(residual, np.where(contact, forces, 1 / way.own_compliance))
+    if way.any(contact & (forces < 0)):
+        raise Unrepaired("the contact forces could not be brought into balance with the load")
+    return np.where(contact, forces, 0.0), forces
+
+
+def _energy_norm(way: ContactIteration, v: Vector) -> float:
+    return float(np.sqrt(max(way.dot(v, way.product(v)), 0.0))) if way.any(v != 0) else 0.0
+
+
+def _responses(way: ContactIteration, r: Vector, change: Vector) -> tuple[float, float, bool]:
+    """sqrt(r'K^-1 r) of two forces from above, and whether that is an estimate."""
+    if way.factorised:
+        response, shifted = refined_norm(way, r), refined_norm(way, change)
+        if response is not None and shifted is not None:
+            return response, shifted, False
+    return dual_norm(way, r), dual_norm(way, change, learned=True), True
+
+
+def refined_norm(way: ContactIteration, force: Vector) -> float | None:
+    """sqrt(r'K^-1 r) from above, where M is the inverse of K but for rounding; None where refinement does not show so.
+
+    e = M r, then M (r - K e), and so on: as each is at most CONTRACTION of the one before, all that would follow is no
+    larger than the last.
+    """
+    left = way.deflated(force).copy()
+    response, last, first = np.zeros_like(left), np.inf, 0.0
+    for _ in range(SWEEPS):
+        step = way.smooth(left)
+        forces = way.product(step)
+        size = float(np.sqrt(max(way.dot(step, forces), 0.0)))
+        if size > CONTRACTION * last:
+            return None
+        response, left = response + step, way.deflated(left - forces)
+        first, last = first or size, size
+        if size <= FEW_DIGITS * first:
+            return _energy_norm(way, response) + 2 * size
+    return None
+
+
+def dual_norm(way: ContactIteration, force: Vector, learned: bool = False) -> float:
+    """An estimate from above of sqrt(r'K^-1 r), square root of energy.
+
+    Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
+    of earlier runs serve too, which saves steps.
+    """
+    if not way.any(force != 0):
+        return 0.0
+    run = way.run_without_rows(way.deflated(force).copy())
+    while True:
+        square = run.square()
+        way.learn(run)
+        least, longest = (way.least_eigenvalue, way.longest_run) if learned else (run.least_eigenvalue(), run.steps)
+        rest = SAFETY * square / least if least > 0 else np.inf
+        exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
+        known = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
+        if known or run.steps >= MOST_STEPS or not run.step():
+            return float(np.sqrt(run.gained + rest))
+        way.krylov_iterations += 1
+
+
+def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, way: ContactIteration) -> float:
+    """What rounding may be of r, both in the norm of D^-1."""
+    scale = 1 / np.sqrt(way.diagonal)
+    size = way.norm(scale * r)
+    meeting = way.product_sizes(v) + abs(problem.load) + abs(forces)
+    return ROUNDING * way.norm(scale * meeting) / size if size > 0 else 0.0
+
+
+def force_norm(push: Vector, contacts: int, way: ContactIteration) -> float:
+    """l'E v / |v|_K for v = M E'l, moved no tie: at most |l|_W."""
+    if not way.any(push != 0):
+        return 0.0
+    load = way.deflated(way.forces(push))
+    v = way.smooth(load)
+    ties = np.arange(contacts, len(push))
+    way.held(ties, np.zeros(len(ties))).admit(v)
+    size = _energy_norm(way, v)
+    return max(way.dot(load, v), 0.0) / size if size > 0 else 0.0
+
+
+def _repaired(problem: Limits, answer: Forces, push: Vector, way: ContactIteration) -> tuple[Vector, Vector, float]:
+    """v - u, the gaps g - E v (m + k,), zero where closed, and the rounding of those [square root of energy]."""
+    m = len(problem.gap)
+    limit = np.concatenate([problem.gap, problem.tie_value])
+    u = answer.displacement
+    lengths = way.length_sizes(u) + abs(limit)
+    gap = limit - way.lengths(u)
+    closed = push * way.own_compliance > gap
+    closed[m:] = True
+    for _ in range(REPAIRS):
+        v, left = _closed_onto(way, np.flatnonzero(closed), limit, u)
+        deep = (-left > CLOSED * lengths) & ~closed
+        if not way.any(deep):
+            break
+        closed |= deep
+    else:
+        raise Unrepaired("the candidate could not be moved to a displacement that penetrates nowhere")
+    if way.any(abs(left[closed]) > CLOSED * lengths[closed]):
+        raise Unrepaired("contacts that depend on each other cannot be closed together")
+    open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))
+    rounding = ROUNDING * way.norm(lengths[closed] / np.sqrt(way.own_compliance[closed]))
+    return v - u, open_gap, float(rounding)
+
+
+def _closed_onto(way: ContactIteration, rows: NDArray[np.intp], limit: Vector, u: Vector) -> tuple[Vector, Vector]:
+    """u moved onto some rows, and the gaps of all rows there."""
+    held = way.held(rows, limit[rows])
+    v = u.copy()
+    for _ in range(2):  # the second time takes out the rounding of the first
+        held.close(v)
+    return v, limit - way.lengths(v)

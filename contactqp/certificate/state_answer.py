@@ -1,0 +1,371 @@
+"""With friction: how far an answer is from the answer of its own combination of open, stick and slip.
+
+A small residual does not mean right forces, and Coulomb's law is no minimisation that would bound them. But with every
+contact held in the state that the answer says it is in, the problem is a linear system (in the plane; in space Newton's
+method turns the slip directions). It is solved from the answer, refined in twice double precision, and its signs are
+looked at: gaps that are open, forces that push, friction within its bound, slip along it. Where they hold, it is an
+equilibrium, and the distance to it is judged as a bound would be: in the energy of the displacement, in that of the
+contact forces, and force by force. Where they fail, contacts that fail change their state, and the distance to the
+first combination that holds is judged.
+
+A sign that fails is measured by what mending it would change: a length over |E_i D|, D = 1/sqrt(K_jj), which is the
+root of the energy that closes it with all other unknowns held; forces by the energy of their response. It is added to
+the distance, so that contacts at the border of two states may be taken in either.
+
+This is a comparison, no proof: other equilibria may exist (`contactqp.certificate.uniqueness`). Where forces of
+redundant contacts are not unique, or the system has no inverse, the figures remain, and the minimisation with the
+friction forces held: u and l_N of an equilibrium minimise 1/2 u'Ku - (f - E_T'l_T)'u over E_N u <= g, for which bounds
+are proven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, bounds
+from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
+from contactqp.certificate.failures import failed_errors
+from contactqp.certificate.violations import Answer, Violations, residuals
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.contact_compliance import contact_compliance
+from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.factorization import Array, inverse_root
+from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
+from contactqp.linalg.row_sizes import row_sizes
+from contactqp.linalg.saddle import saddle_point
+from contactqp.model.coulomb_cone import directions as directions_of
+from contactqp.model.coulomb_cone import lengths
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+
+if TYPE_CHECKING:
+    from contactqp.linalg.friction_states import RefinedState
+
+# What a verdict rests on.
+BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
+
+# Combinations that are looked at: the answer's own, and those that its failing signs lead to.
+COMBINATIONS = 10
+# Signs that fail by this part of the limit of the distance leave the combination as it is.
+HARDLY = 0.1
+# Refinement whose last correction is this part of the limit of the distance has settled.
+SETTLED = 1e-3
+# Why an answer is compared with none.
+SINGULAR = "the system of its combination of open, stick and slip has no inverse"
+UNSETTLED = (
+    "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
+    "system of that is singular to working precision"
+)
+# Factorising the system of one combination may take so many operations: a second or two.
+MOST_OPERATIONS = 2e10
+
+
+@dataclass(frozen=True, eq=False)
+class StateVerdict:
+    """What the comparison says of an answer."""
+
+    basis: str
+    distance: float | None = None  # the largest of the three, relative; None where there is nothing to compare with
+    energy: float = 0.0  # |u|_K of the answer that it was compared with
+    failures: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Distance:
+    """From an answer to that of a combination: each with what it is measured against [square root of energy]."""
+
+    displacement: tuple[float, float]
+    force: tuple[float, float]
+    contact: tuple[float, float]
+    worst: int  # the contact whose force is farthest away
+    failing: float  # what signs that fail may change
+    forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
+
+    def relative(self, nothing: float) -> dict[str, float]:
+        """Each of the three over its measure, signs that fail included; where that is nothing, so is what is as small.
+
+        What doubles cannot hold better is forgiven.
+        """
+        moved, pushed = self.forgiven
+        return {
+            "displacement": _part(self.displacement[0] - moved + self.failing, self.displacement[1], nothing),
+            "contact forces": _part(self.force[0] - pushed + self.failing, self.force[1], nothing),
+            "contact": _part(self.contact[0] + self.failing, self.contact[1], nothing),
+        }
+
+
+def basis_without_friction(known: Bounds) -> str:
+    """The bounds, if displacement and forces have one; else the figures alone."""
+    return FIGURES_ALONE if known.energy_error is None or known.force_error is None else BOUNDS
+
+
+def state_verdict(
+    problem: ContactProblem,
+    answer: Answer,
+    found: Violations,
+    condensation: Condensation | None,
+    tolerances: tuple[float, float],
+) -> StateVerdict:
+    """Compare a frictional answer with that of its own combination of states.
+
+    Parameters
+    ----------
+    condensation : Condensation or None
+        None where the bodies are not factorised as a whole: nothing is compared then.
+    tolerances : two floats
+        The largest distance that passes, relative; and the part of the intrinsic size that is nothing.
+    """
+    tolerance, part = tolerances
+    if condensation is None:
+        return _figures_alone("the bodies are not factorised as a whole")
+    nothing = part * found.intrinsic_size
+    if (reason := _too_large(problem, condensation, answer)) is not None:
+        return _figures_alone(reason)
+    compared = _Comparison(problem, answer, found, condensation)
+    distance, reason = compared.nearest(tolerance, nothing)
+    if reason is not None:
+        return _with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
+    if distance is None:
+        text = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
+        return StateVerdict(STATE, float("inf"), failures=(f"state: {text}",))
+    relative = distance.relative(nothing)
+    largest = max(relative.values())
+    failures = _failures(problem, distance, relative, tolerance)
+    if compared.redundant and not failures:
+        held = "redundant contacts: forces are compared as far as the bodies feel them"
+        return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,))
+    return StateVerdict(STATE, largest, distance.displacement[1], failures)
+
+
+def _figures_alone(reason: str) -> StateVerdict:
+    return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
+
+
+def _too_large(problem: ContactProblem, condensation: Condensation, answer: Answer) -> str | None:
+    closed = int(np.count_nonzero(answer.normal_force))
+    width = 1 if problem.slip_origin is None else problem.slip_origin.shape[1]
+    size = float(len(condensation.retained) + (1 + width) * closed + problem.ties)
+    if 2 / 3 * size**3 <= MOST_OPERATIONS:
+        return None
+    return f"the system of its combination, {size:.0f} equations, is too large to be solved beside it"
+
+
+def _with_friction_held(
+    problem: ContactProblem,
+    answer: Answer,
+    condensation: Condensation,
+    tolerance: float,
+    nothing: float,
+    reason: str,
+) -> StateVerdict:
+    """The bounds of the minimisation that has the answer's friction as a load."""
+    if problem.tangent is None or answer.friction_force is None:
+        return _figures_alone(reason)
+    load = problem.load - problem.tangent.T @ answer.friction_force.ravel()
+    minimised = problem.replace(load=load, friction=np.zeros(problem.contacts))
+    held = Answer(answer.displacement, answer.normal_force, None, answer.tie_force)
+    known = bounds(minimised, held, residuals(minimised, held), condensation)
+    pairs = ((known.energy_error, known.energy_scale), (known.force_error, known.force_scale))
+    far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
+    said = failed_errors(known, tolerance, nothing) if far else ()
+    failures = tuple(f"with friction held, {text}" for text in said)
+    return replace(_figures_alone(reason), energy=known.energy_scale, failures=failures)
+
+
+class _Comparison:
+    """One answer beside the answers of combinations of states."""
+
+    def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation) -> None:
+        from contactqp.linalg.frictional_rows import FrictionalRows
+
+        self._problem, self._answer, self._found = problem, answer, found
+        self._condensation = condensation
+        self._rows = FrictionalRows(problem, condensation)
+        self._width = self._rows.width
+        compliance = contact_compliance(problem, condensation)
+        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1) * compliance.scale[:, None] ** 2
+        self._along, self._across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
+        self._own = _own_compliances(problem, self._along, self._across)
+        self._rubs = self._rows.slides & (self._rows.coefficient > 0)
+        self.redundant = False  # whether the combination that was compared with has forces that are not unique
+
+    def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
+        """The distance to the first combination that holds, or None; or the reason why none could be looked at."""
+        from contactqp.linalg.friction_states import refined_in
+
+        status, seen = self._believed(), set()
+        for _ in range(COMBINATIONS):
+            seen.add(status.tobytes())
+            refined = refined_in(self._problem, self._condensation, self._rows, status, self._answer, independent=True)
+            if not refined.regular:
+                return None, SINGULAR
+            signs = _Signs(self, refined, status)
+            distance = self._distance(refined, signs)
+            limit = tolerance * max(distance.displacement[1], distance.force[1])
+            if not self._last_correction(refined) <= max(SETTLED * limit, nothing):
+                return None, UNSETTLED
+            if signs.failing <= max(HARDLY * limit, nothing):
+                self.redundant = refined.redundant
+                return distance, None
+            status = signs.changed(status)
+            if status.tobytes() in seen:
+                return None, None
+        return None, None
+
+    def _last_correction(self, refined: RefinedState) -> float:
+        """In the root of an energy."""
+        moved, rubbed = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
+        assert rubbed is not None
+        return float(np.hypot(moved, self.response_norm(refined.last.normal_force, rubbed)))
+
+    def _believed(self) -> Status:
+        """(m,) what gaps, forces and slips say: the larger of the two that exclude each other, as lengths."""
+        force, gap = self._answer.normal_force, self._found.gap
+        slip, friction = self.slip(extend(self._answer.displacement)), self.friction
+        room = self.coefficient * np.maximum(force, 0.0) - lengths(friction)
+        # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
+        moved = np.where(lengths(slip) > self.still(), lengths(slip), 0.0)
+        sticks = (moved == 0) | (self._across * room > moved)
+        status = np.where(sticks & self._rubs, STICK, self._sliding(slip, friction))
+        return np.where(self._along * force > gap, status, OPEN).astype(np.int8)
+
+    def _sliding(self, slip: Array, friction: Array) -> Status:
+        """Slip the way that it moves, or that its friction would drive it; in space one word says both."""
+        if self._width > 1:
+            return np.full(len(slip), SLIP_ON, dtype=np.int8)
+        way = np.where(lengths(slip) > self.still(), slip[:, 0], friction[:, 0])
+        return np.where(way < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
+
+    @property
+    def coefficient(self) -> Vector:
+        """(m,) of friction, 0 where a contact cannot slide."""
+        assert self._problem.friction is not None
+        return np.where(self._rubs, self._problem.friction, 0.0)
+
+    @property
+    def friction(self) -> Array:
+        given = self._answer.friction_force
+        return np.zeros((self._problem.contacts, self._width)) if given is None else given
+
+    def still(self) -> Vector:
+        """(m,) slips up to which there is none."""
+        return lengths(self._found.nothing.tangent.reshape(-1, self._width))
+
+    def slip(self, displacement: object) -> Array:
+        """(m, d-1) E_T u - slip_origin."""
+        origin = self._problem.slip_origin
+        assert origin is not None
+        moved = extended_rows(self._problem).slip(extend(displacement)) - extend(origin.ravel())
+        return np.asarray(moved.double().reshape(-1, self._width))
+
+    def response_norm(self, normal: Vector, friction: Array) -> float:
+        """The energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
+        way = self._condensation
+        assert way.tangent is not None
+        load = normal @ way.normal + way.tangent.T @ friction.ravel()
+        saddle = saddle_point(way, np.zeros(0, dtype=np.intp))
+        x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
+        return float(np.sqrt(max(float(load @ x), 0.0)))
+
+    def _distance(self, refined: RefinedState, signs: _Signs) -> _Distance:
+        problem, answer = self._problem, self._answer
+        apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
+        strain, _ = energy_norm(problem, refined.displacement)
+        other = refined.friction_force.double().reshape(-1, self._width)
+        normal = (extend(answer.normal_force) - refined.normal_force).double()
+        rubbed = np.where(self._rubs[:, None], self.friction - other, 0.0)
+        size = self.response_norm(refined.normal_force.double(), other)
+        size = size if size > NEXT_TO_NOTHING * strain else strain
+        whole = max(size, force_size(problem, refined.normal_force.double()), self._rubbing_size(other))
+        own_normal, own_tangent = self._own
+        of_contact = np.hypot(abs(normal) * np.sqrt(own_normal), lengths(rubbed) * np.sqrt(own_tangent))
+        if refined.redundant:
+            of_contact = np.zeros_like(of_contact)
+        worst = int(np.argmax(of_contact))
+        return _Distance(
+            (apart, strain),
+            (self.response_norm(normal, rubbed), size),
+            (float(of_contact[worst]), whole),
+            worst,
+            signs.failing,
+            (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._condensation.rigid.count else 0.0),
+        )
+
+    def _rounding(self) -> float:
+        """The energy norm that rounding the displacement to doubles has."""
+        size = abs(self._answer.displacement)
+        held = HELD_BY_DOUBLES * np.sqrt(size @ (stiffness_sizes(self._problem) @ size))
+        return max(float(held), rigid_rounding(self._problem, self._condensation, self._answer.displacement))
+
+    def _rubbing_size(self, friction: Array) -> float:
+        assert self._problem.tangent is not None
+        force = self._problem.tangent.T @ friction.ravel()
+        return float(np.linalg.norm(inverse_root(self._problem.diagonal) * force))
+
+
+class _Signs:
+    """The signs of the answer of a combination, and what those that fail would change."""
+
+    def __init__(self, of: _Comparison, refined: RefinedState, status: Status) -> None:
+        problem, nothing = of._problem, of._found.nothing
+        gap = (extend(problem.gap) - extended_rows(problem).normal @ refined.displacement).double()
+        force = refined.normal_force.double()
+        self._friction = refined.friction_force.double().reshape(-1, of._width)
+        slip = of.slip(refined.displacement)
+        own_normal, own_tangent = of._own
+        penetrated = np.where((status == OPEN) & (-gap > nothing.normal), -gap, 0.0)
+        tension = np.where(status != OPEN, np.maximum(-force, 0.0), 0.0)
+        beyond = np.maximum(lengths(self._friction) - of.coefficient * np.maximum(force, 0.0), 0.0)
+        beyond = np.where((status == STICK) & of._rubs, beyond, 0.0)
+        sliding = (abs(status) == 1) & of._rubs
+        against = np.maximum(-np.sum(refined.directions * slip, axis=1), 0.0)
+        against = np.where(sliding & (against > of.still()), against, 0.0)
+        self._lengths = np.hypot(_over_root(penetrated, own_normal), _over_root(against, own_tangent))
+        self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against
+        excess = beyond[:, None] * directions_of(self._friction)
+        pushed = of.response_norm(-tension, excess) if np.any(tension) or np.any(beyond) else 0.0
+        self.failing = float(np.hypot(np.linalg.norm(self._lengths), pushed))
+
+    def changed(self, status: Status) -> Status:
+        """Contacts that are penetrated close and stick, those in tension open, others slip on, or stick."""
+        way = np.where(self._friction[:, 0] < 0, SLIP_BACK, SLIP_ON) if self._friction.shape[1] == 1 else SLIP_ON
+        changed = np.where(self._penetrated > 0, STICK, status)
+        changed = np.where(self._beyond > 0, way, changed)
+        changed = np.where(self._against > 0, STICK, changed)
+        return np.where(self._tension > 0, OPEN, changed).astype(np.int8)
+
+
+def _own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
+    """|E_i D|^2 of normal and tangential rows, (m,) each; that of the bodies where a row touches nothing stiff."""
+    normal = row_sizes(problem, problem.normal).compliance
+    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
+    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
+
+
+def _over_root(length: Vector, compliance: Vector) -> Vector:
+    return np.divide(length, np.sqrt(compliance), out=np.zeros_like(length), where=compliance > 0)
+
+
+def _part(size: float, scale: float, nothing: float) -> float:
+    if size <= nothing:
+        return 0.0
+    return size / scale if scale > nothing else float("inf")
+
+
+def _failures(
+    problem: ContactProblem, distance: _Distance, relative: dict[str, float], tolerance: float
+) -> tuple[str, ...]:
+    own = "the answer of its own combination of open, stick and slip"
+    named = {
+        "displacement": f"the displacement is {{:.3g}} of its size away from {own}",
+        "contact forces": f"the contact forces are {{:.3g}} of their size away from {own}",
+        "contact": f"the force of {problem.contact_name(distance.worst)} is {{:.3g}} of all away from {own}",
+    }
+    limit = f" (tolerance {tolerance:.3g})"
+    return tuple(
+        f"state: {named[name].format(part)}{limit}" for name, part in relative.items() if not part <= tolerance
+    )

@@ -1,0 +1,372 @@
+"""What an answer violates: the worst contact or unknown, without dimension, in any units and any scale of rows.
+
+With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j (of a
+load that is known to be a sum, |f| is the sum of the sizes) and
+L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
+both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
+and L, u is the displacement without its rigid part. What is nothing beside the intrinsic size of problem and answer
+(`intrinsic_size`) violates nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.factorization import Array, RigidMotions
+from contactqp.linalg.intrinsic_size import (
+    HELD_BY_DOUBLES,
+    Nothing,
+    bodies,
+    intrinsic_size,
+    nothing,
+    stiffness_sizes,
+    without_rigid_part,
+)
+from contactqp.linalg.row_sizes import ContactEntries, contact_entries, row_sizes
+from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly
+
+FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+
+# A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
+ROUNDING_OF_LENGTH = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Answer(ReadOnly):
+    """Somebody's displacement and forces, of the right shapes."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    tie_force: Vector  # (k,)
+
+    def finite(self) -> bool:
+        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
+        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Violations(ReadOnly):
+    """Every figure for every unknown, contact, tie, so that the worst can be named; all at least 0."""
+
+    equilibrium: Vector  # (n,) |residual_j| / F_j (Oettli and Prager 1964)
+    residual: Vector  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu [force]
+    penetration: Vector  # (m,) (E_N u - g)+ as a gap
+    tension: Vector  # (m,) (-l_N)+ as a force
+    complementarity: Vector  # (m,) min(gap, l_N), each in its own measure
+    cone: Vector  # (m,) (|l_T| - mu l_N)+ as a force
+    slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
+    tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
+    slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
+    turned: Vector  # (m,) by how much rounding a displacement to doubles turns friction that opposes its slip [force]
+    lengths: Vector  # (m,) L of the normal rows [length]
+    tangential_lengths: Vector  # (m,) that of the tangential rows
+    gap: Vector  # (m,) g - E_N u [length]
+    gap_measure: Vector  # (m,) |gap| / L, 0 where the gap is nothing
+    force_measure: Vector  # (m,) |l_N| as a force
+    meeting: Vector  # (n,) F [force]
+    intrinsic_size: float  # S of problem and answer [square root of energy]
+    nothing: Nothing  # forces and lengths up to which there are none
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What an answer leaves, in extended precision."""
+
+    force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
+    gap: Extended  # (m,) g - E_N u
+    tie: Extended  # (k,) b - A u
+
+
+def residuals_of(
+    rows: ExtendedRows, problem: ContactProblem, u: Extended, force: Extended, tie: Extended, friction: Any = None
+) -> Residuals:
+    """The residuals of a displacement (n,), contact forces (m,), tie forces (k,) and friction (m, d-1), if any."""
+    outer = extend(problem.load) - rows.contact_force(force, tie)
+    if friction is not None:
+        outer = outer - rows.friction_force(friction)
+    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
+    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+
+
+def lay_out(problem: ContactProblem) -> None:
+    """Make what residuals and figures need of the stiffness, for every answer that follows."""
+    extended_rows(problem), stiffness_sizes(problem), bodies(problem)
+
+
+def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """The residuals of an answer."""
+    parts = (extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force))
+    return residuals_of(extended_rows(problem), problem, *parts, answer.friction_force)
+
+
+def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """The residuals of an answer in double precision, each entry to a few dozen roundings of the sizes that meet."""
+    u = answer.displacement
+    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
+    force = problem.load - problem.stiffness_rows @ u - outer
+    return Residuals(
+        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
+    )
+
+
+def violations(
+    problem: ContactProblem,
+    answer: Answer,
+    left: Residuals,
+    rounding: float = ROUNDING_OF_LENGTH,
+    rigid: RigidMotions | None = None,
+) -> Violations:
+    """Every figure of an answer with these residuals.
+
+    Parameters
+    ----------
+    rounding : float
+        The part of the intrinsic size that is nothing.
+    rigid : RigidMotions, optional
+        What K lets through; none where nothing floats.
+    """
+    elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
+    size = intrinsic_size(problem, answer, elastic)
+    none = nothing(problem, answer, elastic, size, rounding)
+    F = np.asarray(stiffness_sizes(problem) @ abs(elastic) + outer_forces(problem, answer))
+    return figures(
+        answer,
+        (left.force.double(), left.gap.double(), left.tie.double()),
+        Sizes(
+            meeting=F,
+            push=force_measure(problem.normal, answer.normal_force, F),
+            felt=force_measure(problem.normal, answer.normal_force, F, none.force),
+            lengths=_lengths(problem, problem.normal, problem.gap, elastic),
+            tangential_lengths=_lengths_across(problem, elastic),
+            tie_lengths=_lengths(problem, problem.tie, problem.tie_value, elastic),
+            intrinsic_size=float(np.max(size, initial=0.0)),
+            nothing=none,
+        ),
+        _rubbing(problem, answer, F, none.force),
+    )
+
+
+def _lengths(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
+    """|E||u| + |g| (m,) of rows [length]."""
+    return np.asarray(row_sizes(problem, rows).size @ abs(displacement) + abs(limit))
+
+
+def _lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
+    """The same (m,) of the tangential rows of each contact together."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.zeros(problem.contacts)
+    origin = problem.slip_origin
+    return lengths(_lengths(problem, problem.tangent, origin.ravel(), displacement).reshape(origin.shape))
+
+
+def _rubbing(problem: ContactProblem, answer: Answer, F: Vector, none: Vector) -> Rubbing | None:
+    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    entries, friction = contact_entries(problem, "tangent"), problem.friction
+    rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
+    return Rubbing(slip, rounding, friction, lambda force: vector_measure(entries, force, F, none))
+
+
+def rounded_slips(rows: Any, displacement: Vector, origin: Array) -> Vector:
+    """(m,) what rounding a displacement to doubles makes of slips, of |E_T| ((d-1) m, n) and origins (m, d-1)."""
+    size = rows @ abs(displacement) + abs(origin).ravel()
+    return np.asarray(HELD_BY_DOUBLES * lengths(size.reshape(origin.shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """What the residuals of an answer are measured against."""
+
+    meeting: Vector  # (n,) F [force]
+    push: Vector  # (m,) |l_N| as a force
+    felt: Vector  # (m,) the same, 0 where it is nothing
+    lengths: Vector  # (m,) L of the normal rows
+    tangential_lengths: Vector  # (m,) that of the tangential rows
+    tie_lengths: Vector  # (k,) that of the ties
+    intrinsic_size: float  # S [square root of energy]
+    nothing: Nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Rubbing:
+    """What Coulomb's law is judged by."""
+
+    slip: Array  # (m, d-1) E_T u - slip_origin [length]
+    rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
+    friction: Vector  # (m,) the coefficients
+    measure: Callable[[Array], Vector]  # max_j |E_T'v|_j / F_j (m,) of one tangential force v (m, d-1) a contact,
+    # without what is nothing
+
+
+def figures(answer: Any, left: tuple[Vector, Vector, Vector], sizes: Sizes, rubbing: Rubbing | None) -> Violations:
+    """Every figure of an `Answer`, or of one rank's part of one, that leaves these forces, gaps and lengths of ties."""
+    residual, gap, open_tie = left
+    none, push, felt = sizes.nothing, sizes.push, sizes.felt
+    gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
+    cone, direction, slip_measure, turned = _friction(answer, rubbing, sizes)
+    return Violations(
+        equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
+        residual=residual,
+        penetration=np.where(gap < 0, gap_measure, 0.0),
+        tension=np.where(answer.normal_force < 0, felt, 0.0),
+        complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, felt), 0.0),
+        cone=cone,
+        slip_direction=direction,
+        tie=ratio(beyond(abs(open_tie), none.tie), sizes.tie_lengths),
+        slip_measure=slip_measure,
+        turned=turned,
+        lengths=sizes.lengths,
+        tangential_lengths=sizes.tangential_lengths,
+        gap=gap,
+        gap_measure=gap_measure,
+        force_measure=push,
+        meeting=sizes.meeting,
+        intrinsic_size=sizes.intrinsic_size,
+        nothing=none,
+    )
+
+
+def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
+    """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
+    return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + outer_forces(problem, answer))
+
+
+def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
+    """F without |K||u|: what acts on the bodies from outside."""
+    outer = problem.load_size + row_sizes(problem, problem.normal).transposed @ abs(answer.normal_force)
+    outer = outer + row_sizes(problem, problem.tie).transposed @ abs(answer.tie_force)
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + row_sizes(problem, problem.tangent).transposed @ abs(answer.friction_force).ravel()
+    return np.asarray(outer)
+
+
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """The part by which the outer forces miss balance on the worst rigid motion of a basis, of those along it."""
+    rows, motions = extended_rows(problem), rigid.motions
+    if not motions.shape[1]:
+        return 0.0
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
+    return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
+
+
+def lengths_that_meet(
+    problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH
+) -> Vector:
+    """L_i = (|E||u| + |g|)_i, infinite where that is zero [length].
+
+    It is zero where it is no more than `rounding` |E_i D| max_j |u_j / D_j| of the displacements of the bodies that the
+    row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
+    measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
+    """
+    sizes = row_sizes(problem, rows)
+    length = sizes.size @ abs(displacement) + abs(limit)
+    least = rounding * np.sqrt(sizes.compliance)
+    size = np.sqrt(problem.diagonal) * abs(displacement)
+    if np.any(length <= least * np.max(size, initial=0.0)):
+        length = at_rest_infinite(rows, length, least, _largest_of_bodies(problem, size))
+    return np.asarray(length)
+
+
+def tangential_lengths(problem: ContactProblem, displacement: Vector, rounding: float = ROUNDING_OF_LENGTH) -> Vector:
+    """|L| (m,) of the tangential rows of each contact [length]; a row at rest adds none where another one moves."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return np.full(problem.contacts, np.inf)
+    meeting = lengths_that_meet(problem, problem.tangent, problem.slip_origin.ravel(), displacement, rounding)
+    return lengths_of_pairs(meeting.reshape(problem.slip_origin.shape))
+
+
+def lengths_of_pairs(meeting: Array) -> Vector:
+    """|L| (m,) of the lengths (m, d-1) that meet along the tangential rows of each contact, infinite at rest."""
+    finite = np.where(np.isfinite(meeting), meeting, 0.0)
+    return np.where(np.any(finite > 0, axis=1), lengths(finite), np.inf)
+
+
+def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) -> Vector:
+    """Lengths (m,), infinite where they are at most `least` (m,) of the `largest` (n,) unknown that a row touches."""
+    touched = np.zeros(rows.shape[0])
+    np.maximum.at(touched, _row_of_entries(rows), largest[rows.indices])
+    return np.where(length <= least * touched, np.inf, length)
+
+
+def _largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
+    """(n,) the largest size (n,) of an unknown on the body that each belongs to."""
+    body = bodies(problem)
+    largest = np.zeros(int(body.max()) + 1)
+    np.maximum.at(largest, body, size)
+    return np.asarray(largest[body])
+
+
+def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
+    """|E_i D|^2, D = 1/sqrt(K_jj): what row i finds at its own unknowns, the rest held [length / force]."""
+    return row_sizes(problem, rows).compliance
+
+
+def ratio(size: Vector, scale: Vector) -> Vector:
+    """size / scale with 0/0 = 0."""
+    return np.divide(size, scale, out=np.where(size > 0, np.inf, 0.0), where=scale > 0)
+
+
+def beyond(size: Vector, none: Vector) -> Vector:
+    """Sizes, 0 where they are nothing; NaN is something, and nothing hides behind what overflows."""
+    return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
+
+
+def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
+    """max_j |E_ij l_i| / F_j for every row i; what is no more than `none` (n,) does not count."""
+    row = _row_of_entries(rows)
+    acting = abs(rows.data) * abs(force)[row]
+    if none is not None:
+        acting = beyond(acting, none[rows.indices])
+    measure = np.zeros(rows.shape[0])
+    np.maximum.at(measure, row, ratio(acting, meeting[rows.indices]))
+    return measure
+
+
+def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
+    """max_j |E_i'v|_j / F_j of one force vector v (m, w) a contact; what is no more than `none` (n,) does not count."""
+    acting = beyond(abs(entries.forces(force)), none[entries.unknown])
+    return entries.largest(ratio(acting, meeting[entries.unknown])[None])
+
+
+def _row_of_entries(rows: Any) -> NDArray[np.intp]:
+    """Of every entry of rows in CSR."""
+    return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+
+
+def _friction(answer: Any, rubbing: Rubbing | None, sizes: Sizes) -> tuple[Vector, Vector, Vector, Vector]:
+    """Coulomb's law, contact by contact: how far outside the cone, how far from opposing the slip, the slip, and the
+    force that rounding of a small slip's direction turns."""
+    if rubbing is None or answer.friction_force is None:
+        none = np.zeros(len(answer.normal_force))
+        return none, none, none, none
+    force = answer.friction_force
+    slip = slips(rubbing.slip, sizes.nothing)
+    size = lengths(force)
+    bound = rubbing.friction * np.maximum(answer.normal_force, 0.0)
+    excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
+    moved = lengths(slip)
+    part = np.divide(rubbing.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
+    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
+    off = force - bound[:, None] * directions(slip)
+    wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
+    slip_measure = ratio(moved, sizes.tangential_lengths)
+    return rubbing.measure(excess), np.minimum(slip_measure, rubbing.measure(wrong)), slip_measure, turned
+
+
+def slips(slip: Array, none: Nothing) -> Array:
+    """Slips (m, d-1), zero at contacts where they are nothing."""
+    slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
+    return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))

@@ -1,0 +1,1 @@
+"""Case files solved on the ranks of MPI."""

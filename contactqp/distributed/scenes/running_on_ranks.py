@@ -1,0 +1,172 @@
+"""A scene's load, or its load path in steps, on the ranks of MPI."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from contactqp.analysis.history import Event, History
+from contactqp.analysis.load_path import DEFAULT_STEPS, changes
+from contactqp.distributed.checkpoint import Checkpoint
+from contactqp.distributed.distributing import distribute
+from contactqp.distributed.path import follow_distributed, instants
+from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
+from contactqp.distributed.scenes.friction_on_ranks import changes_of_rubbing, energies_of_rubbing, follow_rubbing
+from contactqp.distributed.scenes.pieces import distributed_model
+from contactqp.distributed.scenes.solutions_in_pieces import energies, in_pieces
+from contactqp.distributed.solution import DistributedSolution
+from contactqp.distributed.solving import solve_distributed
+from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
+from contactqp.errors import Unsupported
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.scene.corners import end_time
+from contactqp.scene.models import build
+from contactqp.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from contactqp.scene.models import Model
+
+    ModelOnRanks = Model | DistributedBodyModel
+
+# What a scene says that changes no answer of it.
+_WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")
+# Bytes of a digest, as many as two scenes never share by chance; and of a file that are in memory at once.
+_SIZE, _CHUNK = 12, 2**20
+
+
+def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
+    """As `contactqp.run` with ``engine="petsc"``, of a model that is built already. Collective.
+
+    Raises
+    ------
+    Unsupported, InvalidProblem
+        As there.
+    """
+    chosen, ranks = options_on_ranks(options), Ranks()
+    _refuse(model)
+    kept = None
+    if checkpoint is not None:
+        with ranks.together():
+            digest = digest_of(model.scene)
+        kept = Checkpoint(checkpoint, digest, ranks)
+    if isinstance(model, DistributedBodyModel):
+        return _run_pieces(model, method, kept, chosen)
+    part = distribute(model.problem, ranks)
+    at = list(_instants(model))
+    along = _followed(model, part, (load[part.dof_number] for _, load in at), method, kept, chosen)
+    with whole_in_errors(model.problem):
+        found = list(along)
+    whole = [_whole_problem(model.problem, load, solution) for (_, load), solution in zip(at, found, strict=True)]
+    solutions = [gathered(problem, solution) for problem, solution in zip(whole, found, strict=True)]
+    times = [time for time, _ in at]
+    return History(solutions, times, _events(model, solutions, times, model.problem.contact_name))
+
+
+def _run_pieces(model: DistributedBodyModel, method: str, kept: Checkpoint | None, options: dict[str, Any]) -> History:
+    """Nobody ever has the whole; what is asked of the solutions is asked by all ranks together."""
+    at = list(_instants(model))
+    found = list(_followed(model, model.problem, (load for _, load in at), method, kept, options))
+    solutions: Any = in_pieces(model, found)
+    times = [time for time, _ in at]
+    told = energies_of_rubbing if _rubs_along(model) else energies
+    events = _events(model, solutions, times, solutions[0].problem.contact_name)
+    return History(solutions, times, events, energies=lambda: told(found))
+
+
+def _rubs_along(model: ModelOnRanks) -> bool:
+    """Whether a path has friction."""
+    return model.scene.path is not None and model.problem.frictional
+
+
+def _followed(
+    model: ModelOnRanks,
+    part: DistributedProblem,
+    loads: Iterator[Vector],
+    method: str,
+    kept: Checkpoint | None,
+    options: dict[str, Any],
+) -> Iterator[DistributedSolution]:
+    if not _rubs_along(model):
+        return follow_distributed(part, loads, method, kept, **options)
+    if kept is not None:
+        raise Unsupported("engine 'petsc': a checkpoint of a load path with friction")
+    return follow_rubbing(part, loads, method, **options)
+
+
+def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedSolution) -> ContactProblem:
+    """Of one step: with its load and its slip origins."""
+    part = solution.problem
+    if part.slip_origin is None:
+        return problem.replace(load=load)
+    return problem.replace(load=load, slip_origin=part.whole(part.slip_origin, part.contact_number))
+
+
+def _events(
+    model: ModelOnRanks, solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str]
+) -> Callable[[], Iterable[Event]]:
+    if not _rubs_along(model):
+        return lambda: changes(solutions, times)
+    names = [name(i) for i in range(len(solutions[0].normal_force))]
+    return lambda: changes_of_rubbing(solutions, times, names)
+
+
+def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
+    """The solution under the load at a pseudo-time, of its own. Collective."""
+    if isinstance(model, DistributedBodyModel):
+        at = replace(model.problem, load=model.load_at(time))
+        return in_pieces(model, [solve_distributed(at, method, **options_on_ranks(options))])[0]
+    return solve_whole(model.problem.replace(load=model.load_at(time)), method, **options)
+
+
+def model_on_ranks(scene: Scene) -> ModelOnRanks:
+    """The scene's model: elastic bodies in pieces; all else is small, and every rank has it. Collective.
+
+    Raises
+    ------
+    SceneError, BackendMissing
+        As `contactqp.scene.models.build`; what one rank refuses, a file that it does not have, all do.
+    """
+    ranks = Ranks()
+    if scene.bodies and not (scene.membranes or scene.motion or scene.large):
+        return distributed_model(scene, ranks)
+    with ranks.together():
+        return build(scene)
+
+
+def digest_of(scene: Scene) -> str:
+    """Another text for a scene with another answer: of all that it says, and of the mesh files that it names."""
+    said = scene.model_copy(update=dict.fromkeys(_WORDS))
+    found = hashlib.blake2b(repr(said).encode(), digest_size=_SIZE)
+    folder = Path() if scene.file is None else scene.file.parent
+    for body in (*scene.bodies, *scene.membranes):
+        if (name := getattr(body.mesh, "file", None)) is not None:
+            with open(folder / name, "rb") as file:
+                while chunk := file.read(_CHUNK):
+                    found.update(chunk)
+    return found.hexdigest()
+
+
+def _instants(model: ModelOnRanks) -> Iterator[tuple[float, Vector]]:
+    path = model.scene.path
+    if path is None:
+        return iter([(1.0, model.problem.load)])
+    corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
+    return instants(corners, path.steps or DEFAULT_STEPS)
+
+
+def _refuse(model: ModelOnRanks) -> None:
+    scene = model.scene
+    path = scene.path
+    reasons = {
+        "a motion": scene.motion is not None,
+        "large deformations": scene.large,
+        "exact events of a load path; state its steps alone": path is not None and path.events is not None,
+    }
+    if found := [what for what, there in reasons.items() if there]:
+        raise Unsupported(f"engine 'petsc': {found[0]}")

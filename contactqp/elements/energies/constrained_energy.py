@@ -1,0 +1,242 @@
+"""A quadratic energy with parts and constraints, its minimum, and what each part carries there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.certificate.certificate import Certificate
+from contactqp.elements.energies.part import Condition, Contribution, Found, Part, PartState
+from contactqp.errors import InvalidProblem
+from contactqp.model.floating_point import computes
+from contactqp.model.problem import ContactProblem, Units, Vector
+from contactqp.model.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
+from contactqp.model.solution import Solution
+from contactqp.solving.solve import solve
+
+# Below this a dense matrix costs nothing and is easier to look at.
+DENSE_SIZE = 64
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class ConstrainedEnergy:
+    """min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
+
+    Parameters
+    ----------
+    unknowns : sequence of distinct str, or int
+        Their names, or how many there are (then "u0", "u1", ...).
+    stiffness : (n, n) array or sparse matrix, optional
+        K, symmetric positive semidefinite; zero by default.
+    load : (n,) array, optional
+        f; zero by default.
+    parts : sequence of Spring, Cable, Strut, AtMost, AtLeast, Equal, Obstacle, PlasticHinge, or anything that is a
+        `contactqp.elements.energies.part.Part`
+    units : Units or mapping, optional
+        As in `ContactProblem`; labels only.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+        The same as a contact problem, for whatever takes one (`solve`, `certify`, `compare`): one-sided constraints are
+        its contacts, equalities its ties. Its energy is less by `constant`.
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, names that occur twice, a part with an unknown that is none; the message names it.
+
+    Examples
+    --------
+    A cantilever of 2 kN/m hangs on a cable of 8 kN/m with 0.1 m of slack and carries 3 kN.
+
+    >>> import contactqp as cq
+    >>> energy = cq.ConstrainedEnergy(["w"], [[2.0]], [3.0], parts=[cq.Cable("cable", {"w": 1.0}, 8.0, slack=0.1)])
+    >>> minimum = energy.solve()
+    >>> round(minimum["w"], 12), round(minimum.parts["cable"].force, 12), minimum.certificate.passed
+    (0.38, 2.24, True)
+    """
+
+    unknowns: Sequence[str] | int
+    stiffness: Any = None
+    load: ArrayLike | None = None
+    parts: Sequence[Part] = ()
+    units: Units | Mapping[str, str] | None = None
+    problem: ContactProblem = field(init=False, repr=False)
+    _contributions: Mapping[str, Contribution] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        names = self.unknowns
+        if is_whole(names):
+            names = tuple(f"u{j}" for j in range(int(names)))
+        if isinstance(names, (str, bytes)) or not isinstance(names, Iterable):
+            raise InvalidProblem(f"unknowns: expected names, or how many there are, got {names!r}")
+        object.__setattr__(self, "unknowns", tuple(str(name) for name in names))
+        object.__setattr__(self, "parts", tuple(self.parts))
+        _refuse_twice("part", [part.name for part in self.parts])
+        object.__setattr__(self, "_contributions", {part.name: part.contribution() for part in self.parts})
+        _refuse_twice("unknown", self.all_unknowns)
+        _refuse_twice("constraint", [condition.name for condition in chain(self._unilateral, self._ties)])
+        known = set(self.all_unknowns)
+        for name, added in self._contributions.items():
+            forms = [s.form for s in added.squares] + [c.form for c in (*added.unilateral, *added.ties)]
+            for unknown in chain(*forms, added.load or ()):
+                if unknown not in known:
+                    raise InvalidProblem(f"{name}: expected unknowns of {_some(self.names)}, got {unknown!r}")
+        object.__setattr__(self, "problem", self._assembled())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The user's unknowns."""
+        return tuple(self.unknowns)  # type: ignore[arg-type]  # names, since __post_init__
+
+    @property
+    def all_unknowns(self) -> tuple[str, ...]:
+        """The user's unknowns, and those that parts bring with them."""
+        return (*self.names, *chain.from_iterable(added.internal for added in self._contributions.values()))
+
+    @property
+    def _unilateral(self) -> tuple[Condition, ...]:
+        return tuple(chain.from_iterable(added.unilateral for added in self._contributions.values()))
+
+    @property
+    def _ties(self) -> tuple[Condition, ...]:
+        return tuple(chain.from_iterable(added.ties for added in self._contributions.values()))
+
+    @property
+    def constant(self) -> float:
+        """What the energy is at u = 0: 1/2 k offset^2 of what is prestressed."""
+        squares = chain.from_iterable(added.squares for added in self._contributions.values())
+        return float(sum(square.stiffness * square.offset**2 / 2 for square in squares))
+
+    def _assembled(self) -> ContactProblem:
+        own, places = len(self.names), {name: j for j, name in enumerate(self.all_unknowns)}
+        n = len(places)
+        load = np.zeros(n)
+        if self.load is not None:
+            load[:own] = read_vector("load", self.load, own)
+        blocks = [self._user_stiffness(n)]
+        for added in self._contributions.values():
+            for square in added.squares:
+                row = _row(square.form, places)
+                blocks.append(sp.csc_matrix(square.stiffness * (row.T @ row)))
+                load += square.stiffness * square.offset * row.toarray().ravel()
+            for name, force in (added.load or {}).items():
+                load[places[name]] += force
+        stiffness = sum(blocks[1:], blocks[0])
+        rows, ties = self._unilateral, self._ties
+        return ContactProblem(
+            stiffness=stiffness.toarray() if n <= DENSE_SIZE else sp.csc_array(stiffness),
+            load=load,
+            normal=_rows(rows, places),
+            gap=[condition.bound for condition in rows],
+            tie=_rows(ties, places) if ties else None,
+            tie_value=[condition.bound for condition in ties] if ties else None,
+            dof_names=self.all_unknowns,
+            contact_names=[condition.name for condition in rows],
+            units=self.units,
+        )
+
+    def _user_stiffness(self, n: int) -> Any:
+        own = len(self.names)
+        if self.stiffness is None:
+            return sp.csc_matrix((n, n))
+        K, *_ = read_stiffness(self.stiffness)
+        if K.shape != (own, own):
+            raise InvalidProblem(f"stiffness: expected shape {(own, own)}, got {K.shape}")
+        entries = sp.coo_matrix(K)
+        return sp.csc_matrix((entries.data, (entries.row, entries.col)), shape=(n, n))
+
+    def solve(self, method: str = "active-set", **options: Any) -> ConstrainedMinimum:
+        """The minimum; parameters and errors as `contactqp.solve`.
+
+        A load that nothing resists, such as one beyond the plastic limit, is `NoEquilibrium`.
+        """
+        return self.read(solve(self.problem, method, **options))
+
+    def read(self, solution: Solution) -> ConstrainedMinimum:
+        """What a solution of `problem`, however it was found, says about the parts."""
+        if solution.problem.dof_names != self.problem.dof_names:
+            raise InvalidProblem("read: expected a solution of this energy's own problem")
+        return ConstrainedMinimum(self, solution)
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class ConstrainedMinimum(ReadOnly):
+    """Where the energy is least, and what its parts carry there; `minimum["x"]` is an unknown."""
+
+    of: ConstrainedEnergy
+    solution: Solution
+
+    @property
+    def certificate(self) -> Certificate:
+        return self.solution.certificate
+
+    @property
+    def displacement(self) -> Vector:
+        """(n,) the user's unknowns, in their order."""
+        return np.asarray(self.solution.displacement[: len(self.of.names)])
+
+    @property
+    def energy(self) -> float:
+        """1/2 u'Ku - f'u and the energies of the parts."""
+        return self.solution.energy + self.of.constant
+
+    def __getitem__(self, name: str) -> float:
+        return self._found.unknown[name]
+
+    @property
+    def multiplier(self) -> Mapping[str, float]:
+        """Of every constraint by its name; those of one-sided ones are not negative."""
+        return self._found.multiplier
+
+    @cached_property
+    def parts(self) -> Mapping[str, PartState]:
+        """What each part carries."""
+        return {part.name: part.state(self._found) for part in self.of.parts}
+
+    @cached_property
+    def _found(self) -> Found:
+        problem, solution = self.of.problem, self.solution
+        ties = [condition.name for condition in self.of._ties]
+        return Found(
+            unknown=_by_name(problem.dof_names or (), solution.displacement),
+            multiplier=_by_name(problem.contact_names or (), solution.normal_force)
+            | _by_name(ties, solution.tie_force),
+        )
+
+
+def _by_name(names: Iterable[str], values: NDArray[np.float64]) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _row(form: Mapping[str, float], places: Mapping[str, int]) -> Any:
+    columns = [places[name] for name in form]
+    return sp.csr_matrix((list(form.values()), ([0] * len(columns), columns)), shape=(1, len(places)))
+
+
+def _rows(conditions: Sequence[Condition], places: Mapping[str, int]) -> Any:
+    if not conditions:
+        return np.zeros((0, len(places)))
+    return sp.vstack([_row(condition.form, places) for condition in conditions], format="csr")
+
+
+def _refuse_twice(what: str, names: Iterable[str]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InvalidProblem(f"{what}: expected distinct names, got {twice[0]!r} more than once")
+
+
+def _some(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:6])
+    return shown if len(names) <= 6 else f"{shown}, ... ({len(names)})"

@@ -1,0 +1,176 @@
+"""What stretches and shortens: springs that do both, cables that only pull, struts that only push.
+
+A cable's energy is 1/2 k max(e, 0)^2 with e = elongation - slack. It is the least of a quadratic one over a slackening
+s that is not negative,
+
+    min over s >= 0 of 1/2 k (e + s)^2,        k (e + s) = l >= 0,  l s = 0,
+
+so that the multiplier l of s >= 0 is the tension. An inextensible cable is the constraint elongation <= slack, its
+multiplier again the tension. A strut is a cable for the shortening.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from contactqp.elements.energies.part import (
+    Condition,
+    Contribution,
+    Form,
+    Found,
+    PartState,
+    Square,
+    minus,
+    plus,
+    read_form,
+    read_number,
+)
+
+
+@dataclass(frozen=True)
+class Spring:
+    """1/2 k (elongation(u) - rest)^2; its force is k (elongation - rest), positive in tension.
+
+    Parameters
+    ----------
+    name : str
+    stiffness : float
+        k > 0 [force / length].
+    elongation : mapping from names of unknowns to factors
+    rest : float
+        The elongation without force [length].
+
+    Raises
+    ------
+    InvalidProblem
+        Of any of these.
+    """
+
+    name: str
+    stiffness: float
+    elongation: Form
+    rest: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stiffness", read_number(f"{self.name}: stiffness", self.stiffness, positive=True))
+        object.__setattr__(self, "elongation", read_form(self.name, self.elongation))
+        object.__setattr__(self, "rest", read_number(f"{self.name}: rest", self.rest))
+
+    def contribution(self) -> Contribution:
+        return Contribution(squares=(Square(self.elongation, self.stiffness, self.rest),))
+
+    def state(self, found: Found) -> PartState:
+        elongation = found.value(self.elongation)
+        return PartState(elongation, self.stiffness * (elongation - self.rest), "elastic")
+
+
+@dataclass(frozen=True)
+class Cable:
+    """Pulls with k max(elongation - slack, 0) and never pushes; its force is the tension, a multiplier.
+
+    Parameters
+    ----------
+    name : str
+    elongation : mapping from names of unknowns to factors
+        [length]; of a cable along the unit vector n from a fixed point to a node, {"x": n_x, "y": n_y}.
+    stiffness : float, optional
+        k = EA/L [force / length]; without it the cable is inextensible.
+    slack : float
+        The elongation at which it becomes taut [length]; negative where it is prestressed by -k slack.
+
+    Raises
+    ------
+    InvalidProblem
+        Of any of these.
+
+    Examples
+    --------
+    A mast of 10 kN/m between two stays of 100 kN/m each, pushed to the right by 11 kN: the right stay goes slack.
+
+    >>> import contactqp as cq
+    >>> stays = [cq.Cable("left", {"x": 1.0}, 100.0), cq.Cable("right", {"x": -1.0}, 100.0)]
+    >>> mast = cq.ConstrainedEnergy(["x"], stiffness=[[10.0]], load=[11.0], parts=stays).solve()
+    >>> round(mast.parts["left"].force, 12), mast.parts["right"].force, mast.parts["right"].status
+    (10.0, 0.0, 'slack')
+    """
+
+    name: str
+    elongation: Form
+    stiffness: float | None = None
+    slack: float = 0.0
+
+    def __post_init__(self) -> None:
+        _read_one_sided(self, "slack")
+
+    def contribution(self) -> Contribution:
+        return _one_sided(self.name, self.elongation, self.stiffness, self.slack)
+
+    def state(self, found: Found) -> PartState:
+        tension = found.multiplier[self.name]
+        return PartState(found.value(self.elongation), tension, "taut" if tension > 0 else "slack")
+
+
+@dataclass(frozen=True)
+class Strut:
+    """Pushes with k max(-elongation - gap, 0) and never pulls: a prop, or a spring that takes no tension.
+
+    Its force is the compression, a multiplier, not negative.
+
+    Parameters
+    ----------
+    name : str
+    elongation : mapping from names of unknowns to factors
+        [length]; of a spring below a deflection w that is positive upwards, {"w": 1.0}.
+    stiffness : float, optional
+        k [force / length]; without it the strut is rigid.
+    gap : float
+        The shortening at which it begins to push [length]; negative where it is wedged in.
+
+    Raises
+    ------
+    InvalidProblem
+        Of any of these.
+
+    Examples
+    --------
+    >>> import contactqp as cq
+    >>> prop = cq.Strut("prop", {"w": 1.0}, 100.0, gap=0.5)
+    >>> cq.ConstrainedEnergy(["w"], stiffness=[[10.0]], load=[-60.0], parts=[prop]).solve().parts["prop"]
+    PartState(deformation=-1.0, force=50.0, status='pushes', plastic=0.0)
+    """
+
+    name: str
+    elongation: Form
+    stiffness: float | None = None
+    gap: float = 0.0
+
+    def __post_init__(self) -> None:
+        _read_one_sided(self, "gap")
+
+    def contribution(self) -> Contribution:
+        return _one_sided(self.name, minus(self.elongation), self.stiffness, self.gap)
+
+    def state(self, found: Found) -> PartState:
+        compression = found.multiplier[self.name]
+        return PartState(found.value(self.elongation), compression, "pushes" if compression > 0 else "idle")
+
+
+def _read_one_sided(part: Any, play: str) -> None:
+    object.__setattr__(part, "elongation", read_form(part.name, part.elongation))
+    object.__setattr__(part, play, read_number(f"{part.name}: {play}", getattr(part, play)))
+    if part.stiffness is not None:
+        stiffness = read_number(f"{part.name}: stiffness", part.stiffness, positive=True)
+        object.__setattr__(part, "stiffness", stiffness)
+
+
+def _one_sided(name: str, deformation: Form, stiffness: float | None, play: float) -> Contribution:
+    """Resists a deformation beyond `play` only."""
+    if stiffness is None:
+        return Contribution(unilateral=(Condition(name, deformation, play),))
+    rest = f"{name}: slackening"
+    return Contribution(
+        internal=(rest,),
+        squares=(Square(plus(deformation, [(rest, 1.0)]), stiffness, play),),
+        unilateral=(Condition(name, {rest: -1.0}, 0.0),),
+    )

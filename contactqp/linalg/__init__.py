@@ -1,0 +1,1 @@
+"""Factorising, condensing, iterating and refining, in double and extended precision; it knows no method."""

@@ -1,0 +1,472 @@
+"""Static condensation onto the contact unknowns.
+
+With c the retained unknowns (those that contacts or ties touch, and those that fix what would float without them) and
+i the interior,
+
+    S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c),
+
+and min 1/2 x'Sx - f_S'x subject to E_c x <= g, A_c x = b has the forces of the full problem as its own. K_ii is
+factorised once, for every load, gap, method and certificate that follows (`elimination`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.elimination import LARGE, eliminate
+from contactqp.linalg.extended import ExtendedRows
+from contactqp.linalg.factorization import (
+    SUSPICIOUS_PIVOT,
+    Array,
+    DenseCholesky,
+    RigidMotions,
+    condensed_null_space,
+    connected_parts,
+    inverse_root,
+    null_space,
+    orthonormal,
+    right_singular,
+    stated_motions,
+)
+from contactqp.linalg.pardiso import NotPositive
+from contactqp.linalg.stages import CONDENSE, count_factorisation, stage
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Candidate
+
+# A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
+NOTHING_LEFT = 1e-8
+# Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
+LOST_DIGITS = 8 * np.finfo(float).eps
+# Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
+CONDENSED_ROUNDING = 1e-6
+# A motion of unit length that rows of unit length resist by less than this is not resisted.
+UNRESISTED = 1e-9
+# The eigenvectors of a K up to this size cost next to nothing.
+SMALL = 900
+# Nodes of a body that are retained where it may float: three that are no line hold it.
+FAR_APART = 4
+# Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
+# unknowns than this, or than this part of the touched ones: next to nothing beside a second factorisation.
+FEW_MORE, PART_MORE = 48, 0.125
+# Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
+# of one, get an unknown more to hold them.
+HARDLY_HELD = 1e-4
+
+
+class Condensation:
+    """A stiffness and its rows, condensed; shared by all problems with the same K, E_N, E_T and A."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.delassus: list[
+            Any
+        ] = []  # filled by `delassus.delassus` when first asked for, for the condensed problem too
+        self.saddles: dict[Any, Any] = {}  # filled by `saddle.saddle_point`
+        self._cleared: ExtendedRows | None = None
+        self.factorisations = 0
+        self._spent = 0  # half back-substitutions of eliminations that were given up
+        self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        self._sparse = problem.stiffness_rows
+        self._diagonal = problem.diagonal
+        touched = _touched_unknowns(problem)
+        self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+        stated = _stated_motions(problem)
+        fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
+        if problem.near_null_space is None and problem.dimension >= LARGE:
+            fixing = self._precaution(touched)
+        self._eliminate_if_regular(np.union1d(touched, fixing), unknown_scale(problem))
+        if stated.count and self._floats_no_further(stated):
+            self.rigid = stated
+        elif self._may_be_singular():
+            self._find_rigid_motions(problem, touched)
+        self._clear_rigid_motions()
+        self.normal = problem.normal[:, self.retained].toarray()
+        self.tie = problem.tie[:, self.retained].toarray()
+        self.tangent = None if problem.tangent is None else problem.tangent[:, self.retained]
+
+    def fits(self, problem: ContactProblem) -> bool:
+        """Whether a problem has the stiffness and the rows that were condensed."""
+        theirs = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        return all(_same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
+
+    def _precaution(self, touched: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Unknowns that hold every body should it float, where that costs next to nothing; else none."""
+        if FAR_APART * connected_parts(self._sparse)[0] > max(FEW_MORE, PART_MORE * len(touched)):
+            return touched[:0]
+        apart = unknowns_far_apart(self._sparse)
+        beside = np.setdiff1d(apart, touched)
+        return beside if len(beside) <= max(FEW_MORE, PART_MORE * len(touched)) else touched[:0]
+
+    def _eliminate_if_regular(self, retained: NDArray[np.intp], of_stiffness: Array) -> None:
+        """Eliminate the interior; where it floats some nodes far apart are retained as well."""
+        try:
+            self._eliminate(retained, of_stiffness, singular=self._sparse.shape[0] <= SMALL)
+        except NotPositive:
+            self._eliminate(np.union1d(retained, unknowns_far_apart(self._sparse)), of_stiffness)
+
+    def _eliminate(self, retained: NDArray[np.intp], of_stiffness: Array, singular: bool = True) -> None:
+        self._reduced: tuple[Vector, Vector, Vector] | None = None
+        self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
+        self._elimination = eliminate(self._sparse, retained, singular)
+        self.retained = retained
+        if len(retained) < self._sparse.shape[0]:
+            self.factorisations += 1
+            count_factorisation()
+        self.schur = self._elimination.schur
+        self.scale = self._scale(of_stiffness)
+        self._schur_factor: DenseCholesky | None = None
+
+    @property
+    def solver(self) -> str:
+        """Whose factors they are."""
+        return self._elimination.solver
+
+    @property
+    def back_substitutions(self) -> int:
+        """Right-hand sides solved so far, forward and backward."""
+        return (self._spent + self._elimination.half_substitutions + 1) // 2
+
+    def _scale(self, of_stiffness: Array) -> Array:
+        """1/sqrt(S_jj), or the scale of the stiffness where condensation left next to nothing of the diagonal."""
+        before = self._diagonal[self.retained]
+        left = self.schur.diagonal()
+        alive = left > NOTHING_LEFT * before
+        return np.where(alive, 1.0 / np.sqrt(np.where(alive, left, 1.0)), of_stiffness[self.retained])
+
+    def _may_be_singular(self) -> bool:
+        """Whether a pivot is so small that K may be singular, S being known to what condensation left of its digits."""
+        interior = self._elimination.smallest_pivot
+        if interior < SUSPICIOUS_PIVOT:
+            return True
+        return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
+
+    def _find_rigid_motions(self, problem: ContactProblem, touched: NDArray[np.intp]) -> None:
+        """Where the interior floats, some nodes far apart are retained as well; then S knows all rigid motions.
+
+        If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
+        """
+        scale, large = unknown_scale(problem), problem.dimension > SMALL
+        if large and self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
+            self._spent += self._elimination.half_substitutions
+            self._eliminate(np.union1d(self.retained, unknowns_far_apart(self._sparse)), scale)
+        if large and self._elimination.smallest_pivot >= SUSPICIOUS_PIVOT:
+            if self._may_be_singular():
+                self.rigid = condensed_null_space(self._sparse, self.retained, self._elimination, self.scale)
+            return
+        self.rigid = null_space(self._sparse)
+        fixing = fixing_unknowns(self.rigid.motions, touched, self._diagonal)
+        held = np.union1d(touched, fixing)
+        if not np.array_equal(held, self.retained):
+            self._spent += self._elimination.half_substitutions
+            self._eliminate(held, scale)
+
+    def _floats_no_further(self, stated: RigidMotions) -> bool:
+        """Whether K is regular but for the stated motions: S is, once these are anchored."""
+        if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
+            return False
+        motions, _ = np.linalg.qr(stated.motions[self.retained] / self.scale[:, None])
+        anchored = self.schur * np.outer(self.scale, self.scale) + motions @ motions.T
+        return DenseCholesky(anchored, np.ones(len(anchored))).smallest_pivot >= max(SUSPICIOUS_PIVOT, self.lost_digits)
+
+    @cached_property
+    def bodies(self) -> NDArray[np.intp]:
+        """(p,) the number of the body, a connected part of K, that each retained unknown belongs to."""
+        return np.asarray(connected_parts(self._sparse)[1][self.retained])
+
+    @cached_property
+    def lost_digits(self) -> float:
+        """What rounding has done to S, relative to its diagonal."""
+        left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
+        return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
+
+    def _schur_smallest_pivot(self) -> float:
+        lowest = self.schur_factor().smallest_pivot if len(self.schur) else 1.0
+        if lowest < -CONDENSED_ROUNDING:
+            raise InvalidProblem(
+                f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {lowest:.3g} on the "
+                "contact unknowns, after scaling its diagonal to one)"
+            )
+        return lowest
+
+    def schur_factor(self) -> DenseCholesky:
+        """Of S in its scale, made when it is first asked for.
+
+        Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
+        """
+        if self._schur_factor is None:
+            scaled = self.schur * np.outer(self.scale, self.scale)
+            self._schur_factor = DenseCholesky(scaled, np.ones(len(scaled)))
+        return self._schur_factor
+
+    def _clear_rigid_motions(self) -> None:
+        """Take the rounding of S along rigid motions away: there S is zero."""
+        if not self.rigid.count or not len(self.schur):
+            return
+        Q, _ = np.linalg.qr(self.rigid.motions[self.retained] / self.scale[:, None])
+        clear = np.eye(len(Q)) - Q @ Q.T
+        cleared = clear @ (self.schur * np.outer(self.scale, self.scale)) @ clear
+        cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
+        self.schur = (cleared + cleared.T) / 2 / np.outer(self.scale, self.scale)
+        self._schur_factor = None
+
+    def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
+        """f_S, and what `expand` needs of the load; remembered, since method and polishing start from the same load."""
+        reduced, inner = self.reduce_residual(load)
+        if self._reduced is None or self._reduced[2] is not inner:
+            self._reduced = (load.copy(), reduced, inner)
+        return self._reduced[1:]
+
+    def reduce_residual(self, load: Vector) -> tuple[Vector, Vector]:
+        """`reduce_load` of a load that does not come again, such as what refinement leaves."""
+        if self._reduced is not None and np.array_equal(self._reduced[0], load):
+            return self._reduced[1:]
+        reduced, inner = self._elimination.reduce(load)
+        return self._balanced(load, reduced), inner
+
+    def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
+        """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
+        return self._elimination.reduce(load)
+
+    def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
+        """Have `reduce_load` know a load that is combined from reduced ones."""
+        self._reduced = (load.copy(), reduced, inner)
+
+    def _balanced(self, load: Vector, reduced: Vector) -> Vector:
+        """The condensed load, doing the load's own work on rigid motions, which rounding changes.
+
+        A body that nothing loads keeps no load at all: the rounding of its neighbours' would be all that drives it.
+        """
+        if not self.rigid.count:
+            return reduced
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
+        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
+        acting = np.isin(of_body, of_body[missing != 0])
+        change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
+        loaded = np.isin(self.bodies, of_body[acting])
+        return np.asarray(reduced + np.where(loaded, change / self.scale, 0.0))
+
+    def expand(self, retained: Vector, inner: Vector) -> Vector:
+        """The full displacement from that of the retained unknowns; `inner` is what `reduce_load` gave."""
+        return self._elimination.expand(retained, inner)
+
+    def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
+        """The sizes behind each entry of f_S: where something floats, |f_c| + |K_ci||K_ii^-1 f_i|."""
+        size = problem.load_size[self.retained]
+        if not self.rigid.count:
+            return size
+        if self._crossing is None or self._crossing[0] is not inner:
+            held = abs(self.expand(np.zeros(len(self.retained)), inner))
+            self._crossing = inner, abs(self._sparse[self.retained]) @ held
+        return np.asarray(size + self._crossing[1])
+
+    def reduced_problem(self, problem: ContactProblem, reduced_load: Vector, inner: Vector) -> ContactProblem:
+        """The condensed problem, itself a ContactProblem, which knows its own condensation."""
+        size = self.reduced_size(problem, inner)
+        data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
+        reduced = problem.transformed(*data)
+        reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
+        return reduced
+
+    def cleared_rows(self, rows: ExtendedRows) -> ExtendedRows:
+        """Rows whose stiffness is zero along the rigid motions, for where K's rounding along these matters."""
+        if self._cleared is None:
+            weight = np.sqrt(self._diagonal)
+            inverse = np.asarray(np.linalg.pinv(weight[:, None] * self.rigid.motions) * weight, dtype=float)
+            self._cleared = rows.cleared(self.rigid.motions, inverse)
+        return self._cleared
+
+    def idle_motions(self) -> Array:
+        """An orthonormal basis (p, q), scaled, of the rigid motions that no contact and no tie resists at all."""
+        rows = np.vstack([self.normal, self.tie]) * self.scale
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        return orthonormal(motions @ self.unresisted(rows))
+
+    def unresisted(self, rows: Array) -> Array:
+        """The rigid motions that scaled rows (k, p) do not resist: their coordinates (r, q).
+
+        In this scale stiff bodies move little beside soft ones. Motions are therefore taken with lengths of one, and
+        what a row feels of them is measured by its largest entry on a body times the size of the motion there.
+        """
+        motions = self.rigid.motions[self.retained] / self.scale[:, None]
+        coordinates = _orthonormal_by_body(motions)
+        if not len(rows) or not len(coordinates):
+            return coordinates
+        coordinates = coordinates / np.max(abs(self.rigid.motions @ coordinates), axis=0)
+        motions = motions @ coordinates
+        of_body = self.bodies[np.argmax(abs(motions), axis=0)]
+        entry = np.column_stack([np.max(abs(rows[:, self.bodies == b]), axis=1) for b in of_body])
+        size = np.max(entry * np.linalg.norm(motions, axis=0), axis=1, keepdims=True)
+        values, rotation = right_singular(rows @ motions / np.where(size > 0, size, 1.0))
+        return np.asarray(coordinates @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+    def _held_schur(self) -> Array:
+        """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
+        singular, or the problem unbounded by rounding, because of motions that do not matter."""
+        idle = self.idle_motions()
+        if not idle.shape[1]:
+            return self.schur
+        return self.schur + idle @ idle.T / np.outer(self.scale, self.scale)
+
+    def _of_reduced(self, reduced: ContactProblem) -> Condensation:
+        """What condensing the condensed problem would give: itself, with nothing left to factorise."""
+        twin = object.__new__(Condensation)
+        twin.__dict__ |= self.__dict__
+        twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
+        twin._cleared = None
+        twin._retain_all(reduced)
+        return twin
+
+    @classmethod
+    def of_condensed(cls, problem: ContactProblem, rigid: RigidMotions, scale: Array) -> Condensation:
+        """The condensation of a problem that retains every unknown, its rigid motions known: nothing is eliminated."""
+        made = object.__new__(cls)
+        made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
+        made._cleared = None
+        made.rigid, made.scale, made._schur_factor = rigid, scale, None
+        made._retain_all(problem)
+        made.schur = made._elimination.schur
+        made.normal, made.tie, made.tangent = problem.normal.toarray(), problem.tie.toarray(), problem.tangent
+        return made
+
+    def _retain_all(self, problem: ContactProblem) -> None:
+        self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
+        self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
+        self.retained, self._reduced, self._crossing = np.arange(problem.dimension), None, None
+        self._elimination = eliminate(self._sparse, self.retained)
+
+    def restrict_candidate(self, candidate: Candidate) -> Candidate:
+        """What a candidate says of the retained unknowns."""
+        return replace(candidate, displacement=candidate.displacement[self.retained])
+
+    def spread_candidate(self, candidate: Candidate) -> Candidate:
+        """A candidate of the retained unknowns among zeros."""
+        displacement = np.zeros(len(self._diagonal))
+        displacement[self.retained] = candidate.displacement
+        return replace(candidate, displacement=displacement)
+
+
+def _orthonormal_by_body(motions: Array) -> Array:
+    """Coordinates (r, r) of orthonormal combinations of independent motions (p, r), each of one body to the last digit.
+
+    Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
+    """
+    coordinates = np.diag(1 / np.linalg.norm(motions, axis=0))
+    for _ in range(2):
+        unit = motions @ coordinates
+        coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T
+    return np.asarray(coordinates)
+
+
+def unknown_scale(problem: ContactProblem) -> Array:
+    """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
+    if "unknown_scale" in problem._shared:
+        return np.asarray(problem._shared["unknown_scale"])
+    D = inverse_root(problem.diagonal)
+    bare = problem.diagonal == 0
+    if np.any(bare):
+        rows = abs(sp.csc_matrix(sp.vstack([problem.normal, problem.tie])))
+        largest = rows.max(axis=0).toarray().ravel() if rows.shape[0] else np.zeros(len(D))
+        stiff = (largest * D)[~bare & (largest > 0)]
+        size = np.median(stiff) if stiff.size else 1.0
+        D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
+    return D
+
+
+def condense(problem: ContactProblem) -> Condensation:
+    """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
+    shared: dict[str, Any] = problem._shared
+    if any(np.any(idle) for idle in problem.idle_rows()):
+        raise Unsupported(
+            "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "
+            "solve, certify, equilibria, paths and motions leave them out; here, leave them out yourself"
+        )
+    if "condensation" not in shared:
+        with stage(CONDENSE):
+            shared["condensation"] = Condensation(problem)
+    condensation: Condensation = shared["condensation"]
+    return condensation
+
+
+def _same_matrix(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    if one is None or other is None or one.shape != other.shape:
+        return False
+    return bool(abs(sp.csr_matrix(one) - sp.csr_matrix(other)).nnz == 0)
+
+
+def _stated_motions(problem: ContactProblem) -> RigidMotions:
+    """Those of `near_null_space` that nothing resists, a motion of one body each."""
+    if problem.near_null_space is None:
+        return RigidMotions(np.zeros((problem.dimension, 0)))
+    return stated_motions(problem.stiffness_rows, problem.near_null_space)
+
+
+def _touched_unknowns(problem: ContactProblem) -> NDArray[np.intp]:
+    rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
+    return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+
+
+def unknowns_far_apart(stiffness: Any) -> NDArray[np.intp]:
+    """The unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K tells.
+
+    Unknowns that K couples with the same others are those of one node.
+    """
+    graph = sp.csr_matrix(stiffness)
+    _, label = connected_parts(graph)
+    starts = np.unique(label, return_index=True)[1]
+    chosen: list[NDArray[np.intp]] = [starts]
+    for _ in range(FAR_APART - 1):
+        order = np.lexsort((_hops_away(graph, np.concatenate(chosen)), label))
+        chosen.append(order[np.append(np.flatnonzero(np.diff(label[order])), len(order) - 1)])
+    nodes = np.unique(np.concatenate(chosen))
+    return np.unique(np.concatenate([_of_same_node(graph, int(j)) for j in nodes])).astype(np.intp)
+
+
+def _hops_away(graph: Any, starts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(n,) how many entries lie between each unknown and the nearest of some, at least one of them in every body."""
+    from scipy.sparse.csgraph import breadth_first_order
+
+    size = graph.shape[0]  # and the number of an unknown more, from which the search starts
+    indices = np.concatenate([graph.indices, starts.astype(graph.indices.dtype)])
+    rows = np.append(graph.indptr, len(indices)).astype(graph.indptr.dtype)
+    searched = sp.csr_matrix((np.ones(len(indices)), indices, rows), shape=(size + 1, size + 1))
+    _, before = breadth_first_order(searched, size)
+    ahead = np.where(before < 0, np.arange(size + 1), before)  # who found each: nobody the first, which stays put
+    hops = (before >= 0).astype(np.intp)
+    while np.any(hops[ahead]):
+        hops, ahead = hops + hops[ahead], ahead[ahead]
+    return np.asarray(hops[:size] - 1)
+
+
+def _of_same_node(graph: Any, j: int) -> NDArray[np.intp]:
+    near = np.sort(graph.indices[graph.indptr[j] : graph.indptr[j + 1]])
+    return np.array(
+        [k for k in near if np.array_equal(np.sort(graph.indices[graph.indptr[k] : graph.indptr[k + 1]]), near)]
+    )
+
+
+def fixing_unknowns(motions: Array, retained: NDArray[np.intp], diagonal: Array) -> NDArray[np.intp]:
+    """Stiff unknowns that, held with the retained ones, leave no rigid motion to the interior."""
+    from scipy.linalg import qr
+
+    if not motions.shape[1]:
+        return np.zeros(0, dtype=np.intp)
+    scaled = motions * np.sqrt(np.where(diagonal > 0, diagonal, np.max(diagonal, initial=0.0) or 1.0))[:, None]
+    scaled = scaled / np.max(abs(scaled), axis=0)
+    free = scaled
+    if retained.size:
+        values, rotation = right_singular(scaled[retained])
+        held = values > HARDLY_HELD * max(1.0, np.max(values))  # what holds a motion by rounding holds nothing
+        free = scaled @ rotation[np.count_nonzero(held) :].T
+    if not free.shape[1]:
+        return np.zeros(0, dtype=np.intp)
+    _, _, pivots = qr(free.T, mode="economic", pivoting=True)
+    return np.asarray(pivots[: free.shape[1]], dtype=np.intp)

@@ -1,0 +1,361 @@
+"""Proofs that a problem has no equilibrium: constraints that conflict, or a rigid motion that the load drives.
+
+Floats propose a proof; it is checked by exact sums before anything is claimed, and what rounding of the data could
+have made is no proof. With friction a contact resists a rigid motion z unless it opens faster than it slips,
+
+    -E_N z >= mu |E_T z|,
+
+since then no force of its cone does negative work along z. In space the cone is replaced by a polyhedral one within it:
+a motion that only the rest of the cone would allow is not claimed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.errors import NoEquilibrium
+from contactqp.linalg.condensation import Condensation, unknown_scale
+from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.saddle import BALANCED, IDLE
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem_data import ReadOnly
+
+LP_TOLERANCE = 1e-10
+# Coordinates and gains of this part of the largest are no artefact of that tolerance.
+DRIVEN = 1e-7
+# What is left of the excess of constraints after a linear program, as a part of it, is none or proves a conflict.
+REMAINING = 1e-7
+# Each program starts where the last one ended and resolves so much less: this many reach the rounding of doubles.
+PROGRAMS = 4
+# Slacks that are so many times the excess do not bound a program that removes the excess.
+FAR = 1e7
+# A multiplier or a displacement of this part of the largest takes no part in a conflict or a motion.
+NO_PART = 1e-9
+# Rounding of a length and of the sums behind it, relative to the lengths that meet; of a weighted sum of rows likewise.
+ROUNDING = 8 * np.finfo(float).eps
+# A conflict of more constraints than this is not solved for in rational numbers.
+MOST_EXACT = 60
+# Loads that balance to less than this of their size were meant to balance: the message says how to make them.
+MEANT_TO_BALANCE = 1e-4
+NAMES_IN_A_MESSAGE = 8
+# A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
+RECOGNISED = 1e3
+# Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
+SIDES = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Conflict(ReadOnly):
+    """Farkas' proof that no displacement has E u <= g, A u = b: weights with E'y + A'n = 0, y >= 0, g'y + b'n < 0."""
+
+    normal: Vector  # (m,) y, the largest weight one
+    tie: Vector  # (k,) n
+    excess: float  # -(g'y + b'n) [length]
+    rounding: float  # what rounding of the data could make of that [length]
+    exact: bool  # whether the weighted rows cancel in rational numbers, or to rounding of their entries
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenMotion(ReadOnly):
+    """A motion z with K z = 0, E z <= 0 (E_N z <= -mu |E_T z| with friction), A z = 0 and f'z > 0.
+
+    Along it nothing resists the load; without friction the energy falls for ever.
+    """
+
+    motion: Vector  # (n,), the largest entry one
+    work: float  # f'z [force]
+    rounding: float  # what rounding of the data could make of that [force]
+
+
+def refuse_driven_motion(problem: ContactProblem, condensation: Condensation) -> None:
+    """Raise if some rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it."""
+    found = driven_motion(problem, condensation)
+    if found is None:
+        return
+    advice, size = "", float(problem.load_size @ abs(found.motion))
+    if found.work <= MEANT_TO_BALANCE * size:
+        advice = (
+            f"; the loads along it balance but for {found.work:.3g} ({found.work / size:.2g} of their size): if they "
+            "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
+        )
+    held = "no contact, friction or tie holds back" if problem.frictional else "no contact or tie holds back"
+    raise NoEquilibrium(
+        f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{advice}",
+        found,
+    )
+
+
+def driven_motion(problem: ContactProblem, condensation: Condensation) -> DrivenMotion | None:
+    """The rigid motion that gains energy from the load and that no row resists, if it is proven that there is one.
+
+    max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
+    constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
+    """
+    Z = condensation.rigid.motions
+    if not Z.shape[1] or not np.any(problem.load):
+        return None
+    Z = Z / np.max(abs(Z), axis=0)
+    drive = problem.load @ Z
+    if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, condensation)) * (problem.load_size @ abs(Z))):
+        return None
+    resisting = resisting_rows(problem)
+    coordinates = unresisted(drive, _unit(resisting, Z), _unit(problem.tie, Z))
+    if coordinates is None:
+        return None
+    motion = Z @ coordinates
+    return _proven_drive(problem, condensation, resisting, motion / np.max(abs(motion)))
+
+
+def resisting_rows(problem: ContactProblem) -> Any:
+    """Rows E in CSR such that no contact resists a motion z with E z <= 0: E_N, and E_N + mu t'E_T with friction.
+
+    t are the two directions of the plane, in space the corners of a polygon around the unit circle.
+    """
+    if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        return problem.normal
+    width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
+    across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
+    parts = [problem.normal[problem.friction <= 0]]
+    for direction in around(width):
+        along = sum(direction[k] * across[width * rough + k] for k in range(width))
+        parts.append(problem.normal[rough] + along)
+    return sp.csr_matrix(sp.vstack(parts))
+
+
+def around(width: int) -> Array:
+    """Directions t (k, d-1) with max_t t's >= |s| for every slip s, as little more as the polygon allows."""
+    if width == 1:
+        return np.array([[1.0], [-1.0]])
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    corner: float = 1.0 / np.cos(np.pi / SIDES)
+    return corner * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
+    """Coordinates a of motions with normal a <= 0, tie a = 0 and drive'a > 0, in floats; None where there are none.
+
+    The rows are of unit size.
+    """
+    coordinates = _steepest(drive, normal, tie)
+    if coordinates is None:
+        return None
+    coordinates = _without_artefacts(coordinates, normal, tie)
+    return coordinates if drive @ coordinates > DRIVEN * np.max(abs(drive)) else None
+
+
+def _uncertainty(problem: ContactProblem, condensation: Condensation) -> float:
+    """How much of elastic motions a rigid one may contain; one that was recognised in printed digits, more."""
+    recognised = RECOGNISED * problem.rigid_change if problem.near_null_space is None else 0.0
+    return max(condensation.rigid.uncertainty, recognised)
+
+
+def _proven_drive(
+    problem: ContactProblem, condensation: Condensation, resisting: Any, z: Vector
+) -> DrivenMotion | None:
+    """The motion, if K z, what of E z is positive, and A z are rounding, and the work of the load is more than that."""
+    uncertainty, scale = _uncertainty(problem, condensation), unknown_scale(problem)
+    still = scale * float(np.max(abs(z) / scale))  # rounding of z is no more than a part of this
+    for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
+        felt = (SparseRows(rows) @ extend(z)).double()
+        rounding = max(BALANCED, uncertainty) * (abs(rows) @ abs(z)) + IDLE * (abs(rows) @ still)
+        if np.any((felt if signed else abs(felt)) > rounding):
+            return None
+    size = problem.load_size
+    work = extend(problem.load).dot(extend(z))
+    rounding = max(
+        max(BALANCED, uncertainty) * float(size @ abs(z)),
+        # Of loads beside much larger ones: F sin(pi) is none.
+        max(IDLE, uncertainty) * float(np.linalg.norm(scale * size) * np.linalg.norm(z / scale)),
+    )
+    return DrivenMotion(z, work, rounding) if work > rounding else None
+
+
+def _unit(rows: Any, Z: Array) -> Array:
+    """Rows on rigid motions, of unit size where they are not rounding."""
+    values = rows @ Z
+    if not len(values):
+        return np.zeros((0, Z.shape[1]))
+    size = np.max(abs(values), axis=1, keepdims=True)
+    rounding = BALANCED * np.max(abs(rows) @ abs(Z), axis=1, keepdims=True)
+    return np.where(size > rounding, values / np.where(size > 0, size, 1.0), 0.0)
+
+
+def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
+    """The coordinates, at most one each, that gain most energy and that no row resists; None: not to be had."""
+    from scipy.optimize import linprog
+
+    answer = linprog(
+        -drive / np.max(abs(drive)),
+        A_ub=normal if len(normal) else None,
+        b_ub=np.zeros(len(normal)) if len(normal) else None,
+        A_eq=tie if len(tie) else None,
+        b_eq=np.zeros(len(tie)) if len(tie) else None,
+        bounds=(-1, 1),
+        method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+    )
+    return None if answer.x is None else np.asarray(answer.x)
+
+
+def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
+    """The linear program meets its rows to a tolerance: make those it meets exact, and what it then leaves is real."""
+    met = np.vstack([normal[abs(normal @ coordinates) <= DRIVEN], tie])
+    if len(met):
+        _, values, rotation = np.linalg.svd(met)
+        free = rotation[int(np.sum(values > DRIVEN)) :]
+        coordinates = free.T @ (free @ coordinates)
+    return np.where(abs(coordinates) > DRIVEN, coordinates, 0.0)
+
+
+def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None:
+    """Raise if no displacement satisfies E u <= g, A u = b; the message names rows that conflict."""
+    found = conflict(problem, condensation)
+    if found is None:
+        return
+    names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
+    names += [problem.tie_name(int(i)) for i in np.flatnonzero(found.tie)]
+    raise NoEquilibrium(
+        f"no displacement satisfies these constraints together: {_listed(names)} (weighted they ask for 0 <= "
+        f"{-found.excess:.3g}, rounding {found.rounding:.1g})",
+        found,
+    )
+
+
+def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | None:
+    """Weights of constraints that conflict, if it is proven that some do beyond rounding of the data.
+
+    The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict,
+    and its multipliers are Farkas' proof. A linear program has a tolerance: where it removes the excess of the last
+    one up to that, another starts from there, and its excess counts as one (Gleixner, Steffy and Wolter 2016).
+    """
+    rows = np.vstack([condensation.normal, condensation.tie])
+    limit, m = np.concatenate([problem.gap, problem.tie_value]), problem.contacts
+    length = np.linalg.norm(rows * condensation.scale, axis=1)
+    u, extended = np.zeros(rows.shape[1]), SparseRows(rows)
+    for _ in range(PROGRAMS):
+        left = (extend(limit) - extended @ extend(u)).double()
+        missing = np.where(np.arange(len(rows)) < m, np.maximum(-left, 0.0), abs(left))
+        if np.all(missing <= ROUNDING * (abs(rows) @ abs(u) + abs(limit))):
+            return None
+        size = float(np.max(missing / length))
+        step, remaining, weight = _least_excess(rows * condensation.scale / length[:, None], left / length / size, m)
+        if step is None:
+            return None
+        u = u + size * condensation.scale * step
+        if remaining > REMAINING:
+            return _proven_conflict(rows, limit, m, weight / length, u, condensation.scale)
+    return None
+
+
+def _least_excess(unit: Array, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
+    """The step that leaves the least excess of unit rows, that excess, and the weights (m + k,) that prove it."""
+    from scipy.optimize import linprog
+
+    count, q = unit.shape[1], len(unit)
+    rows = np.vstack([unit, -unit[m:]])
+    answer = linprog(
+        np.append(np.zeros(count), 1.0),
+        A_ub=np.column_stack([rows, -np.ones(len(rows))]),
+        b_ub=np.minimum(np.concatenate([left, -left[m:]]), FAR),
+        bounds=[(None, None)] * count + [(0, None)],
+        method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+    )
+    if answer.x is None:
+        return None, 0.0, np.zeros(q)
+    weight = -np.asarray(answer.ineqlin.marginals)
+    return np.asarray(answer.x[:-1]), float(answer.x[-1]), np.concatenate([weight[:m], weight[m:q] - weight[q:]])
+
+
+def _proven_conflict(rows: Array, limit: Vector, m: int, weight: Vector, u: Vector, scale: Vector) -> Conflict | None:
+    """Farkas' proof on the rows that take part: weights in rational numbers, or where the rows cancel to rounding only,
+    the best in floats, whose sums are exact all the same."""
+    own = abs(weight) * np.linalg.norm(rows * scale, axis=1)
+    members = np.flatnonzero(own > NO_PART * np.max(own))
+    part = rows[members]
+    found = _cancelling(part) if len(members) <= MOST_EXACT else None
+    exact = found is not None
+    if found is None:
+        found = [Fraction(float(x)) for x in _nearly_cancelling(part * scale)]
+    if sum(x * Fraction(float(w)) for x, w in zip(found, weight[members], strict=True)) < 0:
+        found = [-x for x in found]
+    largest = max((abs(x) for x in found), default=Fraction(0))
+    if not largest or any(x < 0 for x, i in zip(found, members.tolist(), strict=True) if i < m):
+        return None
+    found = [x / largest for x in found]
+    y = np.array([float(x) for x in found])
+    if not exact and not _cancel_to_rounding(part, found):
+        return None
+    excess = float(-sum(x * Fraction(float(limit[i])) for x, i in zip(found, members.tolist(), strict=True)))
+    rounding = ROUNDING * float(abs(y) @ (abs(limit[members]) + abs(part) @ abs(u)))
+    if not excess > rounding:
+        return None
+    every = np.zeros(len(rows))
+    every[members] = y
+    return Conflict(every[:m], every[m:], excess, rounding, exact)
+
+
+def _cancelling(rows: Array) -> list[Fraction] | None:
+    """The weights with which rows cancel, in rational numbers, by elimination; None where not exactly one ray does."""
+    touched = np.flatnonzero(np.any(rows != 0, axis=0))
+    count = len(rows)
+    system = [[Fraction(float(x)) for x in rows[:, j]] for j in touched]  # one equation an unknown
+    pivots: list[int] = []
+    for column in range(count):
+        at = len(pivots)
+        row = next((i for i in range(at, len(system)) if system[i][column]), None)
+        if row is None:
+            continue
+        system[at], system[row] = system[row], system[at]
+        pivot = system[at][column]
+        system[at] = [x / pivot for x in system[at]]
+        for i in range(len(system)):
+            if i != at and (factor := system[i][column]):
+                system[i] = [x - factor * p for x, p in zip(system[i], system[at], strict=True)]
+        pivots.append(column)
+    free = sorted(set(range(count)) - set(pivots))
+    if len(free) != 1:
+        return None
+    weights = [Fraction(0)] * count
+    weights[free[0]] = Fraction(1)
+    for at, column in enumerate(pivots):
+        weights[column] = -system[at][free[0]]
+    return weights
+
+
+def _nearly_cancelling(rows: Array) -> Vector:
+    """The weights of unit length whose sum of rows is least, each row scaled to unit length on the way."""
+    length = np.linalg.norm(rows, axis=1)
+    _, _, rotation = np.linalg.svd((rows / length[:, None]).T)
+    return np.asarray(rotation[-1] / length)
+
+
+def _cancel_to_rounding(rows: Array, weights: list[Fraction]) -> bool:
+    """Whether the weighted rows cancel, unknown by unknown, to rounding of their entries; the sums are exact."""
+    for j in np.flatnonzero(np.any(rows != 0, axis=0)):
+        terms = [x * Fraction(float(value)) for x, value in zip(weights, rows[:, j], strict=True)]
+        if abs(sum(terms, Fraction(0))) > len(terms) * Fraction(ROUNDING) * sum((abs(x) for x in terms), Fraction(0)):
+            return False
+    return True
+
+
+def describe_motion(problem: ContactProblem, motion: Vector) -> str:
+    """A motion in words: the unknowns that move, and how far relative to the largest."""
+    moving = np.flatnonzero(abs(motion) > NO_PART * np.max(abs(motion)))
+    # Rounded, so that unknowns that move alike are named in their own order.
+    order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
+    named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
+    return _listed(named, len(order))
+
+
+def _listed(names: list[str], count: int | None = None) -> str:
+    """The first names of a list, and how many more there are of `count`, or of the list."""
+    shown = names[:NAMES_IN_A_MESSAGE]
+    more = (len(names) if count is None else count) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")

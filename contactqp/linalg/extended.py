@@ -1,0 +1,243 @@
+"""Vectors of twice double precision, and residuals formed in it.
+
+The difference between an answer and the truth is K^-1 r; computed in double precision, r is rounding noise as soon as
+the answer is good. Here every number is an unevaluated sum hi + lo of two doubles (Dekker 1971), products with
+matrices of doubles are accumulated by the compensated dot product Dot2 (Ogita, Rump and Oishi 2005), and the relative
+error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic, the same on every platform.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.model.problem import ContactProblem
+
+EPS = 2.0**-104
+# Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
+# sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
+SHORT = 2**11
+_SPLITTER = 2.0**27 + 1.0
+
+Array = NDArray[np.float64]
+
+
+class Extended:
+    """A vector hi + lo with |lo| at most half a unit in the last place of hi."""
+
+    __slots__ = ("hi", "lo")
+
+    def __init__(self, hi: Any, lo: Any = None) -> None:
+        self.hi: Array = np.array(hi, dtype=float)
+        self.lo: Array = np.zeros_like(self.hi) if lo is None else np.array(lo, dtype=float)
+
+    def __len__(self) -> int:
+        return len(self.hi)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        del copy  # a sum of two arrays is a new array
+        return np.asarray(self.hi + self.lo, dtype=dtype)
+
+    def __getitem__(self, index: Any) -> Extended:
+        return Extended(self.hi[index], self.lo[index])
+
+    def __neg__(self) -> Extended:
+        return Extended(-self.hi, -self.lo)
+
+    def __add__(self, other: Extended | Array) -> Extended:
+        other = extend(other)
+        total, error = two_sum(self.hi, other.hi)
+        return Extended(*two_sum(total, error + (self.lo + other.lo)))
+
+    def __sub__(self, other: Extended | Array) -> Extended:
+        return self + (-extend(other))
+
+    def half(self) -> Extended:
+        return Extended(self.hi / 2, self.lo / 2)
+
+    def added_at(self, index: Any, values: Array) -> Extended:
+        """A copy with doubles added to some entries."""
+        increment = np.zeros_like(self.hi)
+        increment[index] = values
+        return self + increment
+
+    def positive_part(self) -> Extended:
+        """max(x, 0) of every entry."""
+        positive = self.hi > 0
+        return Extended(np.where(positive, self.hi, 0.0), np.where(positive, self.lo, 0.0))
+
+    def double(self) -> Array:
+        """Rounded to double precision."""
+        return self.hi + self.lo
+
+    def dot(self, other: Extended) -> float:
+        """x'y, accumulated in extended precision, rounded."""
+        product, error = two_product(self.hi, other.hi)
+        error = error + (self.hi * other.lo + self.lo * other.hi)
+        total, carried = 0.0, 0.0
+        for term, rest in zip(product.tolist(), error.tolist(), strict=True):
+            partial = total + term
+            virtual = partial - total
+            carried += (total - (partial - virtual)) + (term - virtual) + rest
+            total = partial
+        return total + carried
+
+
+def extend(values: Any) -> Extended:
+    """A vector of doubles (or one that is extended already) in extended precision."""
+    return values if isinstance(values, Extended) else Extended(values)
+
+
+def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """a + b exactly, as rounded sum and error (Knuth 1969)."""
+    total = a + b
+    virtual = total - a
+    return total, (a - (total - virtual)) + (b - virtual)
+
+
+def two_product(a: Array, b: Array) -> tuple[Array, Array]:
+    """a b exactly, as rounded product and error (Veltkamp's splitting, Dekker 1971)."""
+    product = a * b
+    a_high, a_low = _split(a)
+    b_high, b_low = _split(b)
+    return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def _split(a: Array) -> tuple[Array, Array]:
+    scaled = _SPLITTER * a
+    high = scaled - (scaled - a)
+    return high, a - high
+
+
+class SparseRows:
+    """A sparse matrix whose product with an extended vector is extended: rows of similar length side by side."""
+
+    def __init__(self, matrix: Any) -> None:
+        rows = matrix if getattr(matrix, "format", "") == "csr" else sp.csr_matrix(matrix)
+        self.shape: tuple[int, int] = rows.shape
+        lengths = np.diff(rows.indptr)
+        width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
+        classes = np.unique(width_class[lengths > 0])
+        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & (lengths > 0))) for c in classes]
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
+        doubles = not np.any(vector.lo)
+        for block in self._blocks:
+            total, rest = np.zeros(len(block.members)), np.zeros(len(block.members))
+            for value, column in zip(block.values, block.columns, strict=True):
+                product, error = two_product(value, vector.hi[column])
+                total, carried = two_sum(total, product)
+                rest += carried + (error if doubles else error + value * vector.lo[column])
+            hi[block.members], lo[block.members] = two_sum(total, rest)
+        return Extended(hi, lo)
+
+
+def images(matrix: Any, columns: Array) -> Array:
+    """K z of every column z (n, q), rounded to doubles: accumulated to half an eps of |K||z| at least."""
+    rows = sp.csr_matrix(matrix)
+    if not columns.size:
+        return np.zeros((rows.shape[0], columns.shape[1]))
+    if np.finfo(np.longdouble).nmant == 63 and np.max(np.diff(rows.indptr), initial=0) <= SHORT:
+        long = sp.csr_matrix((rows.data.astype(np.longdouble), rows.indices, rows.indptr), shape=rows.shape)
+        return np.column_stack([np.asarray(long @ z.astype(np.longdouble), dtype=float) for z in columns.T])
+    return exact_images(rows, columns)
+
+
+def exact_images(matrix: Any, columns: Array) -> Array:
+    """K z of every column z (n, q), accumulated in pairs of doubles: it tells what is soft from what is rigid."""
+    extended = SparseRows(sp.csr_matrix(matrix))
+    return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
+
+
+class _Block(NamedTuple):
+    """Rows of a matrix, slot by slot, each slot contiguous in memory; short rows are filled with zeros."""
+
+    members: NDArray[np.intp]  # (q,) which rows
+    values: Array  # (width, q)
+    columns: NDArray[np.intp]  # (width, q)
+
+
+def _block(rows: Any, members: NDArray[np.intp]) -> _Block:
+    start, lengths = rows.indptr[members], rows.indptr[members + 1] - rows.indptr[members]
+    width = int(lengths.max())
+    slots = np.arange(width, dtype=start.dtype)[:, None] + start
+    values, columns = rows.data.take(slots, mode="clip"), rows.indices.take(slots, mode="clip")
+    if np.all(lengths == width):
+        return _Block(members, values, columns)
+    filled = np.arange(width)[:, None] < lengths
+    return _Block(members, np.where(filled, values, 0.0), np.where(filled, columns, 0))
+
+
+class ClearedRows:
+    """Q'KQ with Q = I - Z Y', Y'Z = I: a stiffness whose rounding along rigid motions Z (n, r) is taken away.
+
+    Z and Y are doubles; what Y'Z misses of one by rounding is rounding of K's rounding.
+    """
+
+    def __init__(self, stiffness: SparseRows, motions: Array, inverse: Array) -> None:
+        self.shape = stiffness.shape
+        self._stiffness = stiffness
+        self._motions, self._resultants = SparseRows(motions), SparseRows(motions.T)
+        self._coordinates, self._spread = inverse, SparseRows(inverse.T)
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        force = self._stiffness @ (vector - self._motions @ extend(self._coordinates @ vector.double()))
+        return force - self._spread @ (self._resultants @ force)
+
+
+class ExtendedRows:
+    """The matrices of a problem, for products in extended precision."""
+
+    stiffness: SparseRows | ClearedRows
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self.stiffness = _stiffness_rows(problem)
+        self.normal = SparseRows(problem.normal)
+        self.tie = SparseRows(problem.tie)
+        self.tangent = None if problem.tangent is None else SparseRows(problem.tangent)
+        self._outward = SparseRows(sp.hstack([problem.normal.T, problem.tie.T]))
+        self._tangent_transposed = None if problem.tangent is None else SparseRows(problem.tangent.T)
+
+    def contact_force(self, normal_force: Extended, tie_force: Extended) -> Extended:
+        """E_N' l_N + A' nu."""
+        hi = np.concatenate([normal_force.hi, tie_force.hi])
+        return self._outward @ Extended(hi, np.concatenate([normal_force.lo, tie_force.lo]))
+
+    def friction_force(self, force: Extended | NDArray[np.float64] | None) -> Extended:
+        """E_T' l_T of forces (m, d-1), or flat in extended precision."""
+        if self._tangent_transposed is None or force is None:
+            return Extended(np.zeros(self.stiffness.shape[0]))
+        return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
+
+    def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
+        """The same with a stiffness that is zero along rigid motions Z (n, r); `inverse` (r, n): Y' with Y'Z = I."""
+        twin = copy(self)
+        assert isinstance(self.stiffness, SparseRows)
+        twin.stiffness = ClearedRows(self.stiffness, motions, inverse)
+        return twin
+
+    def slip(self, displacement: Extended) -> Extended:
+        """E_T u, flat."""
+        return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
+
+
+def _stiffness_rows(problem: ContactProblem) -> SparseRows:
+    shared = problem._shared
+    if "extended_stiffness" not in shared:
+        shared["extended_stiffness"] = SparseRows(problem.stiffness_rows)
+    rows: SparseRows = shared["extended_stiffness"]
+    return rows
+
+
+def extended_rows(problem: ContactProblem) -> ExtendedRows:
+    """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
+    shared = problem._shared
+    if "extended" not in shared:
+        shared["extended"] = ExtendedRows(problem)
+    rows: ExtendedRows = shared["extended"]
+    return rows

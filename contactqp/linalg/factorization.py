@@ -1,0 +1,422 @@
+"""Sparse direct solvers behind one small interface, and the motions that a singular stiffness lets through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.linalg.extended import exact_images, images
+
+Array = NDArray[np.float64]
+
+# Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
+DENSE_SIZE = 300
+# Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
+SOFT = 1e-10
+# Rounding of K mixes motions this far apart in energy by MIXED over their distance.
+MIXING = 1e-6
+MIXED = 64 * np.finfo(float).eps
+# What is more mixed than this is refused rather than forgiven.
+MIXED_AT_MOST = 1e-6
+# A unit-diagonal matrix whose pivots fall below this may be singular: then (and only then) its null space is looked
+# for.
+SUSPICIOUS_PIVOT = 1e-8
+# Added to each unit of diagonal, times the size, where rounding left a zero or negative pivot: refinement on the true
+# matrix then tells whether the factors are good enough.
+LIFT = 4 * np.finfo(float).eps
+# SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
+# of the pattern of A + A' that keeps the factors sparse.
+DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+MINIMUM_DEGREE = "MMD_AT_PLUS_A"
+# Entries that an incomplete factorisation drops where it meets them, beside a diagonal of one.
+DROPPED = 1e-3
+# Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
+# alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
+RIGID_FORCE = 32 * np.finfo(float).eps
+RIGID_ENERGY = np.finfo(float).eps
+# Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
+SPREADING, SPREAD = 30, RIGID_FORCE / 4
+
+
+class Factorization(Protocol):
+    """A factorised symmetric positive definite matrix."""
+
+    smallest_pivot: float  # of the matrix scaled to unit diagonal: 0 when singular
+
+    def solve(self, right: Array) -> Array:
+        """K^-1 right, for one right-hand side (n,) or several (n, q)."""
+
+
+class DenseCholesky:
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to unit diagonal or as it is told."""
+
+    def __init__(self, matrix: Array, scale: Array | None = None) -> None:
+        from scipy.linalg import cho_factor, eigvalsh
+
+        self._scale = unit_diagonal_scale(matrix) if scale is None else scale
+        scaled = matrix * np.outer(self._scale, self._scale)
+        try:
+            self._factor = cho_factor(scaled, lower=True, check_finite=False)
+            self.smallest_pivot = float(np.min(np.diag(self._factor[0])) ** 2)
+        except np.linalg.LinAlgError:
+            lowest = float(eigvalsh(scaled)[0])
+            self.smallest_pivot = min(lowest, 0.0)
+            lift = max(2 * -lowest, LIFT * len(scaled))
+            self._factor = cho_factor(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
+
+    def solve(self, right: Array) -> Array:
+        from scipy.linalg import cho_solve
+
+        return np.asarray((cho_solve(self._factor, (right.T * self._scale).T, check_finite=False).T * self._scale).T)
+
+
+class SuperLU:
+    """SuperLU in symmetric mode with diagonal pivots, so that its pivots are those of L D L'."""
+
+    def __init__(self, matrix: Any) -> None:
+        from scipy.sparse.linalg import splu
+
+        self._scale = unit_diagonal_scale(matrix)
+        scaling = sp.diags(self._scale)
+        scaled = sp.csc_matrix(scaling @ matrix @ scaling)
+        try:
+            self._factor = splu(scaled, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
+            self.smallest_pivot = float(np.min(self._factor.U.diagonal()))
+        except RuntimeError:  # SuperLU's word for an exactly zero pivot
+            lifted = scaled + LIFT * scaled.shape[0] * sp.identity(scaled.shape[0], format="csc")
+            self._factor = splu(lifted, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
+            self.smallest_pivot = 0.0
+        forget_triangles(self._factor)
+
+    def solve(self, right: Array) -> Array:
+        return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
+
+
+def fill_reducing_order(matrix: Any) -> NDArray[np.intp]:
+    """The order (n,) of elimination that minimum degree finds for the pattern of a symmetric matrix.
+
+    SciPy has no function for it. But SuperLU orders before it factorises, and where every entry beside the diagonal is
+    dropped the factorisation costs nothing.
+    """
+    from scipy.sparse.linalg import spilu
+
+    pattern = sp.csc_matrix(matrix, copy=True)
+    pattern.data = np.full(pattern.nnz, DROPPED)
+    pattern = sp.csc_matrix(pattern + sp.identity(pattern.shape[0], format="csc"))
+    nothing = spilu(pattern, drop_tol=1.0, fill_factor=1.0, permc_spec=MINIMUM_DEGREE, **DIAGONAL_PIVOTS)
+    return np.argsort(nothing.perm_c)
+
+
+def forget_triangles(factor: Any) -> None:
+    """Empty the L and U that SciPy makes and keeps when one of them is looked at: they take as much memory again as
+    the factors, which `solve` goes on to use."""
+    for triangle in (factor.L, factor.U):
+        triangle.data, triangle.indices = triangle.data[:0].copy(), triangle.indices[:0].copy()
+        triangle.indptr = np.zeros_like(triangle.indptr)
+
+
+def unit_diagonal_scale(matrix: Any) -> Array:
+    """1/sqrt(K_jj), and 1 where the diagonal is zero."""
+    return inverse_root(np.asarray(matrix.diagonal(), dtype=float))
+
+
+def inverse_root(diagonal: Array) -> Array:
+    """1/sqrt of a diagonal, and 1 where it is zero."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def factorise(matrix: Any) -> Factorization:
+    """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` says how near to singular it is.
+
+    Raises
+    ------
+    InvalidProblem
+        A pivot is negative beyond rounding: the matrix is indefinite.
+    """
+    size = matrix.shape[0]
+    factor: Factorization
+    if size <= DENSE_SIZE:
+        factor = DenseCholesky(matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix))
+    else:
+        factor = SuperLU(matrix)
+    refuse_negative(factor.smallest_pivot)
+    return factor
+
+
+def refuse_negative(smallest_pivot: float) -> None:
+    """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
+    if smallest_pivot < -SUSPICIOUS_PIVOT:
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got a pivot of {smallest_pivot:.3g} "
+            "after scaling its diagonal to one"
+        )
+
+
+def orthonormal(motions: Array) -> Array:
+    """Orthonormal combinations of independent motions (n, r), as accurate as these at unknowns of any unit."""
+    for _ in range(2 if motions.shape[1] else 0):  # the second time for motions that units make nearly parallel
+        motions = motions @ np.linalg.inv(np.linalg.qr(motions, mode="r"))
+    return motions
+
+
+def right_singular(rows: Array) -> tuple[Array, Array]:
+    """The singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
+    _, values, rotation = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
+    return values, rotation
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotions:
+    """The null space of K."""
+
+    motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
+    softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
+    forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
+
+    @property
+    def count(self) -> int:
+        return int(self.motions.shape[1])
+
+    @property
+    def uncertainty(self) -> float:
+        """How much of the softest elastic motion a rigid one may contain: K's rounding cannot tell them apart."""
+        return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
+
+    @cached_property
+    def basis(self) -> Array:
+        """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
+        return orthonormal(self.motions)
+
+
+def is_rigid(matrix: Any, motions: Array) -> NDArray[np.bool_]:
+    """Which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
+
+    |K z|_j <= RIGID_FORCE (|K||z|)_j at every unknown j, and z'Kz <= RIGID_ENERGY |z|'|K||z|: a soft spring at one end
+    of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
+    diagonal of about one. An unknown at rest among unknowns at rest is measured against the largest motion.
+    """
+    return _is_rigid(motions, images(matrix, motions), abs(matrix) @ abs(motions))
+
+
+def _is_rigid(motions: Array, forces: Array, size: Array) -> NDArray[np.bool_]:
+    """The same of K z (n, q) and |K||z| (n, q)."""
+    largest = np.max(abs(motions), axis=0, initial=0.0)
+    still = np.all(abs(forces) <= RIGID_FORCE * np.maximum(size, largest), axis=0)
+    energy, scale = np.sum(motions * forces, axis=0), np.sum(abs(motions) * size, axis=0)
+    return np.asarray(still & (energy <= RIGID_ENERGY * scale))
+
+
+def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
+    """How many connected parts a symmetric matrix has, and (n,) which of them each unknown belongs to."""
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    size = matrix.shape[0]
+    if size and len(breadth_first_order(matrix, 0, return_predecessors=False)) == size:
+        return 1, np.zeros(size, dtype=np.int32)  # one body, which a search from its first unknown tells at once
+    count, label = connected_components(matrix, directed=False)
+    return int(count), label
+
+
+def stated_motions(matrix: Any, motions: Array) -> RigidMotions:
+    """The combinations of some motions (n, q) that are rigid, component by component of a matrix's graph.
+
+    Each is that of one component, with K z = 0 to rounding (`is_rigid`); what is not among them may float all the same.
+    """
+    graph = sp.csr_matrix(matrix)
+    return _rigid_among(graph, _soft_by_part(graph, motions))
+
+
+def _soft_by_part(graph: Any, motions: Array) -> Array:
+    """Combinations (n, r) of motions (n, q), each of one component of a matrix and with next to no energy."""
+    diagonal = graph.diagonal()
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    moving, forces = root[:, None] * motions, (graph @ motions) / root[:, None]
+    count, label = connected_parts(graph)
+    found: list[Array] = []
+    for members in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=count))[:-1]):
+        for column in _least_energetic(moving[members], forces[members]).T:
+            motion = np.zeros(len(root))
+            motion[members] = column
+            found.append(motion)
+    return np.column_stack(found) / root[:, None] if found else np.zeros((len(root), 0))
+
+
+def _rigid_among(graph: Any, motions: Array) -> RigidMotions:
+    """Those of some motions (n, q) that are rigid, with what K's rounding leaves of them."""
+    if not motions.shape[1]:
+        return RigidMotions(motions)
+    diagonal = graph.diagonal()
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))[:, None]
+    forces, size = images(graph, motions), abs(graph) @ abs(motions)
+    rigid = _is_rigid(root * motions, forces / root, size / root)
+    return RigidMotions(motions[:, rigid], forces=forces[:, rigid])
+
+
+def _least_energetic(motions: Array, forces: Array) -> Array:
+    """Orthonormal combinations of motions (p, q) with next to no energy, K z being the forces (p, q)."""
+    basis, values, rotation = np.linalg.svd(motions, full_matrices=False)
+    kept = values > np.finfo(float).eps * max(motions.shape) * np.max(values, initial=0.0)
+    if not np.any(kept):
+        return motions[:, :0]
+    mix = rotation[kept].T / values[kept]
+    energy = basis[:, kept].T @ (forces @ mix)
+    energies, turned = np.linalg.eigh((energy + energy.T) / 2)
+    return np.asarray(motions @ (mix @ turned[:, energies <= SOFT]))  # exact where the motions are
+
+
+def null_space(matrix: Any) -> RigidMotions:
+    """The null space of a positive semidefinite matrix, component by component of its graph."""
+    graph = sp.csr_matrix(matrix)
+    count, label = connected_parts(graph)
+    order = np.argsort(label, kind="stable")
+    bounds = np.searchsorted(label[order], np.arange(count + 1))
+    columns, rows, values, found, softest = [], [], [], 0, 1.0
+    for c in range(count):
+        members = order[bounds[c] : bounds[c + 1]]
+        local = _null_space_of_component(graph[members][:, members])
+        softest = min(softest, local.softest) if local.count else softest
+        for column in local.motions.T:
+            rows.append(members)
+            columns.append(np.full(len(members), found))
+            values.append(column)
+            found += 1
+    if not found:
+        return RigidMotions(np.zeros((graph.shape[0], 0)))
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return RigidMotions(np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray()), softest)
+
+
+def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: Any, scale: Array) -> RigidMotions:
+    """The null space of K whose interior, without the retained unknowns, is regular: that of S, expanded.
+
+    Where S has soft motions that are not rigid, K itself is asked.
+
+    Parameters
+    ----------
+    retained : (p,) array of int
+    elimination : contactqp.linalg.elimination.Elimination
+        Of the interior.
+    scale : (p,) array
+        What gives S a unit diagonal.
+    """
+    label = connected_parts(matrix)[1][retained]
+    S = elimination.schur * np.outer(scale, scale)
+    parts = [_SoftPart(np.flatnonzero(label == c), S) for c in np.unique(label)]
+    width = max((part.motions.shape[1] for part in parts), default=0)
+    if not width:
+        return RigidMotions(np.zeros((matrix.shape[0], 0)))
+    soft = np.zeros((len(retained), width))
+    for part in parts:
+        soft[part.members, : part.motions.shape[1]] = part.motions
+    graph, wanted = sp.csr_matrix(matrix), sum(part.motions.shape[1] for part in parts)
+    motions = _soft_by_part(graph, elimination.expand_motions(scale[:, None] * soft))
+    found = _rigid_among(graph, _spread(graph, motions, graph @ motions))
+    if found.count < wanted:  # what is spread was itself rounding of doubles, perhaps
+        found = _rigid_among(graph, _spread(graph, motions, images(graph, motions)))
+    if found.count < wanted:
+        return null_space(matrix)
+    return RigidMotions(found.motions, min((part.next_energy for part in parts), default=1.0), found.forces)
+
+
+def _spread(matrix: Any, motions: Array, gathered: Array) -> Array:
+    """Rigid motions whose forces K z, the rounding of K that elimination gathers at few unknowns, are spread again.
+
+    Steps of conjugate gradients on K s = K z, until K (z - s) is rounding at every unknown: it is what they leave.
+    """
+    diagonal = matrix.diagonal()
+    inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
+    root = np.sqrt(inverse)[:, None]
+    spread = motions.copy()
+    rounding = SPREAD * np.maximum(abs(matrix) @ abs(motions), np.max(abs(motions) / root, axis=0, initial=0.0) / root)
+    for z, force, within in zip(spread.T, gathered.T, rounding.T, strict=True):
+        direction, last = np.zeros(len(z)), np.inf
+        for _ in range(SPREADING):
+            if np.all(abs(force) <= within):
+                break
+            scaled = inverse * force
+            product = float(force @ scaled)
+            direction = scaled + product / last * direction
+            response = matrix @ direction
+            curvature = float(direction @ response)
+            if curvature <= 0:  # the rest is rigid
+                break
+            step = product / curvature
+            z -= step * direction
+            force = force - step * response
+            last = product
+    return spread
+
+
+class _SoftPart:
+    """The soft motions of one body's part of S, scaled to a unit diagonal."""
+
+    def __init__(self, members: NDArray[np.intp], S: Array) -> None:
+        self.members = members
+        block = S[np.ix_(members, members)]
+        shifted = DenseCholesky(block + SOFT * np.eye(len(members)), np.ones(len(members)))
+        self.motions, next_energy = _lowest(block, shifted)
+        self.next_energy = next_energy if self.motions.shape[1] else 1.0
+
+
+def _null_space_of_component(component: Any) -> RigidMotions:
+    size = component.shape[0]
+    if size == 1:
+        return RigidMotions(np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0)))
+    # Powers of two scale without rounding: a matrix that is exactly singular stays so.
+    scale = 2.0 ** np.round(np.log2(unit_diagonal_scale(component)))
+    scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
+    lowest, next_energy = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
+    if not lowest.shape[1]:
+        return RigidMotions(lowest)
+    # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
+    energies, rotation = np.linalg.eigh(lowest.T @ exact_images(scaled, lowest))
+    lowest = lowest @ rotation
+    rigid = is_rigid(scaled, lowest)
+    softest = float(np.min(energies[~rigid], initial=next_energy))
+    return RigidMotions(np.asarray(scale[:, None] * lowest[:, rigid]), max(softest, np.finfo(float).tiny))
+
+
+def _lowest_dense(scaled: Array) -> tuple[Array, float]:
+    """Soft motions, and the energy of the first that is not."""
+    from scipy.linalg import eigh
+
+    values, vectors = eigh(scaled)
+    soft = values <= SOFT
+    lowest, others = vectors[:, soft], vectors[:, ~soft]
+    for _ in range(2):
+        # Refinement takes out what rounding mixed in of the stiff motions.
+        lowest = lowest - others @ ((others.T @ exact_images(scaled, lowest)) / values[~soft, None])
+    return lowest, float(np.min(values[~soft], initial=1.0))
+
+
+def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
+    """Soft motions by inverse subspace iteration, and the energy of the first that is not."""
+    shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
+    lowest, next_energy = _lowest(scaled, shifted)
+    for _ in range(2):
+        # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
+        lowest = lowest - shifted.solve(exact_images(scaled, lowest))
+    return lowest, next_energy
+
+
+def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
+    """Inverse subspace iteration on K + SOFT: the block doubles until it holds a vector that is not soft."""
+    random = np.random.default_rng(0)
+    size = scaled.shape[0]
+    width = min(8, size)
+    while True:
+        block, _ = np.linalg.qr(random.standard_normal((size, width)))
+        for _ in range(4):
+            block, _ = np.linalg.qr(shifted.solve(block))
+        values, rotation = np.linalg.eigh(block.T @ (scaled @ block))
+        if values[-1] > SOFT or width >= size:
+            break
+        width = min(2 * width, size)
+    soft = values <= SOFT
+    return np.asarray(block @ rotation[:, soft]), float(np.min(values[~soft], initial=1.0))

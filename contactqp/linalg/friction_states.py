@@ -1,0 +1,341 @@
+"""One combination of open, stick and slip is one linear system, unsymmetric where something slips.
+
+    [ S + C   N_c' + T_c' diag(mu t)   T_b'   A' ] [ x   ]   [ f_S ]
+    [ N_c                                        ] [ l_N ] = [ g   ]      c: closed contacts, t the direction of slip
+    [ T_b                                        ] [ l_T ]   [ o   ]      b: those that stick, t = 0 there
+    [ A                                          ] [ nu  ]   [ b   ]
+
+(Wriggers 2006, section 9.3.3). In the plane t = +-1 is part of the combination and C = 0. In space directions turn with
+the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's; as small slips make C
+large, the friction that it stands for is an unknown beside the displacement, with the compliance |s| / mu l_N. The
+system acts as an approximate inverse: residuals are formed on the full problem in twice double precision, as polishing
+without friction does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactqp.certificate.balance import balance
+from contactqp.certificate.violations import FIGURES, Answer, imbalance, residuals, residuals_of, violations
+from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
+from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.saddle import BALANCED, independent_rows
+from contactqp.model.coulomb_cone import directions as directions_of
+from contactqp.model.coulomb_cone import lengths
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.statuses import OPEN as OPEN
+from contactqp.model.statuses import SLIP_BACK as SLIP_BACK
+from contactqp.model.statuses import SLIP_ON as SLIP_ON
+from contactqp.model.statuses import STICK as STICK
+from contactqp.model.statuses import Status as Status
+
+# Refinement stops when a sweep no longer halves the correction.
+MAX_SWEEPS = 12
+# In space the first corrections turn directions, and need not shrink.
+TURNS = 5
+# Where two answers meet in one, Newton's corrections only halve: such are followed for so many sweeps.
+SLOW_SWEEPS, HALVED = 60, 0.6
+# Factors are made anew where a sweep with the old ones has not made the correction this much smaller.
+WELL_TURNED = 0.1
+# Directions are doubles: corrections of this part of the answer may be all that their rounding leaves.
+ROUNDED = 1e-15
+# Refinement whose last correction is larger than this part of the answer went nowhere.
+SETTLED = 1e-12
+# A slip of this part of the friction bound, both in sqrt(energy), has no direction.
+LEAST_SLIP = 1e-13
+# Of the largest part, what refinement leaves of zero.
+INVISIBLE = 1e-22
+# A correction of this part of the answer is beneath what doubles hold.
+NEGLIGIBLE = 1e-20
+# Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
+SINGULAR = 1e-12
+# Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
+HOLDS = 1e-10
+# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
+NOTHING = 1e-13
+
+
+class StateSystem:
+    """The factorised linear system of one combination.
+
+    Parameters
+    ----------
+    directions : (m, d-1) array
+        Of slip, of unit length; zero where a contact does not slip.
+    turning : (m,) array
+        mu l_N / |s| in scaled forces and lengths, zero in the plane.
+    independent : bool
+        Whether rows that depend on others get no correction and motions that no row resists stay at rest: what the
+        start says of both is kept, and the system is not taken for singular because its stiffness is slender.
+
+    Attributes
+    ----------
+    regular : bool
+        Whether the matrix has an inverse; without one, the least correction that fits best is taken.
+    redundant : bool
+        Whether rows depend on others (where `independent` was asked for).
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        condensation: Condensation,
+        rows: FrictionalRows,
+        status: Status,
+        directions: Array,
+        turning: Vector | None = None,
+        independent: bool = False,
+    ) -> None:
+        self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
+        self._way, self._rows = condensation, rows
+        tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
+        along = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
+        dragged = rows.coefficient[self.closed, None] * along
+        normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
+        held = np.vstack([normal, stuck, rows.tie])
+        pushed = np.vstack([normal + dragged, stuck, rows.tie])
+        stiffness = rows.S
+        across, compliance = _across(tangent, directions, turning)
+        self._kept, self._count = np.arange(len(held)), len(held)
+        if independent:
+            self._kept = np.flatnonzero(np.any(held != 0, axis=1))
+            self._kept = self._kept[independent_rows(_of_unit_length(held[self._kept]))]
+            free = _unresisted(rows.motions, np.vstack([held, across]))
+            stiffness = stiffness + free @ free.T
+        self.redundant = len(self._kept) < len(held)
+        held, pushed = held[self._kept], pushed[self._kept]
+        held, pushed = np.vstack([held, across]), np.vstack([pushed, across])
+        corner = np.diag(np.concatenate([np.zeros(len(self._kept)), -compliance]))
+        self._matrix = np.block([[stiffness, pushed.T], [held, corner]])
+        self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
+        self._factorise(0.0 if independent else SINGULAR)
+
+    def _factorise(self, singular: float) -> None:
+        from scipy.linalg.lapack import dgecon, dgetrf
+
+        self._inverse: Array | None = None
+        factor, pivots, info = dgetrf(self._matrix)
+        condition = dgecon(factor, np.linalg.norm(self._matrix, 1))[0] if info == 0 and singular else float(info == 0)
+        self.regular = condition >= singular and info == 0
+        if not self.regular:  # the least correction that fits best
+            self._inverse = np.linalg.pinv(self._matrix, rcond=SINGULAR)
+        self._factor = (factor, pivots)
+
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
+        """du (n,), dl_N (m,), dl_T (m, d-1) of sticking contacts, dnu (k,) for residuals of the full problem."""
+        from scipy.linalg import lu_solve
+
+        reduced, inner = self._way.reduce_load(load)
+        rows, c, b, p = self._rows, self.closed, self.stuck, self._size
+        slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
+        lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
+        right = np.zeros(len(self._matrix))
+        right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
+        found = lu_solve(self._factor, right, check_finite=False) if self._inverse is None else self._inverse @ right
+        y = np.zeros(p + self._count)
+        y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
+        normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
+        normal_force[c] = y[p : p + len(c)] / rows.normal_length[c]
+        sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
+        friction_force[b] = sticking / rows.tangent_length[b, None]
+        tie_force = y[len(y) - self._ties :] / rows.tie_length
+        return self._way.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
+
+
+def _unresisted(motions: Array, held: Array) -> Array:
+    """Of orthonormal motions (p, q), those that no row resists."""
+    if not motions.shape[1] or not len(held):
+        return motions
+    _, values, rotation = np.linalg.svd(_of_unit_length(held) @ motions)
+    return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+
+def _of_unit_length(rows: Array) -> Array:
+    length = np.linalg.norm(rows, axis=1)
+    return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
+
+
+def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[Array, Vector]:
+    """Rows (k, p) across the directions of slip, and the compliances |s| / mu l_N of their forces; in space only.
+
+    Where bodies move far under small forces the compliances are large: then both are scaled to one.
+    """
+    if turning is None:
+        return np.zeros((0, tangent.shape[2])), np.zeros(0)
+    moving = np.flatnonzero(turning > 0)
+    left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
+    compliance = 1.0 / turning[moving]
+    scale = 1.0 / np.maximum(compliance, 1.0)
+    return np.sqrt(scale)[:, None] * np.einsum("iw,iwp->ip", left, tangent[moving]), scale * compliance
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedState:
+    """The answer of one combination in extended precision; nothing is said of whether its signs hold."""
+
+    displacement: Extended  # (n,)
+    normal_force: Extended  # (m,)
+    friction_force: Extended  # (m (d-1),)
+    tie_force: Extended  # (k,)
+    directions: Array  # (m, d-1) of slip
+    last: Answer  # the last correction
+    regular: bool  # whether every system on the way had an inverse
+    redundant: bool  # whether forces of contacts or ties that depend on others were kept as they were
+
+    def answer(self, width: int) -> Answer:
+        """In double precision."""
+        friction = self.friction_force.double().reshape(-1, width)
+        return Answer(self.displacement.double(), self.normal_force.double(), friction, self.tie_force.double())
+
+
+def refined_in(
+    problem: ContactProblem,
+    condensation: Condensation,
+    rows: FrictionalRows,
+    status: Status,
+    start: Answer,
+    independent: bool = False,
+) -> RefinedState:
+    """The answer of one combination, refined from `start`; `independent` as in `StateSystem`.
+
+    In space slip directions are those of the start to begin with. K is taken as it is stated unless its rounding along
+    rigid motions spoils the resultants of the forces, as in `polishing.answer_on`.
+    """
+    exact = extended_rows(problem)
+    found = _refined(exact, problem, condensation, rows, status, start, independent)
+    if imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
+        return found
+    return _refined(condensation.cleared_rows(exact), problem, condensation, rows, status, start, independent)
+
+
+def _refined(
+    exact: ExtendedRows,
+    problem: ContactProblem,
+    condensation: Condensation,
+    rows: FrictionalRows,
+    status: Status,
+    start: Answer,
+    independent: bool,
+) -> RefinedState:
+    """`refined_in` with the products of these rows."""
+    u, tie = extend(start.displacement), extend(start.tie_force)
+    force = extend(np.where(status != OPEN, start.normal_force, 0.0))
+    stick = extend(np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel())
+    origin = extend(_origin(problem))
+    system, size, last, regular = None, np.inf, np.inf, True
+    for sweep in range(MAX_SWEEPS if rows.width == 1 else SLOW_SWEEPS):
+        slip = (exact.slip(u) - origin).double()
+        directions, turning = _directions(rows, status, slip, force.double())
+        # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
+        if system is None or (rows.width > 1 and size > max(WELL_TURNED * last, ROUNDED)):
+            system = StateSystem(problem, condensation, rows, status, directions, turning, independent)
+            regular = regular and system.regular
+        last = size
+        left = residuals_of(exact, problem, u, force, tie, stick + _bound(problem, force, directions))
+        du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
+        u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
+        # Relative to the largest of each kind: no unit is compared with another.
+        pairs = ((du, u), (dl, force), (dt.ravel(), stick), (dn, tie))
+        size = max(_part(change, whole.double()) for change, whole in pairs)
+        turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
+        halves = rows.width > 1 and ROUNDED < size < HALVED * last
+        if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
+            break
+    if rows.width > 1:
+        directions, _ = _directions(rows, status, (exact.slip(u) - origin).double(), force.double())
+    friction = stick + _bound(problem, force, directions)
+    redundant = system is not None and system.redundant
+    return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
+
+
+def answer_in(
+    problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
+) -> Answer:
+    """The answer of one combination, refined from `start`; where it leaves something free, near the start.
+
+    Nothing is said of whether signs hold: see `holds`.
+    """
+    refined = refined_in(problem, condensation, rows, status, start)
+    if not refined.regular:
+        # A slender stiffness looks singular to working precision: what the least correction leaves out of its soft
+        # motions shows where no row depends on others.
+        near = refined.answer(rows.width)
+        slender = refined_in(problem, condensation, rows, status, near, independent=True)
+        refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
+    return _without_noise(problem, rows, refined.answer(rows.width), start)
+
+
+def _settled(refined: RefinedState) -> bool:
+    """Whether the last correction of the displacement is no more than what directions in doubles leave of it."""
+    return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
+
+
+def _directions(rows: FrictionalRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
+    """Unit directions of slip (m, d-1), and how slip turns them (m,), nothing in the plane."""
+    if rows.width == 1:
+        return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
+    sliding = abs(status) == 1
+    vectors = np.where(sliding[:, None], slip.reshape(-1, rows.width), 0.0)
+    size = lengths(vectors) / rows.tangent_length
+    bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
+    turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
+    return directions_of(vectors), turning
+
+
+def _without_noise(problem: ContactProblem, rows: FrictionalRows, answer: Answer, start: Answer) -> Answer:
+    """Zero where beneath the refinement's rounding: of what it started from, of what it ends at, and of the load.
+
+    All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
+    contact, friction or tie times the scaled length of its row.
+    """
+    scale = unknown_scale(problem)
+    far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))
+    for one in (answer, start):
+        sizes = (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force)
+        far = max(far, *(INVISIBLE * float(np.max(abs(size), initial=0.0)) for size in sizes))
+    friction = _friction_of(answer, rows.width)
+    return Answer(
+        np.where(abs(answer.displacement) <= far * scale, 0.0, answer.displacement),
+        np.where(abs(answer.normal_force) * rows.normal_length <= far, 0.0, answer.normal_force),
+        np.where(abs(friction) * rows.tangent_length[:, None] <= far, 0.0, friction),
+        np.where(abs(answer.tie_force) * rows.tie_length <= far, 0.0, answer.tie_force),
+    )
+
+
+def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
+    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
+    the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
+    if not answer.finite():
+        return False
+    rigid = condense(problem).rigid
+    found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
+    if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
+        return False
+    return balance(problem, answer, rigid) <= tolerance
+
+
+def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
+    """mu l_N t, flat; exactly in the plane, where mu t is a double."""
+    coefficient = 0.0 if problem.friction is None else problem.friction
+    along = (np.asarray(coefficient)[..., None] * directions).ravel()
+    width = directions.shape[1]
+    product, error = two_product(along, np.repeat(force.hi, width))
+    return Extended(product, error + along * np.repeat(force.lo, width))
+
+
+def _friction_of(answer: Answer, width: int) -> Array:
+    return np.zeros((len(answer.normal_force), width)) if answer.friction_force is None else answer.friction_force
+
+
+def _origin(problem: ContactProblem) -> Vector:
+    return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
+
+
+def _part(change: Vector, whole: Vector) -> float:
+    largest = float(np.max(abs(whole), initial=0.0))
+    return float(np.max(abs(change), initial=0.0)) / largest if largest > 0 else 0.0

@@ -1,0 +1,200 @@
+"""What replaces condensation where a body is too large to factorise: a hierarchy of its stiffness, and products."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.certificate.violations import force_measure
+from contactqp.errors import Unsupported
+from contactqp.linalg import contact_iteration
+from contactqp.linalg.conjugate_gradients import ConjugateGradients
+from contactqp.linalg.contact_iteration import ContactIteration, Flags
+from contactqp.linalg.elimination import CHOICE
+from contactqp.linalg.held_rows import HeldRows
+from contactqp.linalg.intrinsic_size import stiffness_sizes
+from contactqp.linalg.multigrid import Hierarchy, available
+from contactqp.linalg.v_cycle import HeldHierarchy
+from contactqp.model.problem import ContactProblem, Vector
+
+# A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
+LARGE, COUPLED = 200_000, 40
+# A large body that floats is factorised all the same, up to this size: beyond it the factors fill a workstation.
+LARGEST_FACTORISED = 500_000
+# A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
+# rounding decides: one support among a million unknowns leaves 1e-6.
+FLOATING = 1e-12
+
+
+def iterated(problem: ContactProblem) -> bool:
+    """Whether a problem is solved and judged without a factorisation.
+
+    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, unless a body floats that can still
+    be factorised; always if the variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    """
+    chosen = os.environ.get(CHOICE, "")
+    if chosen:
+        return chosen == "pyamg"
+    n = problem.dimension
+    if n < LARGE or not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n or not available():
+        return False
+    return n > LARGEST_FACTORISED or _held(problem)
+
+
+def _held(problem: ContactProblem) -> bool:
+    """Whether no body floats, as far as a hierarchy can tell."""
+    with problem.lock:
+        if "held" not in problem._shared:
+            try:
+                iteration(problem)
+            except Unsupported:
+                problem._shared["held"] = False
+            else:
+                problem._shared["held"] = True
+        return bool(problem._shared["held"])
+
+
+class Iteration(ContactIteration):
+    """A stiffness and its rows in one process, with the V-cycle of a hierarchy.
+
+    Attributes
+    ----------
+    matrix : (n, n) sparse matrix
+        K, in blocks where it has them.
+    rows, touched : (m + k, t) CSR matrix and (t,) array of int
+        Contacts, then ties, over the unknowns that they touch.
+
+    Raises
+    ------
+    Unsupported
+        A body floats: without a factorisation its motions cannot be told from soft ones.
+    BackendMissing
+        pyamg is not installed.
+    """
+
+    solver = "pyamg"
+
+    def __init__(self, problem: ContactProblem) -> None:
+        super().__init__()
+        bare = np.flatnonzero(problem.diagonal == 0)
+        if bare.size:
+            raise Unsupported(f"pyamg: {problem.dof_name(int(bare[0]))} has no stiffness; {_INSTEAD}")
+        hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space)
+        floating = np.flatnonzero(hierarchy.held <= FLOATING)
+        if floating.size:
+            member = int(np.flatnonzero(hierarchy.bodies == floating[0])[0])
+            raise Unsupported(
+                f"pyamg: the body of {problem.dof_name(member)} floats: no support holds all of its motions (least "
+                f"energy {hierarchy.held[floating[0]]:.1e} of its diagonal's); {_INSTEAD}"
+            )
+        problem._shared.setdefault("bodies", hierarchy.bodies)
+        self.matrix = hierarchy.levels[0].matrix
+        self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
+        self._sizes = stiffness_sizes(problem)
+        self._hierarchy = HeldHierarchy(hierarchy, sp.vstack([problem.normal, problem.tie], format="csr"))
+        self.rows, self.touched = self._hierarchy.rows[0]
+        self._row_sizes = abs(self.rows)
+        self._near = problem.stiffness_rows[self.touched]
+        self._near_sizes = abs(self._near)
+        self._no_rows = np.zeros(0, dtype=np.intp)
+        self._plain = self._hierarchy.cycle(self._no_rows)
+
+    def dot(self, a: Vector, b: Vector) -> float:
+        """a'b."""
+        return float(a @ b)
+
+    def any(self, flags: Flags | bool) -> bool:
+        """Whether any flag is set."""
+        return bool(np.any(flags))
+
+    def count(self, flags: Flags) -> int:
+        """How many are set."""
+        return int(np.sum(flags))
+
+    def mark(self, flags: Flags) -> object:
+        """Something to tell this set of flags from others by."""
+        return flags.tobytes()
+
+    @property
+    def diagonal(self) -> Vector:
+        """D = diag K (n,) [force / length]."""
+        return self._diagonal
+
+    @property
+    def own_compliance(self) -> Vector:
+        """(m + k,) E_i D^-1 E_i' [length / force]."""
+        return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
+
+    def product(self, x: Vector) -> Vector:
+        """K x."""
+        return np.asarray(self.matrix @ x)
+
+    def product_sizes(self, x: Vector) -> Vector:
+        """|K||x|."""
+        return np.asarray(self._sizes @ abs(x))
+
+    def lengths(self, x: Vector) -> Vector:
+        """(m + k,) E x."""
+        return np.asarray(self.rows @ x[self.touched])
+
+    def length_sizes(self, x: Vector) -> Vector:
+        """(m + k,) |E||x|."""
+        return np.asarray(self._row_sizes @ abs(x[self.touched]))
+
+    def forces(self, force: Vector) -> Vector:
+        """(n,) E'l."""
+        return self._spread(self.rows.T @ force)
+
+    def force_sizes(self, force: Vector) -> Vector:
+        """(n,) |E|'|l|."""
+        return self._spread(self._row_sizes.T @ abs(force))
+
+    def _spread(self, near: Vector) -> Vector:
+        whole = np.zeros_like(self._diagonal)
+        whole[self.touched] = near
+        return whole
+
+    def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
+        """(m + k,) max_j |E_ij l_i| / F_j, F = |K||x| + |E|'|l| + |f|."""
+        sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
+        return force_measure(self.rows, force, sizes)
+
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
+        """The projections of some rows, held at limits."""
+        return HeldRows(self.rows[rows], self.touched, limit, self._compliance[self.touched])
+
+    def close(self, held: contact_iteration.HeldRows, x: Vector, residual: Vector) -> None:
+        """Move x onto the limits of held rows, and the residual with it, both in place."""
+        away = x[self.touched]
+        held.close(x)
+        residual -= self._near.T @ (x[self.touched] - away)
+
+    def run(
+        self, x: Vector, residual: Vector, rows: NDArray[np.intp], held: contact_iteration.HeldRows
+    ) -> ConjugateGradients:
+        """Conjugate gradients on the displacements that keep some rows; x and residual are changed in place."""
+        return ConjugateGradients(self.product, self._hierarchy.cycle(rows), x, residual, held)
+
+    def run_without_rows(self, residual: Vector) -> ConjugateGradients:
+        """Conjugate gradients on K e = r from e = 0; r is changed in place."""
+        held = self.held(self._no_rows, np.zeros(0))
+        return ConjugateGradients(self.product, self._plain, np.zeros_like(residual), residual, held)
+
+    def smooth(self, force: Vector) -> Vector:
+        """M r, M for the bodies without rows."""
+        return self._plain(force)
+
+
+_INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
+
+
+def iteration(problem: ContactProblem) -> Iteration:
+    """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
+    shared = problem._shared
+    if "iteration" not in shared:
+        shared["iteration"] = Iteration(problem)
+    way: Iteration = shared["iteration"]
+    return way

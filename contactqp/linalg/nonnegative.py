@@ -1,0 +1,91 @@
+"""The dual of a strictly convex contact problem: min 1/2 l'Wl - h'l over l_i >= 0 for contacts, l_i free for ties.
+
+The dual active-set method of Goldfarb and Idnani (1983) in terms of W: each step closes the most penetrated contact and
+opens those whose force it drives through zero, so the energy rises strictly and no set of contacts comes twice. It
+ends after finitely many steps, with redundant contacts too: a row that depends on closed ones replaces one of them
+instead of joining them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem import Vector
+
+# W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
+DEPENDENT = 1e-11
+
+
+class Infeasible(Exception):
+    """The rows of the set and the one that was to join them conflict, as far as W tells them apart."""
+
+    def __init__(self, rows: list[int]) -> None:
+        super().__init__()
+        self.rows = np.array(sorted(rows), dtype=np.intp)
+
+
+def dual_active_set(
+    W: Array, h: Vector, free: NDArray[np.bool_], tolerance: Vector, max_steps: int
+) -> tuple[Vector, int, bool]:
+    """Forces l with l >= 0 off `free`, h - W l <= tolerance, and the number of steps; the flag says whether it ended.
+
+    Parameters
+    ----------
+    W : (q, q) array, positive semidefinite, unit diagonal
+    h : (q,) array, excess of each row without forces
+    free : (q,) bool, rows whose force has no sign (ties); their excess ends at zero
+    tolerance : (q,) array, excess that counts as closed
+    max_steps : int
+
+    Raises
+    ------
+    Infeasible
+        No forces exist: the rows conflict.
+    """
+    force = np.zeros(len(h))
+    active = _independent(W, np.flatnonzero(free))
+    if active:
+        force[active] = np.linalg.solve(W[np.ix_(active, active)], h[active])
+    for step in range(max_steps):
+        excess = np.where(free, 0.0, h - W @ force - tolerance)
+        excess[active] = 0.0
+        i = int(np.argmax(excess)) if len(excess) else -1
+        if i < 0 or excess[i] <= 0:
+            return force, step, True
+        _close(W, h, force, active, i, free)
+    return force, max_steps, False
+
+
+def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: NDArray[np.bool_]) -> None:
+    """Raise the force of row i until its excess is gone, dropping rows whose force reaches zero on the way."""
+    while True:
+        drag = np.linalg.solve(W[np.ix_(active, active)], W[active, i]) if active else np.zeros(0)
+        compliance = W[i, i] - W[i, active] @ drag
+        excess = h[i] - W[i] @ force
+        full = excess / compliance if compliance > DEPENDENT else np.inf
+        falling = [k for k, j in enumerate(active) if not free[j] and drag[k] > 0]
+        ratios = [force[active[k]] / drag[k] for k in falling]
+        partial = min(ratios, default=np.inf)
+        step = min(full, partial)
+        if not np.isfinite(step):
+            raise Infeasible([*active, i])
+        force[active] -= step * drag
+        force[i] += step
+        if step == full:
+            active.append(i)
+            return
+        dropped = active.pop(falling[int(np.argmin(ratios))])
+        force[dropped] = 0.0
+
+
+def _independent(W: Array, rows: NDArray[np.intp]) -> list[int]:
+    """The first rows that do not depend on those before them."""
+    chosen: list[int] = []
+    for i in rows:
+        held = W[np.ix_(chosen, chosen)]
+        drag = np.linalg.solve(held, W[chosen, i]) if chosen else np.zeros(0)
+        if W[i, i] - W[i, chosen] @ drag > DEPENDENT:
+            chosen.append(int(i))
+    return chosen

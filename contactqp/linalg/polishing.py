@@ -1,0 +1,439 @@
+"""From a set of closed contacts to the answer on it, refined until rounding is gone.
+
+The condensed saddle-point system acts as an approximate inverse; residuals are formed on the full problem in extended
+precision and corrections added in extended precision (mixed-precision refinement; Higham 2002, chapter 12), so the
+answer is right to the last digits of double precision as long as eps * condition number < 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.violations import (
+    Answer,
+    Residuals,
+    force_measure,
+    forces_that_meet,
+    imbalance,
+    lengths_that_meet,
+    residuals_of,
+)
+from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
+from contactqp.linalg.delassus import delassus
+from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
+from contactqp.model.problem import ContactProblem, Vector
+
+# Refinement stops when a sweep no longer halves the correction; good sets need two or three.
+MAX_SWEEPS = 12
+# Forces of this part of the largest are what refinement leaves of zero.
+INVISIBLE = 1e-22
+# No solve in double precision leaves less of a correction.
+LEAST_CONTRACTION = float(np.finfo(float).eps)
+# Corrections in other directions than the one that the contraction was measured in may contract so much less.
+CAUTION = 1e4
+# What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
+NEGLIGIBLE = 1e-22
+# What double precision cannot tell from zero, relative to the lengths or forces that meet.
+WITHIN_ROUNDING = 8 * np.finfo(float).eps
+
+# A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
+# the resultant is none.
+CARRIED, NO_SHARE = 1e-9, 1e-12
+# A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
+# it, which no refinement would see.
+SLIGHT = 2**10 * float(np.finfo(float).eps)
+# A shift within the gaps may overshoot them by this part of its lengths: a few roundings.
+SHIFT_SLACK = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class OnSet:
+    """The equality-constrained answer on one set of closed contacts, in extended precision."""
+
+    displacement: Extended
+    normal_force: Extended
+    tie_force: Extended
+    gap: Extended
+    saddle: SaddlePoint
+    contraction: float  # of the refinement: the part of a correction that its successor still finds missing
+    remainder: float  # what further refinement would change, the largest entry in the square root of energy
+    nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
+    cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
+
+
+def answer_on(
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    start: Answer | None = None,
+    left: Residuals | None = None,
+    caution: float = 1.0,
+    at_rest: bool = False,
+) -> OnSet:
+    """K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, refined from `start`.
+
+    Free motions of the start stay as they are; without one, and `at_rest`, they take the displacement to its least norm
+    within the gaps. `left` are the start's residuals, if they are known; they are of use where it has no force but on
+    the closed contacts. Refinement goes on until `caution` times what it still has to do is negligible.
+
+    K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
+    taken to be zero along these.
+    """
+    rows = extended_rows(problem)
+    found = _refined(rows, problem, condensation, closed, start, left, caution, at_rest)
+    missed = _imbalance(problem, condensation, found)
+    if missed <= BALANCED:
+        return found
+    rows = condensation.cleared_rows(rows)
+    return replace(_refined(rows, problem, condensation, closed, start, None, caution, at_rest), cleared=missed)
+
+
+def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
+    """The part by which the outer forces miss balance on rigid motions, if noise does not make them miss it."""
+    u, push, tie = found.displacement.double(), found.normal_force.double(), found.tie_force.double()
+    missed = imbalance(problem, Answer(u, push, None, tie), condensation.rigid)
+    if missed <= BALANCED:
+        return missed
+    push, tie = _forces_beyond_noise(condensation, found)
+    return min(missed, imbalance(problem, Answer(u, push, None, tie), condensation.rigid))
+
+
+def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vector, Vector]:
+    """Contact and tie forces in doubles, zero where they are what refinement leaves of zero.
+
+    On a body that nothing else loads such noise would be all that drives it.
+    """
+    compliance = delassus(condensation).compliance
+    force = np.concatenate([found.normal_force.double(), found.tie_force.double()])
+    force[abs(force) * compliance <= found.nothing] = 0.0
+    return force[: len(found.normal_force)], force[len(found.normal_force) :]
+
+
+def _refined(
+    rows: ExtendedRows,
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    start: Answer | None,
+    left: Residuals | None,
+    caution: float,
+    at_rest: bool,
+) -> OnSet:
+    """`answer_on` with the products of these rows."""
+    saddle = saddle_point(condensation, closed)
+    size_of = _CorrectionSize(problem, condensation, closed)
+    if start is None:
+        u, force, tie = (extend(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties))
+        left = Residuals(extend(problem.load), extend(problem.gap), extend(problem.tie_value))
+    else:
+        kept = np.isin(np.arange(problem.contacts), closed)
+        left = None if np.any(start.normal_force[~kept]) else left
+        u, tie = extend(start.displacement), extend(start.tie_force)
+        force = extend(np.where(kept, start.normal_force, 0.0))
+    whole = size_of(u.double(), force.double()[closed], tie.double())
+    last, q = np.inf, saddle.contraction
+    for sweep in range(MAX_SWEEPS):
+        if left is None:
+            left = residuals_of(rows, problem, u, force, tie)
+        du, dl, dn = correction(condensation, saddle, left.force, left.gap[closed], left.tie)
+        left = None
+        u, force, tie = u + du, force.added_at(closed, dl), tie + dn
+        if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
+            found = Answer(u.double(), force.double(), None, tie.double())
+            u = u + shift_to_least_norm(problem, condensation, found, closed)[0]
+        size = size_of(du, dl, dn)
+        whole = max(whole, size)
+        if sweep == 1 and q is None:
+            q = saddle.contraction = max(size / last if last > 0 else 0.0, LEAST_CONTRACTION)
+        if (q is not None and size * min(q * caution, 1.0) <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
+            break
+        last = size
+    nothing = INVISIBLE * whole * np.sqrt(delassus(condensation).compliance)
+    q = q or 0.0
+    remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
+    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
+
+
+class _CorrectionSize:
+    """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+        compliance = np.sqrt(delassus(condensation).compliance)
+        self._unknown = 1.0 / unknown_scale(problem)
+        self._row = np.concatenate([compliance[closed], compliance[problem.contacts :]])
+
+    def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
+        moved = np.max(self._unknown * abs(du), initial=0.0)
+        return float(max(moved, np.max(self._row * abs(np.concatenate([dl, dn])), initial=0.0)))
+
+
+def correction(
+    condensation: Condensation, saddle: SaddlePoint, residual: Extended, gap: Extended, open_tie: Extended
+) -> tuple[Vector, Vector, Vector]:
+    """One solve of the full saddle-point system with the condensed factors, in double precision."""
+    reduced, inner = condensation.reduce_residual(residual.double())
+    dx, dl, dn = saddle.solve(reduced, gap.double(), open_tie.double())
+    return condensation.expand(dx, inner), dl, dn
+
+
+def closed_contacts(problem: ContactProblem, condensation: Condensation, u: Vector, force: Vector) -> NDArray[np.intp]:
+    """The contacts that an answer says are closed: W_ii l_i > gap_i, both lengths."""
+    compliance = delassus(condensation).compliance[: problem.contacts]
+    return np.flatnonzero(compliance * force > problem.gap - problem.normal @ u)
+
+
+def polish(
+    problem: ContactProblem,
+    condensation: Condensation,
+    closed: NDArray[np.intp],
+    max_corrections: int,
+    start: Answer | None = None,
+    left: Residuals | None = None,
+    caution: float = 1.0,
+) -> tuple[OnSet, int, bool]:
+    """The refined answer on a set of closed contacts, the corrections of the set, and whether its signs hold.
+
+    A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
+    that depends on others and is penetrated takes the place of one of them; then the forces are chosen without
+    tension, where such forces exist, and contacts with none leave the set. A set that holds to rounding of doubles is
+    corrected by the signs in extended precision, as long as that leads to one that holds too.
+    """
+    seen: set[bytes] = set()
+    corrections, holding = 0, None
+    while True:
+        answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
+        if holding is not None and not _regular(answer):
+            return holding
+        proposal = None
+        if answer.saddle.redundant:
+            if not _ties_are_met(problem, answer):
+                return holding or (answer, corrections, False)
+            proposal = _exchanged(problem, answer)
+            if proposal is None:
+                lean = _without_tension(condensation, answer)
+                if len(lean) < len(closed):
+                    closed = lean
+                    answer = answer_on(problem, condensation, closed, start, left, caution, at_rest=True)
+        if proposal is None:
+            if answer.saddle.free.shape[1]:
+                answer, _ = least_displacement(problem, condensation, answer, caution)
+            tension, penetrated = _wrong(problem, answer, closed)
+            reached, driven = _reached_by_drive(problem, condensation, answer)
+            if not (tension.size or penetrated.size or driven):
+                holding = answer, corrections, True
+                proposal = _decided(problem, condensation, answer, closed)
+                if proposal is None or np.array_equal(proposal, closed):
+                    return holding
+        if proposal is None:
+            penetrated = np.union1d(penetrated, reached)
+            proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
+        seen.add(closed.tobytes())
+        if corrections >= max_corrections or proposal.tobytes() in seen:
+            return holding or (answer, corrections, False)
+        closed = proposal
+        corrections += 1
+
+
+def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
+    u = answer.displacement.double()
+    missing = abs((extend(problem.tie_value) - extended_rows(problem).tie @ answer.displacement).double())
+    rounding = WITHIN_ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)
+    return bool(np.all(missing <= np.maximum(rounding, answer.nothing[problem.contacts :])))
+
+
+def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | None:
+    """A redundant set in which its most penetrated dependent contact replaces the contact that must give way to it.
+
+    None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
+    """
+    closed = answer.saddle.closed
+    dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
+    excess = (-answer.gap.double() / length)[closed[dependent]]
+    if not np.any(excess > WITHIN_ROUNDING):
+        return None
+    leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.normal_force.double()[closed])
+    return closed if leaving is None else np.delete(closed, leaving)
+
+
+def _wrong(
+    problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding."""
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
+    rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
+    penetrated = np.flatnonzero(-answer.gap.double() > rounding)
+    tension = np.zeros(0, dtype=np.intp)
+    if np.any(answer.normal_force.double() < 0):
+        doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
+        tension = np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING)
+    # A contact that depends on others closes by itself or not at all, whatever force it was given.
+    apart = np.flatnonzero((answer.gap.double() > rounding) & (answer.normal_force.double() > 0))
+    return np.union1d(tension, apart).astype(np.intp), np.setdiff1d(penetrated, closed)
+
+
+def _regular(answer: OnSet) -> bool:
+    """Whether no row of a set depends on others, or nearly so."""
+    return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
+
+
+def _decided(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: NDArray[np.intp]
+) -> NDArray[np.intp] | None:
+    """The set that follows from signs in extended precision, beneath what doubles tell from zero; None where a set is
+    redundant or nearly so, or bodies float: there rounding of the data decides.
+
+    What refinement may have left undecided is refined further.
+    """
+    if condensation.rigid.count or not _regular(answer):
+        return None
+    compliance = delassus(condensation).compliance[: len(answer.normal_force)]
+    settled = answer.nothing[: len(compliance)]
+    noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
+    length = np.where(
+        np.isin(np.arange(len(noise)), closed), answer.normal_force.double() * compliance, answer.gap.double()
+    )
+    if np.any((abs(length) > settled) & (abs(length) <= noise)):
+        answer = answer_on(problem, condensation, closed, caution=CAUTION)
+        noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
+    tension = np.flatnonzero(answer.normal_force.double() * compliance < -noise)
+    penetrated = np.flatnonzero(answer.gap.double() < -noise)
+    return np.union1d(np.setdiff1d(closed, tension), np.setdiff1d(penetrated, closed)).astype(np.intp)
+
+
+def _reached_by_drive(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet
+) -> tuple[NDArray[np.intp], bool]:
+    """The contacts first reached by a motion that the set leaves free and the load drives, and whether there is one."""
+    if not answer.saddle.free.shape[1]:
+        return np.zeros(0, dtype=np.intp), False
+    load, inner = condensation.reduce_load(problem.load)
+    size = condensation.reduced_size(problem, inner)
+    drive = answer.saddle.drive(_net(condensation, load, answer.normal_force.double(), answer.tie_force.double()), size)
+    if np.any(drive):  # unless noise alone drives it
+        drive = answer.saddle.drive(_net(condensation, load, *_forces_beyond_noise(condensation, answer)), size)
+    if not np.any(drive):
+        return np.zeros(0, dtype=np.intp), False
+    drive = condensation.scale * drive
+    approach = condensation.normal @ drive
+    ahead = approach > UNRESISTED * (abs(condensation.normal) @ abs(drive))
+    travel = np.full(problem.contacts, np.inf)
+    travel[ahead] = np.maximum(answer.gap.double()[ahead], 0.0) / approach[ahead]
+    return np.flatnonzero(np.isfinite(travel) & (travel <= np.min(travel, initial=np.inf))), True
+
+
+def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) -> Vector:
+    """A condensed load less what contacts and ties carry of it.
+
+    These do no work on a free motion, but for the rounding of it: a soft body's motion sideways lifts it by a rounding,
+    and what lies on it, be it ever so stiff.
+    """
+    return np.asarray(load - condensation.normal.T @ push - condensation.tie.T @ tie)
+
+
+def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.intp]:
+    """The members of a redundant set that carry its resultant without tension, if any can."""
+    from scipy.optimize import nnls
+
+    closed = answer.saddle.closed
+    force = answer.normal_force[closed].double()
+    contacts = condensation.normal[closed] * condensation.scale
+    ties = condensation.tie * condensation.scale
+    resultant = contacts.T @ force
+    size = np.linalg.norm(resultant)
+    if size == 0:
+        return closed[:0]
+    columns = np.vstack([contacts, ties, -ties])
+    length = np.linalg.norm(columns, axis=1)
+    share, missing = nnls((columns / length[:, None]).T, resultant / size, maxiter=30 * len(columns))
+    if missing > CARRIED:
+        return closed
+    return np.asarray(closed[share[: len(closed)] > NO_SHARE])
+
+
+def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
+    """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
+    u, push, tie = answer.displacement.double(), answer.normal_force.positive_part().double(), answer.tie_force.double()
+    root = 1.0 / unknown_scale(problem)
+    force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
+    loads = abs(problem.load) / root
+    largest = max(np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads))
+    u[root * abs(u) < INVISIBLE * largest] = 0.0
+    force[size * abs(force) <= INVISIBLE * largest] = 0.0
+    return u, force[: len(push)], force[len(push) :]
+
+
+def least_displacement(
+    problem: ContactProblem, condensation: Condensation, answer: OnSet, caution: float = 1.0
+) -> tuple[OnSet, Array]:
+    """Among the displacements that differ by motions nothing drives and nothing resists, the one of least norm.
+
+    Returns the answer there and an orthonormal basis (n, q) of those motions.
+    """
+    u, force, tie = without_noise(problem, condensation, answer)
+    shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
+    far, largest = np.max(abs(shift), initial=0.0), np.max(abs(u), initial=0.0)
+    if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
+        return answer, free
+    if far <= SLIGHT * largest:
+        closer = answer.displacement + shift
+        return replace(answer, displacement=closer, gap=answer.gap - problem.normal @ shift), free
+    # The shift is rigid to double precision only: refine again from where it leads.
+    moved = Answer(u + shift, force, None, tie)
+    closed = pushing_contacts(problem, Answer(u, force, None, tie))
+    return answer_on(problem, condensation, closed, moved, caution=caution), free
+
+
+def shift_to_least_norm(
+    problem: ContactProblem, condensation: Condensation, answer: Answer, closed: NDArray[np.intp] | None = None
+) -> tuple[Vector, Array]:
+    """The motion that nothing resists and that takes an answer to its least norm within the gaps.
+
+    Contacts that push resist, or those that are said to be closed. Returns the shift (n,) and an orthonormal basis
+    (n, q) of the motions.
+    """
+    if not condensation.rigid.count:
+        return np.zeros(problem.dimension), condensation.rigid.motions
+    closed = pushing_contacts(problem, answer) if closed is None else closed
+    free = free_motions(condensation, saddle_point(condensation, closed))
+    if not free.shape[1]:
+        return np.zeros(problem.dimension), free
+    shift = -(free.T @ answer.displacement)
+    rows = problem.normal @ free
+    scale = unknown_scale(problem)
+    felt = np.sqrt(problem.normal.power(2) @ scale**2) * np.max(abs(free) / scale[:, None])
+    stays = np.linalg.norm(rows, axis=1) > UNRESISTED * felt
+    if np.any(stays):
+        gap = problem.gap - problem.normal @ answer.displacement
+        shift = shift_within_gaps(rows[stays], gap[stays], shift)
+    return free @ shift, free
+
+
+def pushing_contacts(problem: ContactProblem, answer: Answer) -> NDArray[np.intp]:
+    """Contacts with a force beyond rounding."""
+    return np.asarray(np.flatnonzero(_push(problem, answer) > WITHIN_ROUNDING))
+
+
+def _push(problem: ContactProblem, answer: Answer) -> Vector:
+    """Every contact force in its measure, negative in tension."""
+    force = answer.normal_force
+    return force_measure(problem.normal, force, forces_that_meet(problem, answer)) * np.sign(force)
+
+
+def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
+    """The shift nearest to the wanted one that leaves no contact penetrated: min |a - wanted|, rows a <= gap."""
+    length = np.linalg.norm(rows, axis=1)
+    unit, room = rows / length[:, None], gap / length
+    none = np.zeros(len(room), dtype=bool)
+    slack = SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
+    try:
+        force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
+    except Infeasible:  # no shift frees every contact: the set is wrong, as the penetration that is left will show
+        return wanted
+    return np.asarray(wanted - unit.T @ force)

@@ -1,0 +1,206 @@
+"""The equality-constrained problem on a set of closed contacts that may be redundant or leave motions free.
+
+    [ S    E_B'  A' ] [ x   ]   [ r ]
+    [ E_B  0     0  ] [ l_B ] = [ e ]       B: the closed contacts
+    [ A    0     0  ] [ nu  ]   [ a ]
+
+is solved on the condensed unknowns by the range-space method where all is regular (`range_space`), else by the
+null-space method (Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v,
+N'SN v = N'(r - S Y ...). There, rows that depend on others get no force; motions that neither S nor a row resists
+(found from the rigid motions of K, not from small eigenvalues) stay at rest.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import delassus
+from contactqp.linalg.factorization import Array, DenseCholesky, orthonormal
+from contactqp.linalg.range_space import REGULAR, RangeSpace
+from contactqp.model.problem import ContactProblem, Vector
+
+# Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
+DEPENDENT = 1e-13
+# A row that makes less than this part of another takes no part in it, both of unit length.
+NO_PART = 1e-9
+# Factorisations kept for one condensation: the sets of a solution, of its certificate, and none for good.
+KEPT = 6
+# Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
+BALANCED = 1e-12
+# So is a push of this part of all forces on a body rounding, on a motion of it that lies where no force acts.
+IDLE = 256 * np.finfo(float).eps
+
+
+class SaddlePoint(Protocol):
+    """The factorised saddle-point system of one set of closed contacts, whichever way it was factorised."""
+
+    closed: NDArray[np.intp]
+    redundant: bool  # whether rows depend on others
+    independent: NDArray[np.intp]  # places among the closed contacts and ties, as many contacts as can be
+    free: Array  # (p, q) orthonormal scaled motions that nothing resists
+    free_coordinates: Array  # (r, q) of such in the rigid motions
+    contraction: float | None  # what refinement leaves of a correction, once it has been measured
+
+    def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
+        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+
+    def exchange(self, entering: int, force: Vector) -> int | None:
+        """The closed contact, by its place, that opens for a dependent one to take its share; None if none can."""
+
+    def drive(self, load: Vector, size: Vector) -> Vector:
+        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does."""
+
+
+class NullSpace:
+    """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
+
+    def __init__(self, condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> None:
+        from scipy.linalg import qr
+
+        self.closed = np.asarray(closed, dtype=np.intp)
+        self.contraction: float | None = None
+        self._scale = condensation.scale
+        self._uncertainty = condensation.rigid.uncertainty
+        self._bodies = condensation.bodies
+        ties = condensation.tie if tied else condensation.tie[:0]
+        rows = np.vstack([condensation.normal[self.closed], ties]) * self._scale
+        self._row_scale = 1.0 / np.linalg.norm(rows, axis=1)
+        rows = rows * self._row_scale[:, None]
+        self._S = condensation.schur * np.outer(self._scale, self._scale)
+        size = len(self._S)
+        self._rows = rows
+        self.independent = _independent_first(rows, first=np.arange(len(self.closed), len(rows)))
+        rank = len(self.independent)
+        self.redundant = rank < len(rows)
+        Q, R = qr(rows[self.independent].T) if rank else (np.eye(size), np.zeros((size, 0)))
+        self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
+        self.free_coordinates = condensation.unresisted(rows)
+        motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
+        self.free = orthonormal(motions @ self.free_coordinates)
+        self._hessian = self._factorise_hessian()
+
+    def _factorise_hessian(self) -> DenseCholesky | None:
+        motion = self._N.T @ self.free
+        inner = self._N.T @ self._S @ self._N if self.independent.size else self._S
+        hessian = inner + motion @ motion.T
+        return DenseCholesky(hessian) if len(hessian) else None
+
+    def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:
+        """x, l_B, nu; right-hand sides are vectors or have one column a right-hand side."""
+        from scipy.linalg import solve_triangular
+
+        r = (r.T * self._scale).T
+        rows = (np.concatenate([e, a]).T * self._row_scale).T
+        x = np.zeros_like(r)
+        if self.independent.size:
+            x = self._Y @ solve_triangular(self._R, rows[self.independent], trans="T", check_finite=False)
+        if self._hessian is not None:
+            step = self._N @ self._hessian.solve(self._N.T @ (r - self._S @ x))
+            x = x + step - self.free @ (self.free.T @ step)
+        force = np.zeros_like(rows)
+        if self.independent.size:
+            force[self.independent] = solve_triangular(self._R, self._Y.T @ (r - self._S @ x), check_finite=False)
+        force = (force.T * self._row_scale).T
+        return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
+
+    def exchange(self, entering: int, force: Vector) -> int | None:
+        """The closed contact that must open for a dependent one, at position `entering`, to take its share.
+
+        With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
+        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
+        conflict.
+        """
+        from scipy.linalg import solve_triangular
+
+        share = solve_triangular(self._R, self._Y.T @ self._rows[entering])
+        contacts = self.independent < len(self.closed)
+        gives = np.flatnonzero(contacts & (share > DEPENDENT * len(self._rows)))
+        if not gives.size:
+            return None
+        positions = self.independent[gives]
+        ratios = force[positions] / self._row_scale[positions] / share[gives]
+        return int(positions[np.argmin(ratios)])
+
+    def drive(self, load: Vector, size: Vector) -> Vector:
+        """The scaled motion (p,) along which a condensed load drives what is free; zero if rounding of `size` does.
+
+        Of the load, contacts and ties may carry a part: that does no work on a free motion, but for the rounding of it.
+        """
+        if not self.free.shape[1]:
+            return np.zeros(len(load))
+        load, size = load * self._scale, size * self._scale
+        push = self.free.T @ load
+        motion = self.free @ push
+        part, idle = max(BALANCED, self._uncertainty), max(IDLE, self._uncertainty)
+        on_bodies = np.bincount(self._bodies, weights=(size + abs(load)) ** 2)
+        of_bodies = np.bincount(self._bodies, weights=motion**2)
+        rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
+        return motion if float(push @ push) > rounding else np.zeros(len(load))
+
+
+def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
+    """An orthonormal basis (n, q) of the motions of all unknowns that neither K nor a row of the set resists."""
+    return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
+
+
+def saddle_point(condensation: Condensation, closed: NDArray[np.intp], tied: bool = True) -> SaddlePoint:
+    """The factorisation for a set of closed contacts; the last few are kept, since polish and certificate ask alike."""
+    kept: dict[tuple[bytes, bool], SaddlePoint] = condensation.saddles
+    key = (np.asarray(closed, dtype=np.intp).tobytes(), tied)
+    if key not in kept:
+        if len(kept) >= KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = _factorised(condensation, closed, tied)
+    return kept[key]
+
+
+def _factorised(condensation: Condensation, closed: NDArray[np.intp], tied: bool) -> SaddlePoint:
+    if not condensation.rigid.count:
+        operator = delassus(condensation)
+        if operator.smallest_pivot >= REGULAR:
+            found = RangeSpace(condensation, operator, np.asarray(closed, dtype=np.intp), tied)
+            if found.regular:
+                return found
+    return NullSpace(condensation, closed, tied)
+
+
+def _independent_first(rows: Array, first: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of independent rows of unit length that span all of them, as many of `first` among them as can be."""
+    chosen = first[independent_rows(rows[first])]
+    others = np.setdiff1d(np.arange(len(rows)), first)
+    basis, _ = np.linalg.qr(rows[chosen].T)
+    beyond = rows[others] - (rows[others] @ basis) @ basis.T
+    return np.concatenate([others[independent_rows(beyond)], chosen]).astype(np.intp)
+
+
+def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, NDArray[np.intp]], ...]:
+    """The ties that depend on others, and on which; found once for the rows of a problem.
+
+    They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
+    """
+    shared = problem._shared
+    if "dependent_ties" not in shared:
+        rows = condensation.tie * condensation.scale
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        kept = independent_rows(rows)
+        others = np.setdiff1d(np.arange(len(rows)), kept)
+        shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
+        taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
+        shared["dependent_ties"] = tuple(zip(others.tolist(), taking_part, strict=True))
+    found: tuple[tuple[int, NDArray[np.intp]], ...] = shared["dependent_ties"]
+    return found
+
+
+def independent_rows(rows: Array) -> NDArray[np.intp]:
+    """Places of rows of unit length that span all of them."""
+    from scipy.linalg import qr
+
+    if not rows.size:
+        return np.zeros(0, dtype=np.intp)
+    R, pivots = qr(rows.T, mode="r", pivoting=True)
+    rank = int(np.sum(abs(np.diag(R)) > DEPENDENT * max(rows.shape)))
+    return np.sort(pivots[:rank]).astype(np.intp)

@@ -1,0 +1,63 @@
+"""Coulomb's cone K = {|r_T| <= mu r_N}: projections, De Saxce's velocity, and the residual of the law as an equation.
+
+With De Saxce's velocity u + mu |u_T| e_N the law of Signorini and Coulomb is K* contains it, K contains r, and the two
+are orthogonal (De Saxce and Feng 1998), that is r = P_K(r - rho (u + mu |u_T| e_N)) for any rho > 0.
+Vectors are (m, d), normal component first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.model.problem_data import Vector
+
+Vectors = NDArray[np.float64]  # (m, d)
+
+
+def lengths(vectors: Vectors) -> Vector:
+    """|v| of every row, infinite where an entry is, and right where squares are no doubles."""
+    largest = np.max(abs(vectors), axis=1, initial=0.0)
+    scale = np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
+    return np.asarray(scale * np.linalg.norm(vectors / scale[:, None], axis=1))
+
+
+def directions(vectors: Vectors) -> Vectors:
+    """v/|v| of every row, zero where v is."""
+    size = lengths(vectors)[:, None]
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
+
+
+def onto_cone(vectors: Vectors, friction: Vector) -> Vectors:
+    """The nearest points of the cones K of coefficients (m,)."""
+    normal, tangent = vectors[:, 0], vectors[:, 1:]
+    size = lengths(tangent)
+    factor = (friction * size + normal) / (1.0 + friction**2)
+    beyond = np.column_stack([factor, (friction * factor)[:, None] * directions(tangent)])
+    projected = np.where((size <= friction * normal)[:, None], vectors, beyond)
+    return np.where((friction * size <= -normal)[:, None], 0.0, projected)
+
+
+def onto_discs(vectors: Vectors, radius: Vector) -> Vectors:
+    """The nearest points (m, d-1) of discs around zero."""
+    size = lengths(vectors)
+    return np.where((size <= radius)[:, None], vectors, radius[:, None] * directions(vectors))
+
+
+def de_saxce(velocity: Vectors, friction: Vector) -> Vectors:
+    """u + mu |u_T| e_N."""
+    shifted = velocity.copy()
+    shifted[:, 0] += friction * lengths(velocity[:, 1:])
+    return shifted
+
+
+def natural_map(force: Vectors, velocity: Vectors, friction: Vector, rho: float | Vector = 1.0) -> Vectors:
+    """r - P_K(r - rho (u + mu |u_T| e_N)): zero exactly where the law holds.
+
+    Where r - rho (...) lies in K the difference is rho (...), which is not lost beside a force that is very large.
+    """
+    step = np.broadcast_to(np.asarray(rho, dtype=float), friction.shape)[:, None] * de_saxce(velocity, friction)
+    moved = force - step
+    # Without friction the cone is a half line, and -0 is no side of it.
+    inside = (lengths(moved[:, 1:]) <= friction * moved[:, 0]) & (moved[:, 0] >= 0)
+    return np.where(inside[:, None], step, force - onto_cone(moved, friction))

@@ -1,0 +1,253 @@
+"""Frictional contact in the local form of FCLIB: velocities and forces of the contacts alone, no bodies behind them.
+
+    u = W r + q + V l,    V'r + R l + s = 0        the bodies, seen from their contacts and joints
+    r_N >= 0,  u_N >= 0,  r_N u_N = 0              Signorini
+    |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T does not vanish        Coulomb
+
+The order in a contact is (N, T) or (N, T1, T2), and r is the force on the body: r_N = l_N, r_T = -l_T, u_N = g - E_N u,
+u_T = E_T u - slip_origin in the signs of `contactqp.model.problem` (Acary, Bremond, Huber 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.linalg.extended import SparseRows, extend
+from contactqp.model.floating_point import computes, own_floating_point
+from contactqp.model.problem_data import (
+    Matrix,
+    ReadOnly,
+    Vector,
+    is_number,
+    read_array,
+    read_coefficient,
+    read_matrix,
+    read_names,
+    read_only,
+    read_vector,
+)
+
+# Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
+INDEFINITE = 1e-5
+# Up to this size definiteness is decided at the door, by eigenvalues.
+DEFINITENESS_CHECK_SIZE = 300
+
+
+@computes
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class LocalProblem(ReadOnly):
+    """One frictional contact problem in local form.
+
+    Parameters
+    ----------
+    delassus : (d m, d m) array or sparse matrix
+        W = H'M^-1 H, positive semidefinite; contact by contact, N before T. It is used as given, symmetric or not:
+        `asymmetry` is max |W - W'| / max |W|, `scaled_asymmetry` the same with every contact's rows scaled to a
+        compliance of one.
+    offset : (d m,) or (m, d) array
+        q, the velocities (or gaps and slips) without contact forces.
+    friction : float or (m,) array
+        Coulomb's coefficient, not negative.
+    dimension : 2 or 3
+        d, of the space.
+    bilateral : (d m, p) array or sparse matrix, optional
+        V, the influence of p joints.
+    bilateral_delassus : (p, p) array or sparse matrix, optional
+        R, of the joints on each other; zero by default (then V'r = -s is a condition on the forces).
+    bilateral_offset : (p,) array, optional
+        s; zero by default.
+    contact_names : sequence of distinct strings, optional
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, values that are not finite, a negative coefficient, an indefinite W.
+
+    Examples
+    --------
+    >>> problem = LocalProblem(delassus=[[1.0, 2.0], [2.0, 5.0]], offset=[-7.0, -17.0], friction=0.8, dimension=2)
+    >>> problem.contacts, problem.asymmetry
+    (1, 0.0)
+    """
+
+    delassus: Matrix
+    offset: Vector
+    friction: Vector
+    dimension: int
+    bilateral: Matrix
+    bilateral_delassus: Matrix
+    bilateral_offset: Vector
+    contact_names: tuple[str, ...] | None
+    asymmetry: float
+
+    @own_floating_point
+    def __init__(
+        self,
+        delassus: Any,
+        offset: ArrayLike,
+        friction: ArrayLike,
+        dimension: int,
+        bilateral: Any = None,
+        bilateral_delassus: Any = None,
+        bilateral_offset: ArrayLike | None = None,
+        contact_names: Sequence[str] | None = None,
+    ) -> None:
+        if not is_number(dimension) or dimension not in (2, 3):
+            raise InvalidProblem(f"dimension: expected 2 or 3, got {dimension!r}")
+        dimension = int(dimension)
+        W = read_matrix("delassus", delassus)
+        size = W.shape[0]
+        if W.shape != (size, size) or size % dimension:
+            raise InvalidProblem(
+                f"delassus: expected a square matrix of {dimension} rows a contact, got shape {W.shape}"
+            )
+        m = size // dimension
+        V = read_matrix("bilateral", np.zeros((size, 0)) if bilateral is None else bilateral)
+        if V.shape[0] != size:
+            raise InvalidProblem(f"bilateral: expected {size} rows, one for each of delassus, got shape {V.shape}")
+        joints = V.shape[1]
+        given = bilateral_delassus is not None or bilateral_offset is not None
+        if bilateral is None and given:
+            raise InvalidProblem("bilateral_delassus or bilateral_offset was given without bilateral")
+        R = read_matrix(
+            "bilateral_delassus", np.zeros((joints, joints)) if bilateral_delassus is None else bilateral_delassus
+        )
+        if R.shape != (joints, joints):
+            raise InvalidProblem(f"bilateral_delassus: expected shape ({joints}, {joints}), got {R.shape}")
+        names = read_names("contact_names", contact_names, m)
+        q = read_array("offset", offset)
+        values = dict(
+            delassus=W,
+            offset=read_vector("offset", q.ravel() if q.shape == (m, dimension) else q, size),
+            friction=read_coefficient(friction, m),
+            dimension=dimension,
+            bilateral=V,
+            bilateral_delassus=R,
+            bilateral_offset=read_vector(
+                "bilateral_offset", np.zeros(joints) if bilateral_offset is None else bilateral_offset, joints
+            ),
+            contact_names=names,
+            asymmetry=_asymmetry(W),
+        )
+        for name, value in values.items():
+            object.__setattr__(self, name, read_only(value))
+        self._refuse_indefinite()
+
+    def _refuse_indefinite(self) -> None:
+        W = self.delassus
+        diagonal = W.diagonal()
+        largest = np.max(abs(W.data), initial=0.0)
+        own = np.repeat(self.contact_scale, self.dimension)
+        worst = float(np.min(diagonal * own**2, initial=0.0))
+        if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
+            root = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), own)
+            scaled = W.toarray() * np.outer(root, root)
+            worst = float(np.linalg.eigvalsh((scaled + scaled.T) / 2)[0])
+        if worst < -INDEFINITE:
+            raise InvalidProblem(
+                f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "
+                "largest diagonal entry 1 after scaling)"
+            )
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts m."""
+        return len(self.friction)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints p."""
+        return len(self.bilateral_offset)
+
+    @cached_property
+    def contact_scale(self) -> Vector:
+        """(m,) factors s_i of the contacts' rows by which the mean diagonal of every contact's own block is one.
+
+        s_i u_i and r_i / s_i are roots of energies. A contact without a compliance of its own is given a row of V, or
+        else an offset, as large as the other contacts have.
+        """
+        size = self.delassus.diagonal().reshape(self.contacts, self.dimension).mean(axis=1)
+        known = size > 0
+        scale = 1.0 / np.sqrt(np.where(known, size, 1.0))
+        rows = abs(self.bilateral).max(axis=1).toarray().ravel() if self.joints else np.zeros(len(self.offset))
+        for entries in (rows, abs(self.offset)):
+            size = np.max(entries.reshape(self.contacts, self.dimension), axis=1, initial=0.0)
+            felt = size > 0
+            typical = float(np.median((scale * size)[known & felt])) if np.any(known & felt) else 1.0
+            scale = np.where(felt & ~known, typical / np.where(felt, size, 1.0), scale)
+            known = known | felt
+        return read_only(np.asarray(scale))
+
+    @cached_property
+    def scaled_delassus(self) -> Any:
+        """(d m, d m) CSR matrix s_i W_ij s_j, s the `contact_scale`."""
+        scale = sp.diags(np.repeat(self.contact_scale, self.dimension))
+        return read_only(sp.csr_array(scale @ self.delassus @ scale))
+
+    @cached_property
+    def scaled_asymmetry(self) -> float:
+        """`asymmetry` of `scaled_delassus`, which no contact's own unit changes."""
+        return _asymmetry(self.scaled_delassus)
+
+    @cached_property
+    def joint_scale(self) -> Vector:
+        """(p,) factors by which the columns of V, scaled by `contact_scale`, have unit length."""
+        scaled = self.bilateral.toarray() * np.repeat(self.contact_scale, self.dimension)[:, None]
+        size = np.linalg.norm(scaled, axis=0)
+        return read_only(np.asarray(1.0 / np.where(size > 0, size, 1.0)))
+
+    @cached_property
+    def drive(self) -> float:
+        """The root mean square of scaled offsets of contacts that overlap without forces, or of loads of joints.
+
+        It is the larger of the two: without either, no forces are an answer. A contact that is far has no part in it.
+        """
+        overlaps = self._scaled_offset[self._scaled_offset[:, 0] < 0]
+        return max(_mean_size(overlaps), _mean_size(self.bilateral_offset * self.joint_scale))
+
+    @cached_property
+    def typical_velocity(self) -> float:
+        """The `drive`, or where there is none, the scaled offset of the nearest contact that waits; or 1."""
+        sizes = np.max(abs(self._scaled_offset), axis=1, initial=0.0)
+        waiting = sizes[sizes > 0]
+        return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
+
+    @property
+    def _scaled_offset(self) -> NDArray[np.float64]:
+        return self.contact_scale[:, None] * self.offset.reshape(self.contacts, self.dimension)
+
+    def contact_name(self, i: int) -> str:
+        return self.contact_names[i] if self.contact_names else f"contact {i}"
+
+    def velocity(self, force: NDArray[np.float64], joint_force: Vector | None = None) -> NDArray[np.float64]:
+        """u = W r + q + V l, (m, d), of forces (m, d) and (p,), in twice double precision.
+
+        Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+        """
+        u = SparseRows(self.delassus) @ extend(read_array("force", force).ravel()) + extend(self.offset)
+        if joint_force is not None and self.joints:
+            u = u + SparseRows(self.bilateral) @ extend(joint_force)
+        return np.asarray(u.double().reshape(self.contacts, self.dimension))
+
+    def __repr__(self) -> str:
+        joints = f", {self.joints} joints" if self.joints else ""
+        return f"LocalProblem({self.contacts} contacts in {self.dimension}D{joints})"
+
+
+def _mean_size(parts: NDArray[np.float64]) -> float:
+    """The root of the mean square, of sizes whose squares need not be doubles."""
+    size = float(np.max(abs(parts), initial=0.0))
+    return size * float(np.sqrt(np.mean((parts / size) ** 2))) if size > 0 else 0.0
+
+
+def _asymmetry(W: Any) -> float:
+    largest = np.max(abs(W.data), initial=0.0)
+    return float(np.max(abs(sp.csr_array(W - W.T)).data, initial=0.0) / largest) if largest > 0 else 0.0

@@ -1,0 +1,383 @@
+"""The one problem of contactqp, with its signs.
+
+    minimise    1/2 u'K u - f'u
+    subject to  E_N u <= g        m unilateral contacts; the gap g - E_N u is positive when open
+                A u = b           k ties
+
+Its solution satisfies K u + E_N' l_N + E_T' l_T + A' nu = f with l_N >= 0, l_N (g - E_N u) = 0: the multiplier l_N is a
+FORCE, positive in compression. With friction, |l_T| <= mu l_N and l_T points along the slip s = E_T u - slip_origin.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem_data import Matrix as Matrix
+from contactqp.model.problem_data import Vector as Vector
+from contactqp.model.problem_data import (
+    read_array,
+    read_friction,
+    read_gap,
+    read_motions,
+    read_names,
+    read_only,
+    read_rows,
+    read_stiffness,
+    read_vector,
+    refuse_extreme_rows,
+    refuse_lost_compliances,
+)
+
+# What is kept of a stiffness alone, whatever the contacts.
+OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
+# Where a problem with some of the ties of another keeps their numbers there.
+TIE_NUMBERS = "tie_numbers"
+# What reading a stiffness has found.
+MEASURED = ("asymmetry", "rigid_change")
+# What is kept beside the fields of a problem and is no result: a copy has it too.
+STATED = ("load_size", TIE_NUMBERS)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units that the numbers of a problem are in; they label messages and tables and convert nothing."""
+
+    length: str = ""
+    force: str = ""
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class ContactProblem:
+    """One contact problem: min 1/2 u'Ku - f'u subject to E_N u <= g and A u = b, with Coulomb data for friction.
+
+    Parameters
+    ----------
+    stiffness : (n, n) array or sparse matrix
+        K, symmetric positive semidefinite [force / length]. Symmetrised when its asymmetry
+        max |K_ij - K_ji| / sqrt(K_ii K_jj) is at most 1e-6 (`asymmetry` keeps the value), refused beyond it. Where its
+        digits were lost in print and bodies float, K is changed by no more than these digits, so that rigid motions
+        (those of `near_null_space`, or recognised) cost no energy: `rigid_change` is max |dK_ij| / sqrt(K_ii K_jj).
+    load : (n,) array
+        f [force].
+    normal : (m, n) array or sparse matrix
+        E_N; row i maps displacements to the approach of contact i [-]. A row of zeros, of a node that is fixed,
+        constrains nothing where g_i >= 0 and proves that there is no equilibrium where g_i < 0; likewise a tie.
+    gap : (m,) array
+        g, the initial gaps [length]; negative means that the contact starts in overlap, infinity that it never closes.
+    tangent : ((d-1) m, n) array or sparse matrix, optional
+        E_T, contact-major: in 3D the rows 2i and 2i+1 belong to contact i.
+    friction : float or (m,) array, optional
+        Coulomb's coefficient, not negative.
+    slip_origin : (m, d-1) or flat array, optional
+        E_T u where the step starts [length]; zero by default.
+    tie : (k, n) array or sparse matrix, optional
+        A, rows of multi-point constraints and of supports kept as rows.
+    tie_value : (k,) array, optional
+        b [length]; zero by default.
+    dof_names, contact_names : sequences of distinct strings, optional
+        Used in every message and table.
+    units : Units or mapping with the keys ``length`` and ``force``, optional
+    near_null_space : (n, q) array, optional
+        Motions that cost little energy, one a column: the rigid-body motions of elastic bodies. Those that K resists
+        by nothing but the rounding of its entries, be they doubles or printed digits, are taken as rigid; the others
+        are a hint for multigrid on large problems.
+
+    Raises
+    ------
+    InvalidProblem
+        On wrong shapes, values that are not finite, an asymmetric or indefinite K, negative friction.
+
+    Examples
+    --------
+    >>> problem = ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
+    >>> problem.dimension, problem.contacts, problem.ties
+    (1, 1, 0)
+    """
+
+    stiffness: Matrix
+    load: Vector
+    normal: Matrix
+    gap: Vector
+    tangent: Matrix | None
+    friction: Vector | None
+    slip_origin: NDArray[np.float64] | None
+    tie: Matrix
+    tie_value: Vector
+    dof_names: tuple[str, ...] | None
+    contact_names: tuple[str, ...] | None
+    units: Units
+    near_null_space: NDArray[np.float64] | None
+    asymmetry: float
+    rigid_change: float
+    _shared: dict[str, Any]
+
+    @own_floating_point
+    def __init__(
+        self,
+        stiffness: Any,
+        load: ArrayLike,
+        normal: Any,
+        gap: ArrayLike,
+        tangent: Any = None,
+        friction: ArrayLike | None = None,
+        slip_origin: ArrayLike | None = None,
+        tie: Any = None,
+        tie_value: ArrayLike | None = None,
+        dof_names: Sequence[str] | None = None,
+        contact_names: Sequence[str] | None = None,
+        units: Units | Mapping[str, str] | None = None,
+        near_null_space: ArrayLike | None = None,
+    ) -> None:
+        K, asymmetry, rigid_change = read_stiffness(stiffness, near_null_space)
+        n = K.shape[0]
+        E_N = read_rows("normal", normal, n)
+        m = E_N.shape[0]
+        A = read_rows("tie", np.zeros((0, n)) if tie is None else tie, n)
+        if tie is None and tie_value is not None and read_array("tie_value", tie_value).size:
+            raise InvalidProblem("tie_value was given without tie")
+        E_T, friction_, origin = read_friction(tangent, friction, slip_origin, m, n)
+        values = dict(
+            stiffness=K,
+            asymmetry=asymmetry,
+            rigid_change=rigid_change,
+            load=read_vector("load", load, n),
+            normal=E_N,
+            gap=read_gap(gap, m),
+            tangent=E_T,
+            friction=friction_,
+            slip_origin=origin,
+            tie=A,
+            tie_value=read_vector("tie_value", np.zeros(A.shape[0]) if tie_value is None else tie_value, A.shape[0]),
+            dof_names=read_names("dof_names", dof_names, n),
+            contact_names=read_names("contact_names", contact_names, m),
+            units=_units(units),
+            near_null_space=read_motions("near_null_space", near_null_space, n),
+        )
+        for name, value in values.items():
+            object.__setattr__(self, name, read_only(value))
+        # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
+        object.__setattr__(self, "_shared", {})
+        refuse_extreme_rows("normal", E_N, self.contact_name)
+        refuse_extreme_rows("tie", A, self.tie_name)
+        for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
+            refuse_lost_compliances(kind, rows, self.diagonal, called)
+
+    @classmethod
+    def _of_checked(cls, values: Mapping[str, Any], shared: dict[str, Any]) -> ContactProblem:
+        """A problem of values that need no further check, with what it shares with the problem they come from."""
+        problem = object.__new__(cls)
+        for name, value in values.items():
+            object.__setattr__(problem, name, read_only(value))
+        object.__setattr__(problem, "_shared", shared)
+        return problem
+
+    def transformed(
+        self,
+        stiffness: Matrix,
+        load: Vector,
+        load_size: Vector,
+        normal: Any,
+        gap: Vector,
+        tie: Any,
+        tie_value: Vector,
+    ) -> ContactProblem:
+        """This frictionless problem in other unknowns (condensed, scaled): same contacts and ties, not checked again.
+
+        `load_size` is the sum of sizes behind each entry of the load. Rounding may leave a transformed stiffness
+        indefinite by a few digits of what it was before; it still is this problem.
+        """
+        kept = dict(contact_names=self.contact_names, units=self.units, asymmetry=0.0, rigid_change=0.0)
+        frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
+        data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
+        rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
+        return ContactProblem._of_checked(kept | frictionless | data | rows, {"load_size": load_size})
+
+    @property
+    def dimension(self) -> int:
+        """Number of unknowns n."""
+        return int(self.stiffness.shape[0])
+
+    @property
+    def diagonal(self) -> Vector:
+        """(n,) the K_jj, looked up once for a stiffness."""
+        if "diagonal" not in self._shared:
+            self._shared["diagonal"] = read_only(np.array(self.stiffness.diagonal(), dtype=float))
+        return np.asarray(self._shared["diagonal"])
+
+    @property
+    def stiffness_rows(self) -> Any:
+        """K as a CSR matrix; a symmetric one has the same arrays by rows as by columns."""
+        if "stiffness_rows" not in self._shared:
+            K = self.stiffness
+            columns = sp.issparse(K) and K.format == "csc"
+            arrays = (K.data, K.indices, K.indptr) if columns else K
+            self._shared["stiffness_rows"] = read_only(sp.csr_matrix(arrays, shape=K.shape))
+        return self._shared["stiffness_rows"]
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts m."""
+        return int(self.normal.shape[0])
+
+    @property
+    def ties(self) -> int:
+        """Number of ties k."""
+        return int(self.tie.shape[0])
+
+    @property
+    def load_size(self) -> Vector:
+        """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
+        return np.asarray(read_only(self._shared.get("load_size", abs(self.load))))
+
+    @property
+    def frictional(self) -> bool:
+        """Whether any contact has a positive coefficient of friction."""
+        return self.friction is not None and bool(np.any(self.friction > 0))
+
+    def replace(self, **changes: Any) -> ContactProblem:
+        """The same problem with other data; K and the rows are kept, and with them their factorisation.
+
+        >>> problem = ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.0])
+        >>> float(problem.replace(load=[3.0]).load[0])
+        3.0
+        """
+        known = {f.name for f in fields(self)} - {*MEASURED, "_shared"}
+        unknown = set(changes) - known
+        if unknown:
+            raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
+        if set(changes) & {"stiffness", "normal", "tangent", "tie", "near_null_space"}:
+            made = ContactProblem(**{name: getattr(self, name) for name in known} | changes)
+            for name in MEASURED if "stiffness" not in changes else ():
+                object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
+            return made
+        n, m, k = self.dimension, self.contacts, self.ties
+        checked: dict[str, Any] = {name: getattr(self, name) for name in (*known, *MEASURED)}
+        for name, size in (("load", n), ("tie_value", k)):
+            if name in changes:
+                checked[name] = read_vector(name, changes[name], size)
+        if "gap" in changes:
+            checked["gap"] = read_gap(changes["gap"], m)
+        if set(changes) & {"friction", "slip_origin"}:
+            origin = changes.get("slip_origin", self.slip_origin)
+            friction = changes.get("friction", self.friction)
+            _, checked["friction"], checked["slip_origin"] = read_friction(self.tangent, friction, origin, m, n)
+        for name, size in (("dof_names", n), ("contact_names", m)):
+            if name in changes:
+                checked[name] = read_names(name, changes[name], size)
+        if "units" in changes:
+            checked["units"] = _units(changes["units"])
+        return ContactProblem._of_checked(checked, self._shared)
+
+    def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
+        """The same problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
+        problem = self.replace(load=load)
+        object.__setattr__(problem, "_shared", self._shared | {"load_size": size})
+        return problem
+
+    def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
+        """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""
+        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
+        kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
+        if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
+            width = self.slip_origin.shape[1]
+            rows = (width * np.asarray(contacts)[:, None] + np.arange(width)).ravel()
+            friction, origin = self.friction[contacts], self.slip_origin[contacts]
+            kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
+        kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
+        shared = {name: value for name, value in self._shared.items() if name in (*OF_STIFFNESS, TIE_NUMBERS)}
+        return ContactProblem._of_checked(kept, shared)
+
+    def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
+        if "zero_rows" not in self._shared:
+            rows = (self.normal, self.tie)
+            self._shared["zero_rows"] = read_only(tuple(np.diff(of.indptr) == 0 for of in rows))
+        contacts, ties = self._shared["zero_rows"]
+        return contacts | (self.gap == np.inf), ties
+
+    @property
+    def finite_gap(self) -> Vector:
+        """(m,) the gaps, for what has no number for infinity.
+
+        Raises
+        ------
+        Unsupported
+            One is infinite.
+        """
+        if np.any(self.gap == np.inf):
+            i = int(np.argmax(self.gap == np.inf))
+            raise Unsupported(f"{self.contact_name(i)} never closes: infinity is no rational number, leave it out")
+        return self.gap
+
+    def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
+        """The same problem with some of its ties only, which keep their names."""
+        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
+        kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
+        shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
+        return ContactProblem._of_checked(kept, shared | {TIE_NUMBERS: ties})
+
+    @property
+    def lock(self) -> Any:
+        """A lock, held while something is computed that problems with the same stiffness and rows share.
+
+        Every process has its own: one that is forked while another thread holds it would wait for ever.
+        """
+        return self._shared.setdefault(f"lock of {os.getpid()}", threading.RLock())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or pickled: the problem, without what was computed from it."""
+        stated = {name: self._shared[name] for name in STATED if name in self._shared}
+        return self.__dict__ | {"_shared": stated}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value))
+
+    @own_floating_point
+    def energy(self, displacement: ArrayLike) -> float:
+        """Return 1/2 u'Ku - f'u [force * length].
+
+        Raises
+        ------
+        InvalidProblem
+            `displacement` is no array of n real numbers.
+        """
+        u = read_array("displacement", displacement)
+        if u.shape != (self.dimension,):
+            raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")
+        return float(0.5 * u @ (self.stiffness @ u) - self.load @ u)
+
+    def contact_name(self, i: int) -> str:
+        return self.contact_names[i] if self.contact_names else f"contact {i}"
+
+    def dof_name(self, j: int) -> str:
+        return self.dof_names[j] if self.dof_names else f"unknown {j}"
+
+    def tie_name(self, i: int) -> str:
+        numbers = self._shared.get(TIE_NUMBERS)
+        return f"tie {i if numbers is None else numbers[i]}"
+
+    def __repr__(self) -> str:
+        friction = ", with friction" if self.frictional else ""
+        return f"ContactProblem({self.dimension} unknowns, {self.contacts} contacts, {self.ties} ties{friction})"
+
+
+def _units(value: Units | Mapping[str, str] | None) -> Units:
+    if value is None:
+        return Units()
+    if isinstance(value, Units):
+        return value
+    try:
+        return Units(**value)
+    except TypeError:
+        raise InvalidProblem(f"units: expected the keys 'length' and 'force', got {value!r}") from None

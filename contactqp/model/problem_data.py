@@ -1,0 +1,342 @@
+"""The data of a contact problem, read and checked: a refusal names the argument, what came and what was expected."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable, Sequence
+from decimal import Decimal
+from typing import Any, TypeGuard, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.model.printed_stiffness import clear_of_printing
+
+Vector = NDArray[np.float64]
+Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
+
+# Kinds of arrays that hold real numbers, Python's own (Fraction, Decimal) among them, and what others are called.
+KINDS = "biufO"
+OTHER_KINDS = {"c": "complex numbers", "U": "words", "S": "words", "T": "words", "M": "dates", "m": "durations"}
+# Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
+SYMMETRY_TOLERANCE = 1e-6
+# Rows are squared on the way.
+LARGEST_ENTRY = 1e150
+# The same of E^2 / K, of which products and sums are formed.
+LEAST_COMPLIANCE = 1e-250
+# Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
+DEFINITENESS_CHECK_SIZE = 200
+
+
+T = TypeVar("T")
+
+
+def read_only(value: T) -> T:
+    """Return the value; an array, a sparse matrix's arrays, and those in a tuple can no longer be changed.
+
+    Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
+    """
+    found: Any = value
+    if isinstance(found, np.ndarray):
+        if isinstance(found.base, np.ndarray) and found.base.flags.writeable:
+            found = found.copy()
+        found.setflags(write=False)
+    elif sp.issparse(found):
+        for part in ("data", "indices", "indptr"):
+            if hasattr(found, part):
+                getattr(found, part).setflags(write=False)
+    elif isinstance(found, tuple) and found and isinstance(found[0], np.ndarray):
+        found = tuple(read_only(part) for part in found)
+    kept: T = found
+    return kept
+
+
+class ReadOnly:
+    """A frozen dataclass whose arrays are frozen with it, unpickled and copied ones too."""
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self).copy())
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value))
+
+
+def read_array(name: str, value: Any) -> NDArray[np.float64]:
+    """Return a copy of real numbers of any shape, NaN included.
+
+    Raises
+    ------
+    InvalidProblem
+        Words, complex numbers, dates, objects that are no real numbers, masked arrays.
+    """
+    refuse_masked(name, value)
+    try:
+        raw = np.asarray(value)
+        if raw.dtype.kind not in KINDS:
+            raise TypeError(f"{OTHER_KINDS.get(raw.dtype.kind, raw.dtype)} are no real numbers")
+        for entry in raw.flat if raw.dtype.kind == "O" else ():
+            if not isinstance(entry, (numbers.Real, Decimal)):
+                raise TypeError(f"one of type {type(entry).__name__}")
+        return np.array(raw, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split())
+        raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({reason})") from None
+
+
+def is_number(value: Any) -> bool:
+    """Whether this is one real number; truth values are none, nor are durations, which NumPy counts as integers."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, (bool, np.timedelta64))
+
+
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Whether this is one whole number; truth values and durations are none."""
+    return is_number(value) and isinstance(value, (int, np.integer))
+
+
+def read_whole(name: str, value: Any) -> NDArray[np.int64]:
+    """Return a copy of whole numbers of any shape.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows of different lengths, masked arrays, or entries that are no whole numbers.
+    """
+    refuse_masked(name, value)
+    try:
+        whole = np.array(value)
+    except ValueError:
+        raise InvalidProblem(f"{name}: expected whole numbers in rows of one length, got others") from None
+    if whole.size and whole.dtype.kind not in "iu":
+        raise InvalidProblem(f"{name}: expected whole numbers, got {whole.dtype} {whole.shape}")
+    return whole.astype(np.int64)
+
+
+def refuse_masked(name: str, value: Any) -> None:
+    """Raise InvalidProblem where entries of an array are masked, or may be."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise InvalidProblem(f"{name}: expected numbers, got a masked array; fill it first: array.filled(value)")
+    if isinstance(value, (list, tuple)):
+        for part in value:
+            if isinstance(part, (list, tuple, np.ma.MaskedArray)):
+                refuse_masked(name, part)
+
+
+def _finite(name: str, values: NDArray[np.float64]) -> None:
+    if not np.all(np.isfinite(values)):
+        where = np.argwhere(~np.isfinite(values))[0]
+        at = ", ".join(str(int(i)) for i in where)
+        raise InvalidProblem(f"{name}: expected finite numbers, got {values[tuple(where)]} at [{at}]")
+
+
+def read_vector(name: str, value: ArrayLike, size: int) -> Vector:
+    vector = read_array(name, value)
+    if vector.shape != (size,):
+        raise InvalidProblem(f"{name}: expected shape ({size},), got {vector.shape}")
+    _finite(name, vector)
+    return read_only(vector)
+
+
+def _sparse(name: str, value: Any) -> Any:
+    """A canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
+    if sp.issparse(value):
+        if isinstance(getattr(value, "data", None), np.ma.MaskedArray) or value.dtype.kind not in KINDS:
+            read_array(name, value.data)
+        rows = sp.csr_array(value, dtype=float, copy=True)
+    else:
+        dense = read_array(name, value)
+        if dense.ndim != 2:
+            raise InvalidProblem(f"{name}: expected a matrix, got {dense.ndim} dimension(s) of shape {dense.shape}")
+        rows = sp.csr_array(dense)
+    rows.sum_duplicates()
+    _finite(name, rows.data)
+    rows.eliminate_zeros()
+    return rows
+
+
+def read_rows(name: str, value: Any, n: int) -> Any:
+    given = value if sp.issparse(value) or isinstance(value, np.ndarray) else read_array(name, value)
+    if not sp.issparse(given) and given.size == 0:
+        return sp.csr_array((0, n))
+    rows = _sparse(name, given)
+    if rows.shape[1] != n:
+        raise InvalidProblem(f"{name}: expected {n} columns, one for each unknown, got shape {rows.shape}")
+    return rows
+
+
+def read_gap(value: ArrayLike, size: int) -> Vector:
+    """Initial gaps; infinity is that of a contact that never closes."""
+    gap = read_array("gap", value)
+    if gap.shape == (size,) and np.any(gap == np.inf):
+        read_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
+        return read_only(gap)
+    return read_vector("gap", gap, size)
+
+
+def refuse_extreme_rows(name: str, rows: Any, called: Callable[[int], str]) -> None:
+    """Raise where the largest entry of a row has a square that is no double; a row of zeros constrains nothing."""
+    filled = np.flatnonzero(np.diff(rows.indptr))
+    largest = np.maximum.reduceat(abs(rows.data), rows.indptr[filled]) if filled.size else np.ones(0)
+    extreme = np.flatnonzero((largest < 1 / LARGEST_ENTRY) | (largest > LARGEST_ENTRY))
+    if extreme.size:
+        i = int(extreme[0])
+        size = f"{largest[i]:.3g}"
+        raise InvalidProblem(
+            f"{name}: the row of {called(int(filled[i]))} has the size {size}; its square is no double"
+        )
+
+
+def refuse_lost_compliances(name: str, rows: Any, diagonal: Vector, called: Callable[[int], str]) -> None:
+    """Raise where sum_j E_ij^2 / K_jj, what a row finds at its own unknowns, is no double."""
+    if not rows.shape[0]:
+        return
+    with np.errstate(all="ignore"):
+        squares = rows.copy()
+        squares.data **= 2
+        elastic = np.where(diagonal > 0, diagonal, np.inf)
+        compliance = np.asarray(squares @ (1.0 / elastic))
+    on_elastic = (np.asarray(squares @ np.isinf(elastic).astype(float)) == 0) & (np.diff(rows.indptr) > 0)
+    lost = np.flatnonzero((on_elastic & (compliance < LEAST_COMPLIANCE)) | (compliance > 1 / LEAST_COMPLIANCE))
+    if lost.size:
+        i = int(lost[0])
+        raise InvalidProblem(
+            f"{name}: the row of {called(i)} and the stiffness where it acts: expected E^2 / K from "
+            f"{LEAST_COMPLIANCE:g} to {1 / LEAST_COMPLIANCE:g}, got {compliance[i]:.3g}; choose other units"
+        )
+
+
+def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
+    """K, how far from symmetric it was, and how much of it was rounding of digits along rigid motions."""
+    dense = not sp.issparse(value)
+    K = _sparse("stiffness", value)
+    n = K.shape[0]
+    if K.shape != (n, n) or n == 0:
+        raise InvalidProblem(f"stiffness: expected a square matrix, got shape {K.shape}")
+    diagonal = K.diagonal()
+    if np.any(diagonal < 0):
+        j = int(np.argmin(diagonal))
+        raise InvalidProblem(f"stiffness: expected positive semidefinite, got K[{j}, {j}] = {diagonal[j]:.6g}")
+    row, root = np.repeat(np.arange(n), np.diff(K.indptr)), np.sqrt(diagonal)
+    pair = root[row] * root[K.indices]
+    outside = np.abs(K.data) > (1 + SYMMETRY_TOLERANCE) * pair
+    if np.any(outside):
+        at = int(np.flatnonzero(outside)[0])
+        i, j = int(row[at]), int(K.indices[at])
+        raise InvalidProblem(
+            f"stiffness: indefinite, |K[{i}, {j}]| = {abs(K.data[at]):.6g} "
+            f"exceeds sqrt(K[{i}, {i}] K[{j}, {j}]) = {pair[at]:.6g}"
+        )
+    asymmetry = 0.0
+    if not _symmetric(K):
+        difference = abs(K - K.T).tocoo()
+        relative = difference.data / (root[difference.row] * root[difference.col])
+        worst = int(np.argmax(relative))
+        asymmetry = float(relative[worst])
+        if asymmetry > SYMMETRY_TOLERANCE:
+            i, j = int(difference.row[worst]), int(difference.col[worst])
+            raise InvalidProblem(
+                f"stiffness: expected symmetric, got K[{i}, {j}] and K[{j}, {i}] that differ by {asymmetry:.3g} "
+                f"of sqrt(K[{i}, {i}] K[{j}, {j}]) (at most {SYMMETRY_TOLERANCE:g} is symmetrised)"
+            )
+        K = sp.csr_array((K + K.T) / 2)
+    cleared = clear_of_printing(K, read_motions("near_null_space", motions, n))
+    K, change = (K, 0.0) if cleared is None else (cleared.stiffness, cleared.change)
+    if n <= DEFINITENESS_CHECK_SIZE:
+        _refuse_indefinite(K.toarray())
+    return (read_only(K.toarray()) if dense else sp.csc_array(K)), asymmetry, change
+
+
+def _symmetric(K: Any) -> bool:
+    """To the last digit, K in canonical CSR."""
+    other = K.T.tocsr()
+    pairs = ((K.indptr, other.indptr), (K.indices, other.indices), (K.data, other.data))
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def _refuse_indefinite(K: NDArray[np.float64]) -> None:
+    scale = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), 1.0))
+    eigenvalues = np.linalg.eigvalsh(K / np.outer(scale, scale))
+    # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
+    # SYMMETRY_TOLERANCE.
+    if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
+        raise InvalidProblem(
+            f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
+            f"after scaling its diagonal to one){_of_lost_digits(eigenvalues[0])}"
+        )
+
+
+def _of_lost_digits(eigenvalue: float) -> str:
+    """What may be done about an eigenvalue that lost digits may have made."""
+    if eigenvalue < -SYMMETRY_TOLERANCE * 10:
+        return ""
+    return "; if it was printed with few digits, print more, or state the rigid motions as near_null_space"
+
+
+def read_friction(
+    tangent: Any, friction: ArrayLike | None, slip_origin: ArrayLike | None, m: int, n: int
+) -> tuple[Matrix | None, Vector | None, NDArray[np.float64] | None]:
+    if tangent is None:
+        if friction is not None and np.any(read_array("friction", friction) != 0):
+            raise InvalidProblem("friction: a coefficient was given without tangent, the directions of slip")
+        if slip_origin is not None:
+            raise InvalidProblem("slip_origin was given without tangent, the directions of slip")
+        return None, None, None
+    E_T = read_rows("tangent", tangent, n)
+    if E_T.shape[0] not in (m, 2 * m):
+        raise InvalidProblem(f"tangent: expected {m} rows (2D) or {2 * m} rows (3D), got {E_T.shape[0]}")
+    per_contact = E_T.shape[0] // m if m else 1
+    coefficient = read_coefficient(0.0 if friction is None else friction, m)
+    origin = np.zeros((m, per_contact)) if slip_origin is None else read_array("slip_origin", slip_origin)
+    if (
+        origin.size != m * per_contact
+        or origin.ndim not in (1, 2)
+        or (origin.ndim == 2 and origin.shape != (m, per_contact))
+    ):
+        raise InvalidProblem(
+            f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
+        )
+    _finite("slip_origin", origin)
+    return E_T, coefficient, read_only(origin.reshape(m, per_contact))
+
+
+def read_coefficient(friction: ArrayLike, m: int) -> Vector:
+    """Coulomb's coefficient of every contact, from one for all or one for each."""
+    coefficient = read_array("friction", friction)
+    if np.asarray(friction).dtype == bool:
+        raise InvalidProblem(f"friction: expected a coefficient, got {friction!r}")
+    if coefficient.ndim == 0:
+        coefficient = np.full(m, float(coefficient))
+    coefficient = read_vector("friction", coefficient, m)
+    if np.any(coefficient < 0):
+        i = int(np.argmin(coefficient))
+        raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
+    return coefficient
+
+
+def read_matrix(name: str, value: Any) -> Any:
+    """A finite matrix in CSR form, duplicates summed."""
+    return _sparse(name, value)
+
+
+def read_motions(name: str, value: ArrayLike | None, n: int) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    motions = read_array(name, value)
+    if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
+        raise InvalidProblem(f"{name}: expected shape ({n}, q), one motion a column, got {motions.shape}")
+    _finite(name, motions)
+    return read_only(motions)
+
+
+def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    names = tuple(str(v) for v in value)
+    if len(names) != size:
+        raise InvalidProblem(f"{name}: expected {size} names, got {len(names)}")
+    if len(set(names)) != size:
+        twice = next(v for v in names if names.count(v) > 1)
+        raise InvalidProblem(f"{name}: expected distinct names, got {twice!r} more than once")
+    return names

@@ -1,0 +1,129 @@
+"""Semismooth Newton on Coulomb's law (Alart and Curnier 1991), regularised where the Delassus operator is singular.
+
+    Phi_N = r_N - (r_N - u_N)+,    Phi_T = r_T - P(r_T - u_T; mu (r_N - u_N)+),    u = W r + q + V l,
+
+P the projection onto a disc. Its generalised Jacobian is A + B W, one block a contact: r = 0 where open, u = 0 where it
+sticks, and where it slips, with t = y/|y|, y = r_T - u_T, radius b = mu (r_N - u_N),
+
+    dPhi_T = dr_T - mu t (dr_N - du_N) - b/|y| (I - t t') (dr_T - du_T).
+
+Scaled contacts have a compliance of one, the parameter of both projections. A step uses W + a I; a shrinks with success
+and grows where the residual of the natural map does not fall (proximal point, Acary, Bremond and Huber 2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.linalg.factorization import Array
+from contactqp.model.coulomb_cone import lengths
+from contactqp.model.problem_data import Vector
+from contactqp.solving.friction.iterate import Iterate
+from contactqp.solving.friction.local_form import BlockSystem, LocalForm
+
+# The regularisation starts from, stays above, and is given up beyond these; contacts have a compliance of one.
+REGULARISATION = (1e-6, 1e-12, 1e2)
+# Step lengths that are tried before the regularisation grows.
+STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
+# A residual that is rounding.
+ROUNDING = 1e-15
+
+
+def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING) -> Iterate:
+    """The best iterate that Newton's method reaches from a start; it is never worse than the start."""
+    best, regularisation = start, REGULARISATION[0]
+    history = [start.error]
+    for _ in range(max_iter):
+        if best.error <= target:
+            break
+        found = _step(form, best, regularisation)
+        if found is None or found.error >= 0.999 * best.error:
+            # Near the rounding of the answer nothing falls any more.
+            if regularisation >= REGULARISATION[2]:
+                break
+            regularisation = 30.0 * regularisation
+            if found is None or found.error >= best.error:
+                continue
+        else:
+            regularisation = max(0.1 * regularisation, REGULARISATION[1])
+        best = found
+        history.append(best.error)
+    return Iterate(best.force, best.joint_force, best.error, len(history) - 1, tuple(history))
+
+
+def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | None:
+    """The best point along Newton's direction that has a smaller residual; None where there is no direction."""
+    direction = _direction(form, here, regularisation)
+    if direction is None:
+        return None
+    change, joint_change = direction
+    best: Iterate | None = None
+    for length in STEP_LENGTHS:
+        found = Iterate.at(form, here.force + length * change, here.joint_force + length * joint_change)
+        if best is None or found.error < best.error:
+            best = found
+        if found.error < here.error * (1 - 0.1 * length):
+            break
+    return best
+
+
+def _direction(form: LocalForm, here: Iterate, regularisation: float) -> tuple[Array, Vector] | None:
+    r, u = here.force, form.velocity(here.force, here.joint_force)
+    A, B, phi = jacobian_blocks(r, u, form.mu)
+    if form.sparse:
+        size = form.m * form.d
+        W = form.W + regularisation * sp.identity(size, format="csr")
+        blocks = _block_diagonal(B)
+        matrix, coupling = _block_diagonal(A) + blocks @ W, blocks @ form.V
+    else:
+        W = form.W.reshape(form.m, form.d, -1)
+        product = np.einsum("iab,ibc->iac", B, W)
+        own = np.arange(form.m)
+        # The block of contact i in the columns of contact i.
+        view = product.reshape(form.m, form.d, form.m, form.d)
+        view[own, :, own, :] += A + regularisation * B
+        matrix = product.reshape(form.m * form.d, form.m * form.d)
+        coupling = np.einsum("iab,ibc->iac", B, form.V.reshape(form.m, form.d, -1)).reshape(form.m * form.d, -1)
+    try:
+        system = BlockSystem(form, matrix, coupling)
+        change, joint = system.solve(-phi.ravel(), -form.joint_residual(r, here.joint_force))
+    except np.linalg.LinAlgError:
+        return None  # singular: a larger regularisation
+    if not np.all(np.isfinite(change)) or not np.all(np.isfinite(joint)):
+        return None
+    return change.reshape(form.m, form.d), joint
+
+
+def jacobian_blocks(r: Array, u: Array, friction: Vector) -> tuple[Array, Array, Array]:
+    """A, B (m, d, d) of the Jacobian A + B W, and Phi (m, d), at forces and velocities (m, d)."""
+    m, d = r.shape
+    trial = r[:, 0] - u[:, 0]
+    y = r[:, 1:] - u[:, 1:]
+    size, bound = lengths(y), friction * np.maximum(trial, 0.0)
+    closed = trial > 0
+    stuck = closed & (size <= bound) & (friction > 0)
+    sliding = closed & ~stuck
+    A, B, phi = np.zeros((m, d, d)), np.zeros((m, d, d)), r.copy()
+    A[~closed] = np.eye(d)
+    B[closed, 0, 0] = 1.0
+    phi[closed, 0] = u[closed, 0]
+    if d > 1:
+        B[stuck, 1:, 1:] = np.eye(d - 1)
+        phi[stuck, 1:] = u[stuck, 1:]
+        t = y[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)[:, None]
+        share = bound[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)
+        across = share[:, None, None] * (np.eye(d - 1) - t[:, :, None] * t[:, None, :])
+        push = friction[sliding, None] * t
+        A[sliding, 1:, 1:] = np.eye(d - 1) - across
+        A[sliding, 1:, 0] = -push
+        B[sliding, 1:, 0] = push
+        B[sliding, 1:, 1:] = across
+        phi[sliding, 1:] = r[sliding, 1:] - bound[sliding, None] * t
+    return A, B, phi
+
+
+def _block_diagonal(blocks: Array) -> sp.csr_array:
+    m, d, _ = blocks.shape
+    column = np.broadcast_to(d * np.arange(m)[:, None, None] + np.arange(d)[None, None, :], blocks.shape)
+    return sp.csr_array((blocks.ravel(), column.ravel(), d * np.arange(m * d + 1)), shape=(m * d, m * d))

@@ -1,0 +1,322 @@
+"""Every equilibrium of a tiny problem with Coulomb friction in the plane, in rational numbers: nothing is rounded.
+
+The bodies and their ties are solved for once,
+
+    [ K  A' ] [ u  ]   [ f - E_N'l_N - E_T'l_T ]
+    [ A  0  ] [ nu ] = [ b                     ]      u = u_0 + U y,   H y = h,   y = (l_N, l_T, a),
+
+a being motions that neither stiffness nor ties resist and H y = h what it takes to balance the load along them. Each
+combination of open, stick and slip either way is then a small linear system and a list of signs, as in
+`contactqp.solving.friction.enumeration`; where the system leaves something free, exact linear programs say whether the
+signs can hold, and whether what is free moves anything.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.solving.friction.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
+from contactqp.solving.friction.exact_data import ExactData
+
+# 4^6 systems of some ten rows take tens of seconds in rational numbers.
+MOST_CONTACTS = 6
+MOST_UNKNOWNS = 60
+# Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
+MOST_PROVEN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ExactEquilibrium(ReadOnly):
+    """One equilibrium in rational numbers: arrays of Fractions, signs and shapes of `contactqp.Solution`."""
+
+    displacement: NDArray[Any]  # (n,)
+    normal_force: NDArray[Any]  # (m,)
+    friction_force: NDArray[Any]  # (m, 1)
+    tie_force: NDArray[Any]  # (k,)
+    gap: NDArray[Any]  # (m,)
+    slip: NDArray[Any]  # (m, 1)
+    contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
+    continuum: bool  # one of many displacements, arbitrarily near to each other, that are equilibria
+    unique_forces: bool  # no other contact forces belong to this displacement
+
+
+@own_floating_point
+def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquilibrium, ...]:
+    """All equilibria of a frictional problem in the plane in rational numbers, by all combinations of states.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With friction, at most six contacts and sixty unknowns, one tangential row a contact. Its floats are taken as
+        they stand.
+    **exact
+        `stiffness`, `load`, `normal`, `gap`, `tangent`, `friction`, `slip_origin`, `tie`, `tie_value`: exact values
+        (Fraction, int, or text such as "68831/10" and "0.3") that take the place of the problem's floats, which must be
+        their rounding.
+
+    Returns
+    -------
+    tuple of ExactEquilibrium
+        One for each displacement; empty where there is none: then no equilibrium exists. Of a continuum of
+        displacements one member is given for each combination of states that has one. Motions that nothing resists,
+        contacts included, are left out: the displacement is the one of least norm.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no friction, or an exact value is none of the problem's.
+    Unsupported
+        Too many contacts or unknowns, or two tangential rows a contact.
+
+    Examples
+    --------
+    A pad of 10 N that is pulled by 5 N on a spring of 1 N/m, mu = 3/10: it slides two metres.
+
+    >>> import contactqp as cq
+    >>> pad = cq.ContactProblem(
+    ...     stiffness=[[1.0, 0.0], [0.0, 0.0]], load=[5.0, -10.0], normal=[[0.0, -1.0]], gap=[0.0],
+    ...     tangent=[[1.0, 0.0]], friction=0.3,
+    ... )
+    >>> [state] = exact_equilibria(pad, friction="3/10")
+    >>> state.displacement, state.friction_force[0, 0], state.contact_status
+    (array([Fraction(2, 1), Fraction(0, 1)], dtype=object), Fraction(3, 1), ('slip',))
+    """
+    if not problem.frictional or problem.slip_origin is None:
+        raise InvalidProblem("exact_equilibria: expected a problem with friction")
+    if problem.slip_origin.shape[1] > 1:
+        raise Unsupported("exact_equilibria: two tangential rows a contact; slip directions in space cannot be listed")
+    for count, most, what in (
+        (problem.contacts, MOST_CONTACTS, "contacts"),
+        (problem.dimension, MOST_UNKNOWNS, "unknowns"),
+    ):
+        if count > most:
+            raise Unsupported(f"exact_equilibria: {count} {what}; at most {most} are few enough for rational numbers")
+    return _listed(_Bodies(ExactData(problem, exact)))
+
+
+def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
+    members = [found for status in bodies.combinations() if (found := bodies.members(status)) is not None]
+    points: list[Row] = []
+    listed = []
+    for one in members:
+        u = one.displacement
+        known = u in points or any(other.contains(u) for other in members if other is not one and other.continuum)
+        if one.continuum or not known:
+            points.append(u)
+            forces = [force for other in members for force in other.forces(u)]
+            listed.append(one.equilibrium(all(force == forces[0] for force in forces)))
+    return tuple(listed)
+
+
+class _Bodies:
+    """Displacements and ties as what contact forces and free motions make of them."""
+
+    def __init__(self, data: ExactData) -> None:
+        self.data, self.m = data, len(data.gap)
+        n, k, m = len(data.load), len(data.tie), self.m
+        # Unknowns (u, nu), then contact forces, then the right-hand side.
+        rows = [
+            [*data.stiffness[i], *(tie[i] for tie in data.tie), *(row[i] for row in data.normal + data.tangent), f]
+            for i, f in enumerate(data.load)
+        ]
+        none = [ZERO] * (2 * m)
+        rows += [[*tie, *[ZERO] * k, *none, b] for tie, b in zip(data.tie, data.tie_value, strict=True)]
+        rows += [[*motion, *[ZERO] * k, *none, ZERO] for motion in self._unseen()]
+        rows, pivots = reduced(rows, n + k)
+        free = [j for j in range(n) if j not in pivots]
+        self.size = 2 * m + len(free)
+        # (u, nu) = start + slope y; of ties that are redundant the share is none.
+        self._start, self._slope = [ZERO] * (n + k), [[ZERO] * self.size for _ in range(n + k)]
+        for row, j in zip(rows, pivots, strict=False):
+            self._start[j] = row[-1]
+            self._slope[j] = [-x for x in (*row[n + k : n + k + 2 * m], *(row[i] for i in free))]
+        for column, j in enumerate(free):
+            self._slope[j][2 * m + column] = ONE
+        self.balance = [
+            [*row[n + k : n + k + 2 * m], *[ZERO] * len(free), row[-1]]
+            for row in rows[len(pivots) :]
+            if any(row[n + k :])
+        ]
+        self.gap = [self._length(row, limit) for row, limit in zip(data.normal, data.gap, strict=True)]
+        self.slip = [self._length(row, limit) for row, limit in zip(data.tangent, data.slip_origin, strict=True)]
+
+    def _unseen(self) -> list[Row]:
+        """Motions that neither stiffness, ties nor the law see: where nothing holds, the displacement has none."""
+        data = self.data
+        seen = [*data.stiffness, *data.normal, *data.tie]
+        seen += [row for row, mu in zip(data.tangent, data.friction, strict=True) if mu]
+        found = solutions([[*row, ZERO] for row in seen], len(data.load))
+        return [] if found is None else found.free
+
+    def _length(self, row: Row, limit: Fraction) -> Row:
+        """(row'u - limit) as its slope in y and its constant last."""
+        n = len(row)
+        slope = [dot(row, [line[j] for line in self._slope[:n]]) for j in range(self.size)]
+        return [*slope, dot(row, self._start[:n]) - limit]
+
+    def combinations(self) -> Iterator[tuple[int, ...]]:
+        choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if mu else (OPEN, SLIP_ON) for mu in self.data.friction]
+        return itertools.product(*choices)
+
+    def members(self, status: tuple[int, ...]) -> _Members | None:
+        """All equilibria in one combination, None where there are none."""
+        columns = _Columns(self, status)
+        rows = [columns.of(row) for row in self.balance]
+        for i, state in enumerate(status):
+            if state != OPEN:
+                rows.append(_equation(columns.of(self.gap[i])))
+            if state == STICK:
+                rows.append(_equation(columns.of(self.slip[i])))
+        found = solutions(rows, columns.count)
+        if found is None:
+            return None
+        members = _Members(self, columns, found, self._signs(status))
+        return members if members.there else None
+
+    def _signs(self, status: tuple[int, ...]) -> list[Row]:
+        """Forms in y, their constant last, that are not negative."""
+        m, signs = self.m, []
+        for i, state in enumerate(status):
+            mu = self.data.friction[i]
+            if state == OPEN:
+                signs.append([-x for x in self.gap[i]])
+                continue
+            push, rub = ([ONE if j == at else ZERO for j in range(self.size + 1)] for at in (i, m + i))
+            signs.append(push)
+            if state == STICK:
+                signs += [[mu * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1)]
+            elif mu:
+                signs.append([state * x for x in self.slip[i]])
+        return signs
+
+    def displacement_rows(self) -> list[Row]:
+        return [[*slope, start] for slope, start in zip(self._slope, self._start, strict=True)][: len(self.data.load)]
+
+    def force_rows(self) -> list[Row]:
+        return [[ONE if j == at else ZERO for j in range(self.size + 1)] for at in range(2 * self.m)]
+
+    def tie_rows(self) -> list[Row]:
+        return [[*slope, start] for slope, start in zip(self._slope, self._start, strict=True)][len(self.data.load) :]
+
+
+class _Columns:
+    """What is unknown in a combination: l_N where closed, l_T where it sticks, a; where it slips l_T = s mu l_N."""
+
+    def __init__(self, bodies: _Bodies, status: tuple[int, ...]) -> None:
+        m = bodies.m
+        self._parts: list[list[tuple[int, Fraction]]] = []
+        for i, state in enumerate(status):
+            if state == OPEN:
+                continue
+            along = [] if state == STICK else [(m + i, state * bodies.data.friction[i])]
+            self._parts.append([(i, ONE), *along])
+        self._parts += [[(m + i, ONE)] for i, state in enumerate(status) if state == STICK]
+        self._parts += [[(j, ONE)] for j in range(2 * m, bodies.size)]
+        self.count, self._size = len(self._parts), bodies.size
+
+    def of(self, row: Row) -> Row:
+        """A form in y, its constant last, as one in these unknowns."""
+        return [*(sum((row[j] * share for j, share in part), ZERO) for part in self._parts), row[-1]]
+
+
+class _Members:
+    """All equilibria of one combination: a polyhedron in the c of y = point + free'c, most often one point."""
+
+    def __init__(self, bodies: _Bodies, columns: _Columns, found: Affine, signs: list[Row]) -> None:
+        self._bodies, self._columns, self._found = bodies, columns, found
+        self._moved = [self._image(row) for row in bodies.displacement_rows()]
+        self._forces = [self._image(row) for row in bodies.force_rows()]
+        self._region = Region([self._image(sign) for sign in signs], len(found.free))
+        self.there, self.continuum = not self._region.empty, False
+        if self.there:
+            self._at = self._region.point()
+            ends = self._region.ends([slope for _, slope in self._moved])
+            self.continuum = ends is None or bool(ends)
+            if ends:
+                self._at = [sum(values, ZERO) / len(ends) for values in zip(*ends, strict=True)]
+            self.displacement = [value + dot(slope, self._at) for value, slope in self._moved]
+
+    def _image(self, row: Row) -> tuple[Fraction, Row]:
+        """A form in y, its constant last, as its value at c = 0 and its slope in c."""
+        own = self._columns.of(row)
+        value, slope = self._found.image(own[:-1])
+        return value + own[-1], slope
+
+    def _value(self, row: Row) -> Fraction:
+        value, slope = self._image(row)
+        return value + dot(slope, self._at)
+
+    def _within(self, displacement: Row) -> tuple[Affine, Region] | None:
+        """Those that have one displacement, in coordinates of their own."""
+        equations = [[*slope, u - value] for (value, slope), u in zip(self._moved, displacement, strict=True)]
+        found = solutions(equations, len(self._found.free))
+        if found is None:
+            return None
+        signs = [(room + value, slope) for room, (value, slope) in self._region.seen_from(found)]
+        return found, Region(signs, len(found.free))
+
+    def contains(self, displacement: Row) -> bool:
+        """Whether a displacement is one of these."""
+        within = self._within(displacement)
+        return within is not None and not within[1].empty
+
+    def forces(self, displacement: Row) -> list[Row]:
+        """Contact forces that belong to one displacement: none, one, or more than one where there are many."""
+        within = self._within(displacement)
+        if within is None or within[1].empty:
+            return []
+        found, region = within
+        images = [(value, found.image(slope)) for value, slope in self._forces]
+        ends = region.ends([slope for _, (_, slope) in images])
+        points = [region.point(), *(ends or [])]
+        vectors = [[value + more + dot(slope, c) for value, (more, slope) in images] for c in points]
+        # Without an end they are many, whatever one of them is.
+        return [vectors[0], []] if ends is None else [v for k, v in enumerate(vectors) if v not in vectors[:k]]
+
+    def equilibrium(self, unique_forces: bool) -> ExactEquilibrium:
+        bodies = self._bodies
+        forces = [self._value(row) for row in bodies.force_rows()]
+        normal, friction = forces[: bodies.m], forces[bodies.m :]
+        gap, slip = [-self._value(row) for row in bodies.gap], [self._value(row) for row in bodies.slip]
+        return ExactEquilibrium(
+            displacement=_array(self.displacement),
+            normal_force=_array(normal),
+            friction_force=_array(friction)[:, None],
+            tie_force=_array([self._value(row) for row in bodies.tie_rows()]),
+            gap=_array(gap),
+            slip=_array(slip)[:, None],
+            contact_status=tuple(map(_status, normal, gap, slip, bodies.data.friction)),
+            continuum=self.continuum,
+            unique_forces=unique_forces,
+        )
+
+
+def _equation(form: Row) -> Row:
+    """form = 0 as (a, b) of a'x = b."""
+    return [*form[:-1], -form[-1]]
+
+
+def _status(force: Fraction, gap: Fraction, slip: Fraction, friction: Fraction) -> str:
+    if not force:
+        return "open" if gap else "grazing"
+    if not friction:
+        return "closed"
+    return "slip" if slip else "stick"
+
+
+def _array(values: list[Fraction]) -> NDArray[Any]:
+    array = np.empty(len(values), dtype=object)
+    array[:] = values
+    return array

@@ -1,0 +1,155 @@
+"""Nonsmooth Gauss-Seidel (Jourdan, Alart, Jean 1998): contact by contact, the others' forces held.
+
+Each contact solves its own law with its own block of W: in the plane by trying open, stick and slip both ways; in space
+by projections r <- P_K(r - rho (u + mu |u_T| e_N)), rho adapting itself so that a step neither overshoots nor crawls
+(Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts that do not feel each other are of one colour and move
+together. Joints follow every sweep by a proximal step, by which conditions V'r = -s on the forces, R = 0, become
+springs 1/e on the contacts and multipliers (augmented Lagrangian).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import NotConverged
+from contactqp.linalg.factorization import Array
+from contactqp.model.coulomb_cone import de_saxce, lengths, onto_cone
+from contactqp.model.problem_data import Vector
+from contactqp.solving.friction.iterate import Iterate
+from contactqp.solving.friction.local_form import LocalForm
+
+# Projections of one contact in one sweep; it need not be exact while the others still move.
+LOCAL_STEPS = 12
+# rho shrinks where a step changes the velocity by more than the first of these of itself, grows below the second.
+TOO_LONG, TOO_SHORT = 0.9, 0.3
+SHRINK, GROW = 2.0 / 3.0, 1.5
+# The compliance that stands for joints without any.
+JOINT_COMPLIANCE = 1.0
+
+
+def gauss_seidel(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
+    """Iterates, one a sweep, without end; what they owe is in their error."""
+    sweeps = _Sweeps(form, start)
+    count = 0
+    while True:
+        sweeps.once()
+        count += 1
+        if not np.all(np.isfinite(sweeps.r)):
+            raise NotConverged(f"nsgs: the forces have overflowed after {count} sweeps")
+        yield Iterate.at(form, sweeps.r.copy(), sweeps.joint.copy(), count)
+
+
+class _Sweeps:
+    def __init__(self, form: LocalForm, start: Iterate) -> None:
+        self._form = form
+        self.r, self.joint = start.force.copy(), start.joint_force.copy()
+        W = form.W
+        if form.joints:
+            # Positive where a joint has a compliance, negative where it is a condition on the forces.
+            self._regular = JOINT_COMPLIANCE * form.joint_signs
+            self._stiffness = np.linalg.inv(form.R + np.diag(self._regular))
+            W = W - form.V @ self._stiffness @ form.V.T
+        self._W = sp.csr_array(W) if form.sparse else W
+        self._blocks = _own_blocks(self._W, form.m, form.d)
+        largest = np.linalg.norm(self._blocks, axis=(1, 2))
+        self._rho = 1.0 / np.where(largest > 0, largest, 1.0)
+        self._colours = [(colour, self._rows(colour)) for colour in colours(self._W, form.m, form.d)]
+
+    def _rows(self, colour: NDArray[np.intp]) -> Array:
+        d = self._form.d
+        rows: Array = self._W[(d * colour[:, None] + np.arange(d)).ravel()]
+        return rows
+
+    def once(self) -> None:
+        """One sweep over all contacts."""
+        form, q = self._form, self._form.q
+        if form.joints:
+            # l = (R + e)^-1 (e l_old - s - V'r): what of it is no spring on the contacts.
+            held = self._stiffness @ (self._regular * self.joint - form.s)
+            q = q + form.V @ held
+        q = q.reshape(form.m, form.d)
+        for colour, rows in self._colours:
+            own, before = self._blocks[colour], self.r[colour]
+            outer = (rows @ self.r.ravel()).reshape(len(colour), form.d) + q[colour]
+            outer -= np.einsum("iab,ib->ia", own, before)
+            self.r[colour], self._rho[colour] = solve_contacts(own, outer, form.mu[colour], before, self._rho[colour])
+        if form.joints:
+            self.joint = self._stiffness @ (self._regular * self.joint - form.s - form.V.T @ self.r.ravel())
+
+
+def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, NDArray[np.bool_]]:
+    """Forces (k, 2) of k contacts on their own, u = W_ii r + q_i, and which have any; open comes first, then stick."""
+    a, b, c, e = own[:, 0, 0], own[:, 0, 1], own[:, 1, 0], own[:, 1, 1]
+    normal, tangential = outer[:, 0], outer[:, 1]
+    r, done = np.zeros_like(outer), normal >= 0
+    determinant = a * e - b * c
+    inverse = np.divide(1.0, determinant, out=np.zeros_like(a), where=determinant > 0)
+    stuck = np.column_stack([b * tangential - e * normal, c * normal - a * tangential]) * inverse[:, None]
+    held = ~done & (determinant > 0) & (stuck[:, 0] >= 0) & (abs(stuck[:, 1]) <= mu * stuck[:, 0])
+    r[held], done = stuck[held], done | held
+    for way in (1.0, -1.0):
+        share = way * mu
+        push = np.divide(-normal, a + b * share, out=np.full_like(a, -1.0), where=a + b * share > 0)
+        slides = ~done & (push >= 0) & (way * (tangential + (c + e * share) * push) <= 0)
+        r[slides, 0], r[slides, 1], done = push[slides], (share * push)[slides], done | slides
+    return r, done
+
+
+def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
+    """Forces (k, d) of k contacts on their own, u = W_ii r + q_i, and the steps rho (k,) that suited them."""
+    if own.shape[1] == 2:
+        r, solved = solve_in_plane(own, outer, mu)
+        if np.all(solved):
+            return r, rho
+        rest = ~solved
+        rho = rho.copy()
+        r[rest], rho[rest] = projected(own[rest], outer[rest], mu[rest], start[rest], rho[rest])
+        return r, rho
+    return projected(own, outer, mu, start, rho)
+
+
+def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
+    """As `solve_contacts`, by a few projections."""
+    r, rho = start.copy(), rho.copy()
+    for _ in range(LOCAL_STEPS):
+        velocity = de_saxce(np.einsum("iab,ib->ia", own, r) + outer, mu)
+        for _ in range(3):
+            trial = onto_cone(r - rho[:, None] * velocity, mu)
+            changed = de_saxce(np.einsum("iab,ib->ia", own, trial) + outer, mu)
+            moved = lengths(trial - r)
+            slope = np.divide(rho * lengths(changed - velocity), moved, out=np.zeros_like(moved), where=moved > 0)
+            overshoots = slope > TOO_LONG
+            if not np.any(overshoots):
+                break
+            rho = np.where(overshoots, rho * SHRINK * np.minimum(1.0, 1.0 / slope.clip(1e-300)), rho)
+        r = trial
+        rho = np.where((slope < TOO_SHORT) & (moved > 0), rho * GROW, rho)
+        if not np.any(moved > 1e-16 * lengths(r)):
+            break
+    return r, rho
+
+
+def colours(W: Array, m: int, d: int) -> list[NDArray[np.intp]]:
+    """Contacts in groups that do not feel each other, greedily."""
+    entries = sp.coo_array(W)
+    pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))
+    pairs = sp.csr_array(pairs + pairs.T)
+    colour = np.full(m, -1)
+    for i in range(m):
+        taken = set(colour[pairs.indices[pairs.indptr[i] : pairs.indptr[i + 1]]].tolist())
+        colour[i] = next(c for c in range(m + 1) if c not in taken)
+    return [np.flatnonzero(colour == c) for c in range(int(colour.max(initial=-1)) + 1)]
+
+
+def _own_blocks(W: Array, m: int, d: int) -> Array:
+    """(m, d, d) the diagonal blocks."""
+    entries = sp.coo_array(W)
+    own = entries.row // d == entries.col // d
+    blocks = np.zeros((m, d, d))
+    row, column = entries.row[own], entries.col[own]
+    np.add.at(blocks, (row // d, row % d, column % d), entries.data[own])
+    return blocks

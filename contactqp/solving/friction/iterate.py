@@ -1,0 +1,59 @@
+"""What the algorithms of the local form hand to each other."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactqp.errors import NotConverged
+from contactqp.linalg.factorization import Array
+from contactqp.model.problem_data import Vector
+from contactqp.solving.friction.local_form import LocalForm
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Forces on the way, scaled as their `LocalForm`."""
+
+    force: Array  # (m, d)
+    joint_force: Vector  # (p,)
+    error: float  # of the natural map, `LocalForm.error`
+    iterations: int = 0
+    history: tuple[float, ...] = ()
+
+    @classmethod
+    def at(
+        cls, form: LocalForm, force: Array, joint: Vector, iterations: int = 0, history: tuple[float, ...] = ()
+    ) -> Iterate:
+        """An iterate, its error found."""
+        return cls(force, joint, form.error(force, joint), iterations, history)
+
+    @classmethod
+    def nothing(cls, form: LocalForm) -> Iterate:
+        """No force anywhere, bodies at rest or, where that is better, where joints have them."""
+        none = np.zeros((form.m, form.d))
+        starts = (cls.at(form, none, joint) for joint in (np.zeros(form.joints), form.joint_force(none)))
+        return min(starts, key=lambda one: one.error)
+
+
+class Deadline:
+    """A limit in seconds, if any, counted from when it is made."""
+
+    def __init__(self, limit: float | None) -> None:
+        self._end = np.inf if limit is None else time.perf_counter() + limit
+        self._limit = limit
+
+    @property
+    def left(self) -> float | None:
+        """Seconds, None without a limit."""
+        return None if self._limit is None else max(self._end - time.perf_counter(), 0.0)
+
+    @property
+    def passed(self) -> bool:
+        return time.perf_counter() > self._end
+
+    def refuse_if_passed(self, who: str) -> None:
+        if self.passed:
+            raise NotConverged(f"{who}: stopped at the time limit of {self._limit:g} s")

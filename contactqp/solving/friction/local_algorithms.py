@@ -1,0 +1,171 @@
+"""Coulomb's law on a local form: the algorithms by name, when they stop, and what is tried where none is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged, Unsupported
+from contactqp.solving.friction.admm import admm
+from contactqp.solving.friction.alart_curnier import newton
+from contactqp.solving.friction.convex_steps import ConvexSteps
+from contactqp.solving.friction.fixed_points import cone_fixed_point, tresca_fixed_point
+from contactqp.solving.friction.gauss_seidel import gauss_seidel
+from contactqp.solving.friction.iterate import Deadline, Iterate
+from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.proximal_point import proximal_points
+from contactqp.solving.methods import Method, Settings, find
+
+Accepted = Callable[[Iterate], bool]
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One way to Coulomb's law."""
+
+    name: str
+    iterates: Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]
+    convex: bool  # takes steps of a convex method
+    limit: int  # iterations, where nothing else is said
+    patience: int  # iterates that may come to nothing; then the later half must be better than the earlier
+    about: str
+
+
+def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
+    del steps
+    yield newton(form, start)
+
+
+def _with_steps(
+    run: Callable[[LocalForm, ConvexSteps, Iterate], Iterator[Iterate]],
+) -> Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]:
+    def iterates(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
+        if steps is None:
+            raise ValueError("convex steps are needed")
+        return run(form, steps, start)
+
+    return iterates
+
+
+ALGORITHMS = {
+    algorithm.name: algorithm
+    for algorithm in (
+        Algorithm("newton", _newton_only, False, 1, 2, "semismooth Newton (Alart and Curnier), regularised"),
+        Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, 200, "nonsmooth Gauss-Seidel"),
+        Algorithm(
+            "ppa", lambda form, _, start: proximal_points(form, start), False, 300, 300, "proximal points by Newton"
+        ),
+        Algorithm("admm", lambda form, _, start: admm(form, start), False, 20000, 60, "ADMM, the shift from the dual"),
+        Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, 40, "convex problems over shifted cones"),
+        Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, 40, "convex problems of given friction bounds"),
+    )
+}
+# Newton's method starts from iterates at these counts, growing by a half.
+FIRST_POLISH = 4
+# And from those that are as near as this, in the scale of the local form.
+NEARLY = 1e-6
+# An error that is this part of another is hardly better.
+HARDLY_BETTER = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What an algorithm ended with, and how it is called."""
+
+    iterate: Iterate
+    name: str
+    accepted: bool
+    steps: ConvexSteps | None = None
+
+
+def run_algorithm(
+    form: LocalForm,
+    algorithm: Algorithm,
+    method: Method,
+    settings: Settings,
+    start: Iterate,
+    accepted: Accepted,
+    polish: bool = True,
+) -> Outcome:
+    """Iterate until an iterate, or what Newton's method makes of one, is accepted; else the best there was.
+
+    Raises
+    ------
+    NotConverged, BackendFailed, BackendMissing, Unsupported
+        Of the convex method, or an overflow.
+    """
+    steps = ConvexSteps(form, method, settings) if algorithm.convex else None
+    name = algorithm.name if steps is None else f"{algorithm.name} with {method.name}{steps.polygons}"
+    deadline = Deadline(settings.time_limit)
+    limit = algorithm.limit if settings.max_iter is None else settings.max_iter
+    best, history, next_polish = start, [], FIRST_POLISH
+    try:
+        for found in algorithm.iterates(form, steps, start):
+            history.append(found.error)
+            last = found.iterations >= limit or deadline.passed or _stagnates(history, algorithm.patience)
+            nearest = found
+            if polish and (found.iterations >= next_polish or last or found.error <= NEARLY):
+                next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
+                nearest = newton(form, found)
+            best = nearest if nearest.error < best.error else best
+            if accepted(nearest):
+                kept = replace(nearest, iterations=found.iterations, history=tuple(history))
+                return Outcome(kept, name, True, steps)
+            if last:
+                break
+    except NoEquilibrium as error:
+        # Of a convex step, in scaled forces: whether the load drives a motion is proven elsewhere.
+        raise NotConverged(
+            f"{name}: the convex problem of a step has no answer that floats find", tuple(history)
+        ) from error
+    except BackendFailed as error:
+        if not history:
+            raise
+        raise NotConverged(f"{name}: {error}", tuple(history)) from error
+    kept = replace(best, iterations=len(history), history=tuple(history))
+    return Outcome(kept, name, False, steps)
+
+
+def _stagnates(errors: list[float], patience: int) -> bool:
+    """Whether the later half of many iterates is hardly better than the earlier."""
+    count = len(errors)
+    return count >= patience and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
+
+
+# Tried one after another where no algorithm is asked for: name, iterations.
+ATTEMPTS = (("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000), ("aclm", 60), ("ppa", 1000), ("admm", 20000))
+# These forget where they start from, or are led astray by it.
+FROM_THE_START = ("nsgs", "admm", "aclm")
+
+
+def run_any(form: LocalForm, settings: Settings, start: Iterate, accepted: Accepted) -> Outcome:
+    """Newton's method from a start; then from what other algorithms make of it, until one is accepted."""
+    deadline = Deadline(settings.time_limit)
+    best: Outcome | None = None
+    for name, limit in ATTEMPTS:
+        if deadline.passed:
+            break
+        from_best = start if best is None or name in FROM_THE_START else best.iterate
+        method = find("clarabel")
+        if ALGORITHMS[name].convex and not method.installed:
+            continue
+        try:
+            found = run_algorithm(
+                form,
+                ALGORITHMS[name],
+                method,
+                replace(settings, max_iter=limit, time_limit=deadline.left),
+                from_best,
+                accepted,
+            )
+        except (NotConverged, BackendFailed, Unsupported):
+            continue
+        if found.accepted:
+            return found
+        if best is None or found.iterate.error < best.iterate.error:
+            best = found
+    if best is None and deadline.passed:
+        raise NotConverged(f"friction: stopped at the time limit of {settings.time_limit:g} s")
+    if best is None:
+        raise NotConverged("friction: no algorithm came to an answer")
+    return best

@@ -1,0 +1,151 @@
+"""A local problem scaled for its algorithms: contacts whose own compliance is one, velocities of size one.
+
+With D = diag(s_i I), s the problem's `contact_scale`, b its `typical_velocity`, and T such that D V T has unit columns,
+
+    W := D W D,    q := D q / b,    V := D V T,    r := D^-1 r / b,    u := D u / b,
+
+which keeps every cone as it is. Where bodies move far under forces that hardly deform them, forces are given a size c
+of their own, r := r / c, W := c W, R := R / c and s := s / c, so that beside lengths of size one they are not rounding.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.linalg.factorization import Array
+from contactqp.model.coulomb_cone import natural_map
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem_data import Vector
+
+# Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
+DENSE_SIZE = 1200
+SPARSE_DENSITY = 0.05
+# Motions that no contact resists have no say in any force: this keeps their equations regular, unit columns of V by.
+JOINT_REGULARISATION = 1e-12
+
+
+class LocalForm:
+    """The scaled problem u = W r + q + V l, V'r + R l + s = 0.
+
+    Attributes
+    ----------
+    W : (d m, d m) array or CSR matrix
+    q, mu : (d m,), (m,) arrays
+    V, R, s : (d m, p), (p, p), (p,) arrays
+    """
+
+    def __init__(self, problem: LocalProblem, force_size: float = 1.0) -> None:
+        self.problem, self.d, self.m = problem, problem.dimension, problem.contacts
+        self.mu = problem.friction
+        self._contact_scale = np.repeat(problem.contact_scale, self.d)
+        self._joint_scale = problem.joint_scale
+        self._velocity_size, self._force_size = problem.typical_velocity, force_size
+        W = problem.scaled_delassus if force_size == 1.0 else problem.scaled_delassus * force_size
+        self.sparse = W.shape[0] > DENSE_SIZE and W.nnz < SPARSE_DENSITY * W.shape[0] ** 2
+        self.W: Any = W if self.sparse else W.toarray()
+        self.q = self._contact_scale * problem.offset / self._velocity_size
+        self.V = problem.bilateral.toarray() * np.outer(self._contact_scale, self._joint_scale)
+        self.R = problem.bilateral_delassus.toarray() * np.outer(self._joint_scale, self._joint_scale) / force_size
+        self.s = problem.bilateral_offset * self._joint_scale / self._velocity_size / force_size
+
+    @property
+    def joints(self) -> int:
+        """Number of joints p."""
+        return len(self.s)
+
+    @cached_property
+    def joint_signs(self) -> Vector:
+        """(p,) the signs by which R may be regularised: 1 for joints with a compliance, -1 for conditions on forces."""
+        return np.where(np.any(self.R != 0, axis=1), 1.0, -1.0)
+
+    @cached_property
+    def asymmetric(self) -> bool:
+        """Whether W is unsymmetric by more than rounding."""
+        return self.problem.scaled_asymmetry > 1e-14
+
+    @cached_property
+    def symmetric_part(self) -> Any:
+        """(W + W')/2, what a minimisation makes of W."""
+        return (self.W + self.W.T) / 2 if self.asymmetric else self.W
+
+    def velocity(self, r: Array, joint: Vector) -> Array:
+        """u (m, d) of forces (m, d) and (p,)."""
+        return np.asarray((self.W @ r.ravel() + self.q + self.V @ joint).reshape(self.m, self.d))
+
+    def error(self, r: Array, joint: Vector) -> float:
+        """The largest entry of the natural map's residual and of what the joints leave open."""
+        residual = np.max(abs(natural_map(r, self.velocity(r, joint), self.mu)), initial=0.0)
+        return float(max(residual, np.max(abs(self.joint_residual(r, joint)), initial=0.0)))
+
+    def joint_residual(self, r: Array, joint: Vector) -> Vector:
+        """V'r + R l + s (p,)."""
+        return np.asarray(self.V.T @ r.ravel() + self.R @ joint + self.s)
+
+    def joint_force(self, r: Array) -> Vector:
+        """The joints' forces that fit contact forces best: R l = -s - V'r, and where R has no say, u small."""
+        if not self.joints:
+            return np.zeros(0)
+        stacked = np.vstack([self.R, 1e-8 * self.V])
+        right = np.concatenate([-self.s - self.V.T @ r.ravel(), -1e-8 * (self.W @ r.ravel() + self.q)])
+        return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
+
+    def scaled(self, force: NDArray[np.float64]) -> Array:
+        """r (m, d) of the forces of the problem."""
+        size = self._contact_scale * self._velocity_size * self._force_size
+        return np.asarray((np.asarray(force).ravel() / size).reshape(self.m, self.d))
+
+    def unscaled(self, r: Array, joint: Vector) -> tuple[NDArray[np.float64], Vector]:
+        """The forces (m, d) and (p,) of the problem."""
+        size = self._contact_scale * self._velocity_size * self._force_size
+        force = (r.ravel() * size).reshape(self.m, self.d)
+        return force, joint * self._joint_scale * self._velocity_size
+
+
+class BlockSystem:
+    """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none.
+
+    Raises
+    ------
+    LinAlgError
+        It is singular.
+    """
+
+    def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
+        V = form.V if coupling is None else coupling
+        R = form.R + JOINT_REGULARISATION * np.diag(form.joint_signs)
+        self._size, self._sparse = A.shape[0], form.sparse
+        if form.sparse:
+            from scipy.sparse.linalg import splu
+
+            blocks = sp.bmat([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
+            try:
+                self._factor: Any = splu(sp.csc_matrix(blocks))
+            except RuntimeError as error:
+                raise np.linalg.LinAlgError(str(error)) from error
+        else:
+            from scipy.linalg.lapack import dgetrf
+
+            blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
+            # LAPACK complains of matrices without rows.
+            factor, pivots, info = dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
+            if info > 0:
+                raise np.linalg.LinAlgError(f"pivot {info} is zero")
+            self._factor = (factor, pivots)
+
+    def solve(self, top: Vector, bottom: Vector) -> tuple[Vector, Vector]:
+        """x (d m,) and l (p,)."""
+        right = np.concatenate([top, bottom])
+        if not len(right):
+            solution = right
+        elif self._sparse:
+            solution = self._factor.solve(right)
+        else:
+            from scipy.linalg import lu_solve
+
+            solution = lu_solve(self._factor, right, check_finite=False)
+        return solution[: self._size], solution[self._size :]

@@ -1,0 +1,142 @@
+"""Coulomb's law for a contact problem by an algorithm of the local form, its combination refined on the problem."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.certificate.violations import Answer
+from contactqp.errors import NotConverged
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.factorization import Array
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, holds
+from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.model.problem import ContactProblem
+from contactqp.solving.friction.combinations import MOST_CONTACTS
+from contactqp.solving.friction.contact_form import ContactForm
+from contactqp.solving.friction.existence_test import balancing_forces
+from contactqp.solving.friction.iterate import Deadline, Iterate
+from contactqp.solving.friction.local_algorithms import ALGORITHMS, run_algorithm, run_any
+from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.methods import Method, Settings
+
+# Iterates whose natural map is off by less than this part of the forces may have the right combination.
+WORTH_REFINING = 1e-5
+# Forces that balance the load with less than this part of what would deform the bodies by the typical gap are small:
+# the bodies move as if they were rigid.
+SMALL_FORCES = 0.1
+# Of few contacts, combinations near that of the best iterate are tried, at most so many: all 3^5 of five in space.
+MOST_COMBINATIONS = 250
+
+
+@dataclass(frozen=True, eq=False)
+class LocalAnswer:
+    """Coulomb's answer, and which algorithm of the local form found it."""
+
+    answer: Answer
+    name: str
+    iterations: int
+    history: tuple[float, ...]
+
+
+def solve_on_contacts(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, algorithm: str | None
+) -> LocalAnswer:
+    """Coulomb's answer by `algorithm`, a name of `local_algorithms.ALGORITHMS`; None tries one after another.
+
+    Raises
+    ------
+    NotConverged
+        No iterate's combination of open, stick and slip is an equilibrium.
+    BackendFailed, BackendMissing, Unsupported, InvalidProblem
+        Of the convex method.
+    """
+    contacts = ContactForm(problem, condensation, FrictionalRows(problem, condensation))
+    balanced = balancing_forces(LocalForm(contacts.local))
+    deadline = Deadline(settings.time_limit)
+    failed: NotConverged | None = None
+    for size in _force_sizes(balanced):
+        form = LocalForm(contacts.local, size)
+        start = None if balanced is None else balanced / size
+        left = replace(settings, time_limit=deadline.left)
+        try:
+            return _on_form(problem, contacts, form, start, method, left, algorithm)
+        except NotConverged as error:
+            failed = failed or error
+    assert failed is not None
+    raise failed
+
+
+def _force_sizes(balanced: Array | None) -> tuple[float, ...]:
+    """Sizes to give to forces of the local form: their own first, where bodies move as if they were rigid."""
+    size = 0.0 if balanced is None else float(np.max(abs(balanced), initial=0.0))
+    return (size, 1.0) if 0 < size < SMALL_FORCES else (1.0,)
+
+
+def _on_form(
+    problem: ContactProblem,
+    contacts: ContactForm,
+    form: LocalForm,
+    balanced: Array | None,
+    method: Method,
+    settings: Settings,
+    algorithm: str | None,
+) -> LocalAnswer:
+    found: list[Answer] = []
+
+    def accepted(iterate: Iterate) -> bool:
+        if not iterate.error <= WORTH_REFINING * max(1.0, float(np.max(abs(iterate.force), initial=0.0))):
+            return False
+        answer = contacts.answer(form, iterate)
+        if holds(problem, answer):
+            found.append(answer)
+        return bool(found)
+
+    start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
+    if algorithm is None:
+        outcome = run_any(form, settings, start, accepted)
+    else:
+        outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
+    iterate, name = outcome.iterate, outcome.name
+    if not found and algorithm is None and form.m <= MOST_CONTACTS:
+        found, name = _near(problem, contacts, form, iterate, deadline), f"combinations near {name}"
+    if not found:
+        raise NotConverged(
+            f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
+            f"{iterate.iterations} iterations",
+            iterate.history,
+        )
+    return LocalAnswer(found[-1], name, iterate.iterations, iterate.history)
+
+
+def _near(
+    problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, deadline: Deadline
+) -> list[Answer]:
+    """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found.
+
+    Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
+    forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
+    """
+    plain, status = contacts.plain(form, iterate), contacts.status(form, iterate)
+    sliding = (SLIP_ON,) if form.d == 3 else (SLIP_ON, SLIP_BACK)
+    every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
+    nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")[:MOST_COMBINATIONS]
+    for combination in every[nearest]:
+        if deadline.passed:
+            break
+        answer = contacts.answer_in(combination, plain)
+        if holds(problem, answer):
+            return [answer]
+    return []
+
+
+def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
+    """The forces of a warm start, or those that hold the bodies, or none."""
+    warm = settings.warm_start
+    if warm is not None and warm.finite:
+        balanced = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
+    if balanced is None:
+        return Iterate.nothing(form)
+    return Iterate.at(form, balanced, form.joint_force(balanced))

@@ -1,0 +1,228 @@
+"""Coulomb friction by Tresca problems: fixed point on the friction bound (Haslinger, Hlavacek and Necas 1996).
+
+With a bound theta in place of mu l_N, friction is convex:
+
+    min 1/2 x'S x - f'x + sum theta_i |T_i x - o_i|   over   N x <= g, A x = b,
+
+which with w_i >= |T_i x - o_i| as more unknowns, theta_i their loads, is a `ContactProblem` for any method: the forces
+of the two rows T_i x - w_i <= o_i and -T_i x - w_i <= -o_i add up to theta_i, and their difference is l_T. The next
+bound is mu l_N of the answer. One sliding contact contracts by mu/mu_c, mu_c = W_NN/|W_NT|; beyond it the bounds cycle,
+which Aitken's relaxation (Irons and Tuck 1969) damps. After every step the combination of open, stick and slip that the
+answer suggests is solved as the linear system that it is: where its signs hold, that is the answer to the last digits.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.certificate.violations import Answer
+from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
+from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.existence import refuse_driven_motion
+from contactqp.linalg.factorization import Array, RigidMotions
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.scaling import nondimensional
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.solving.friction.aitken import RELAXATION, aitken
+from contactqp.solving.methods import Method, Settings
+
+# Enough for contractions up to 0.9; what is slower is not getting there.
+MAX_STEPS = 100
+# A bound of this part of the largest is none.
+NO_BOUND = 1e-14
+# Bounds that change by less than this part of the largest have converged; the combination they suggest is then final.
+SETTLED = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class TrescaAnswer:
+    """Coulomb's answer, and how the bounds came to it."""
+
+    answer: Answer
+    status: Status
+    steps: int
+    changes: tuple[float, ...]  # of the bounds, relative, one a step
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """The answer to one Tresca problem, scaled."""
+
+    x: Vector  # (p,)
+    normal: Vector  # (m,)
+    friction: Vector  # (m,)
+    tie: Vector  # (k,)
+
+
+def solve_tresca(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+) -> TrescaAnswer:
+    """Coulomb's answer by steps of a convex method.
+
+    `settings.max_iter` counts Tresca problems; `settings.time_limit` is for all of them. The first bound is that of
+    `settings.warm_start`, else that of the answer without friction, else, where friction holds the bodies, of the
+    answer with all contacts stuck.
+
+    Raises
+    ------
+    NotConverged
+        The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
+    """
+    run = _Run(problem, condensation, method, settings)
+    bound = run.first_bound()
+    changes: list[float] = []
+    relaxation = RELAXATION[1]
+    before: Vector | None = None
+    limit = MAX_STEPS if settings.max_iter is None else settings.max_iter
+    for step in range(1, limit + 1):
+        try:
+            found = run.with_bound(bound)
+        except NoEquilibrium as error:
+            # Its unknowns are scaled, and some of them no displacements: their names would mislead.
+            raise NotConverged(
+                f"tresca: the friction bounds of step {step} do not hold the bodies", tuple(changes)
+            ) from error
+        except (NotConverged, BackendFailed) as error:
+            raise NotConverged(
+                f"tresca: the friction bounds of step {step} lead nowhere: {error}", tuple(changes)
+            ) from error
+        status = run.suggested(found, bound)
+        answer = run.answer_in(status, found)
+        if holds(problem, answer):
+            return TrescaAnswer(answer, status, step, tuple(changes))
+        missing = run.bound_of(found) - bound
+        largest = np.max(abs(bound), initial=np.max(abs(missing), initial=0.0))
+        changes.append(float(np.max(abs(missing), initial=0.0) / largest) if largest > 0 else 0.0)
+        if changes[-1] <= SETTLED:
+            raise NotConverged(
+                "tresca: the bounds have settled where the signs of friction do not hold", tuple(changes)
+            )
+        relaxation = aitken(relaxation, before, missing)
+        bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
+    raise NotConverged(f"tresca: {_pace(changes)}", tuple(changes))
+
+
+def _pace(changes: list[float]) -> str:
+    """What the last steps were like, in words."""
+    if len(changes) < 2 or changes[-2] == 0:
+        return "the friction bounds have not settled"
+    pace = (changes[-1] / changes[max(-5, -len(changes))]) ** (1 / min(4, len(changes) - 1))
+    return f"the friction bounds still change by {changes[-1]:.2g} of their size, {pace:.2g} of the change before"
+
+
+class _Run:
+    """The Tresca problems of one frictional problem, for one method."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings) -> None:
+        self._problem, self._way, self._method = problem, condensation, method
+        self._settings = replace(settings, warm_start=None, max_iter=None)
+        self._start, self._began = settings.warm_start, time.perf_counter()
+        self._rows = FrictionalRows(problem, condensation)
+        load, self._inner = condensation.reduce_load(problem.load)
+        size = condensation.reduced_size(problem, self._inner)
+        self._load, self._load_size = load * self._rows.scale, size * self._rows.scale
+        self._gap, self._origin, self._value = self._rows.lengths(problem)
+
+    def first_bound(self) -> Vector:
+        """Where the bounds start from, scaled."""
+        rows = self._rows
+        if self._start is not None:
+            return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0)
+        try:
+            return self.bound_of(self.with_bound(np.zeros(self._problem.contacts)))
+        except NoEquilibrium:
+            pass
+        try:
+            return self.bound_of(self._stuck())
+        except NoEquilibrium as error:
+            # In scaled unknowns, which would be misleading names.
+            raise NotConverged(
+                "tresca: neither without friction nor with all contacts stuck are the bodies held"
+            ) from error
+
+    def bound_of(self, step: _Step) -> Vector:
+        """mu l_N."""
+        return np.asarray(self._rows.coefficient * np.maximum(step.normal, 0.0))
+
+    def with_bound(self, bound: Vector) -> _Step:
+        """The answer to the Tresca problem of a bound (m,)."""
+        rows, m, p = self._rows, self._problem.contacts, len(self._rows.S)
+        bounded = np.flatnonzero(rows.slides & (bound > NO_BOUND * np.max(bound, initial=0.0)))
+        count, T, o = len(bounded), rows.tangent[bounded], self._origin[bounded]
+        inner = self._problem.transformed(
+            _block_diagonal(rows.S, np.zeros((count, count))),
+            np.concatenate([self._load, -bound[bounded]]),
+            np.concatenate([self._load_size, bound[bounded]]),
+            np.block([[rows.normal, np.zeros((m, count))], [T, -np.eye(count)], [-T, -np.eye(count)]]),
+            np.concatenate([self._gap, o, -o]),
+            np.hstack([rows.tie, np.zeros((len(rows.tie), count))]),
+            self._value,
+        )
+        u, force, tie = self._convex_answer(inner, count)
+        friction = np.zeros(m)
+        friction[bounded] = force[m : m + count] - force[m + count :]
+        return _Step(u[:p], force[:m], friction, tie)
+
+    def _stuck(self) -> _Step:
+        """The answer with every contact stuck, closed or not."""
+        rows, m = self._rows, self._problem.contacts
+        stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
+        ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
+        data = (rows.S, self._load, self._load_size, rows.normal, self._gap, ties, values)
+        u, force, tie = self._convex_answer(self._problem.transformed(*data), 0)
+        friction = np.zeros(m)
+        friction[stuck] = tie[: len(stuck)]
+        return _Step(u, force, friction, tie[len(stuck) :])
+
+    def _convex_answer(self, inner: ContactProblem, added: int) -> tuple[Vector, Vector, Vector]:
+        """Displacement, contact and tie forces by the convex method, in what is left of the time.
+
+        The last `added` unknowns have no stiffness.
+        """
+        settings, limit = self._settings, self._settings.time_limit
+        if limit is not None:
+            left = limit - (time.perf_counter() - self._began)
+            if left <= 0:
+                raise NotConverged(f"tresca: stopped at the time limit of {limit:g} s")
+            settings = replace(settings, time_limit=left)
+        rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._way.rigid.softest)
+        scale = np.ones(inner.dimension)
+        inner = inner.replace(contact_names=None)
+        inner._shared.update(condensation=Condensation.of_condensed(inner, rigid, scale), unknown_scale=scale)
+        refuse_driven_motion(inner, condense(inner))
+        if self._method.scale:
+            twin, scaling = nondimensional(inner)
+            candidate = scaling.unscale(self._method.solve(twin, settings))
+        else:
+            candidate = self._method.solve(inner, settings)
+        if not candidate.finite:
+            raise NotConverged(f"{self._method.name}: {candidate.status or 'its answer is not finite'}")
+        return candidate.displacement, candidate.normal_force, candidate.tie_force
+
+    def suggested(self, step: _Step, bound: Vector) -> Status:
+        """Closed where l_N > gap, sliding where |l_T + s| exceeds the bound: lengths and forces are both in
+        sqrt(energy), the projections' parameter is one."""
+        rows = self._rows
+        trial = step.friction + rows.tangent @ step.x - self._origin
+        sliding = np.where(trial > 0, SLIP_ON, SLIP_BACK)
+        status = np.where((abs(trial) <= bound) & (rows.coefficient > 0), STICK, sliding)
+        closed = step.normal > self._gap - rows.normal @ step.x
+        return np.where(closed, status, OPEN).astype(np.int8)
+
+    def answer_in(self, status: Status, step: _Step) -> Answer:
+        """The answer of a combination, refined from that of a step."""
+        rows = self._rows
+        u = self._way.expand(step.x * rows.scale, self._inner)
+        forces = (step.normal / rows.normal_length, (step.friction / rows.tangent_length)[:, None])
+        start = Answer(u, *forces, step.tie / rows.tie_length)
+        return answer_in(self._problem, self._way, rows, status, start)
+
+
+def _block_diagonal(one: Array, other: Array) -> Array:
+    from scipy.linalg import block_diag
+
+    return np.asarray(block_diag(one, other))

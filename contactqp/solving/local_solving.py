@@ -1,0 +1,185 @@
+"""solve() of a local problem: scale, run an algorithm, finish by Newton's method, certify."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from contactqp.certificate.local_certificate import certify_local, judged
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.linalg.blas_threads import THREADS_PAY, on_one_thread
+from contactqp.model.floating_point import own_floating_point
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.local_solution import LocalSolution, local_status
+from contactqp.solving.friction.exact_enumeration import MOST_PROVEN
+from contactqp.solving.friction.exact_local import has_local_equilibrium
+from contactqp.solving.friction.existence_test import refuse_unbalanced
+from contactqp.solving.friction.iterate import Iterate
+from contactqp.solving.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
+from contactqp.solving.friction.local_enumeration import enumerated, not_enumerated
+from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.methods import Settings, find
+from contactqp.solving.solving_arguments import POLYGON_OPTIONS, refuse_arguments
+
+DEFAULT_METHOD = "active-set"
+ENUMERATION = "enumeration"
+# Sizes from which dense systems are large enough for two threads to wait for each other.
+WORTH_ONE_THREAD = 100
+# Scaled errors this small are worth a certificate.
+WORTH_JUDGING = 1e-6
+# Combinations that miss the law by no more than this may be answers that rounding hides.
+NEAR = 1e-6
+
+
+@own_floating_point
+def solve_local(
+    problem: LocalProblem,
+    method: str = DEFAULT_METHOD,
+    *,
+    tolerance: float = 1e-9,
+    polish: bool = True,
+    time_limit: float | None = None,
+    max_iter: int | None = None,
+    warm_start: Any = None,
+    algorithm: str | None = None,
+    **options: Any,
+) -> LocalSolution:
+    """Forces and velocities of a frictional problem in local form; see `contactqp.solve` for the arguments.
+
+    Raises
+    ------
+    NoEquilibrium
+        Enumeration, asked for or the last resort in the plane, finds no answer; or no forces balance the load.
+    SeveralEquilibria
+        Enumeration was asked for and finds several answers.
+    NotConverged
+        No algorithm came to forces that pass `tolerance`; `solution` holds the best.
+    NotCertified
+        The algorithm was not to be polished, and its answer does not pass.
+    BackendMissing, BackendFailed, Unsupported, InvalidProblem
+        Of the convex method; an argument is wrong.
+    """
+    refuse_arguments(tolerance, "auto", polish, time_limit, max_iter)
+    if algorithm is None and method != DEFAULT_METHOD:
+        algorithm = "aclm"
+    if algorithm is not None and algorithm not in (*ALGORITHMS, ENUMERATION):
+        known = ", ".join((*ALGORITHMS, ENUMERATION))
+        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
+    _refuse_options(method, algorithm, options)
+    if algorithm == ENUMERATION:
+        return _enumerated(problem, tolerance, only=True)
+    began = time.perf_counter()
+    form = LocalForm(problem)
+    settings = Settings(tolerance, max_iter, time_limit, None, options)
+    start = Iterate.nothing(form)
+    if warm_start is not None:
+        if not isinstance(warm_start, LocalSolution):
+            raise InvalidProblem(f"warm_start: expected a LocalSolution, got {type(warm_start).__name__}")
+        if warm_start.force.shape != (form.m, form.d) or len(warm_start.joint_force) != form.joints:
+            raise InvalidProblem("warm_start: expected a solution of a problem with the same contacts and joints")
+        start = Iterate.at(form, form.scaled(warm_start.force), form.joint_force(form.scaled(warm_start.force)))
+
+    def accepted(iterate: Iterate) -> bool:
+        size = max(1.0, float(np.max(abs(iterate.force), initial=0.0)))
+        if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * size:
+            return False
+        return judged(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
+
+    with on_one_thread(WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY):
+        if algorithm is None:
+            refuse_unbalanced(form)
+            outcome = run_any(form, settings, start, accepted)
+        else:
+            outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
+    solution = _solution(problem, form, outcome, tolerance, began)
+    if outcome.accepted:
+        return solution
+    in_time = time_limit is None or time.perf_counter() - began < time_limit
+    if algorithm is None and in_time and not_enumerated(form) is None:
+        return _enumerated(problem, tolerance, only=False)
+    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floor(outcome)}"
+    if polish:
+        count = outcome.iterate.iterations
+        raise NotConverged(f"{reason} (after {count} iterations)", outcome.iterate.history, solution)
+    raise NotCertified(reason, solution)
+
+
+def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[LocalSolution, ...]:
+    """Every answer of a local problem in the plane with at most eight contacts, one for each velocity; it may be none.
+
+    Raises
+    ------
+    Unsupported
+        The problem is in space, or has more contacts.
+    NotConverged
+        No answer passes `tolerance`, and some nearly do.
+    """
+    began, form = time.perf_counter(), LocalForm(problem)
+    found = [
+        _solution(problem, form, Outcome(iterate, ENUMERATION, True), tolerance, began) for iterate in enumerated(form)
+    ]
+    passed = tuple(solution for solution in found if solution.certificate.passed)
+    near = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
+    if not passed and near is not None and near.certificate.natural_map <= NEAR:
+        raise NotConverged(f"enumeration: {'; '.join(near.certificate.failures)}", (), near)
+    return passed
+
+
+def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSolution:
+    """The only answer, or the first of them where nobody asked for enumeration."""
+    found = local_equilibria(problem, tolerance)
+    if not found:
+        none = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
+        if problem.contacts > MOST_PROVEN:
+            raise NotConverged(f"{none}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts")
+        if has_local_equilibrium(problem):
+            raise NotConverged(f"{none}, and in rational numbers there is one")
+        raise NoEquilibrium(
+            "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
+        )
+    if only and len(found) > 1:
+        listed = "; ".join(", ".join(f"r_N = {force:.6g}" for force in one.force[:, 0].tolist()) for one in found)
+        raise SeveralEquilibria(
+            f"enumeration: {len(found)} equilibria, and nothing in the problem chooses ({listed}); "
+            "contactqp.equilibria(problem) returns them all"
+        )
+    return found[0]
+
+
+def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any]) -> None:
+    convex = algorithm is not None and algorithm != ENUMERATION and ALGORITHMS[algorithm].convex
+    known = (*POLYGON_OPTIONS, *find(method).options) if convex else ()
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        whose = f"{algorithm} with {method}" if convex else (algorithm or "friction")
+        raise InvalidProblem(f"{whose}: unknown option {unknown[0]!r}; its own options: {', '.join(known) or 'none'}")
+
+
+def _floor(outcome: Outcome) -> str:
+    """What convex steps by themselves cannot do better than, beyond what the name says."""
+    if outcome.steps is None or not outcome.steps.asymmetry:
+        return ""
+    part = outcome.steps.asymmetry
+    return f"; a minimisation sees the symmetric part of delassus only, which is off by {part:.2g} of it"
+
+
+def _solution(
+    problem: LocalProblem, form: LocalForm, outcome: Outcome, tolerance: float, began: float
+) -> LocalSolution:
+    iterate = outcome.iterate
+    force, joint = form.unscaled(iterate.force, iterate.joint_force)
+    certificate = certify_local(problem, force, joint, tolerance=tolerance)
+    return LocalSolution(
+        problem=problem,
+        force=force,
+        velocity=problem.velocity(force, joint),
+        joint_force=joint,
+        contact_status=local_status(problem, certificate),
+        certificate=certificate,
+        method=outcome.name,
+        seconds=time.perf_counter() - began,
+        iterations=iterate.iterations,
+        history=iterate.history,
+    )

@@ -1,0 +1,226 @@
+"""Our own method: the primal-dual active set on the Delassus operator, safeguarded by a finite dual active-set method.
+
+The primal-dual active set (Hintermueller, Ito and Kunisch 2003) takes the contacts with W_ii l_i > gap_i as closed,
+solves, and repeats; few steps, and many contacts change in each. Where it comes back to a set it has seen, Goldfarb and
+Idnani's method, which ends after finitely many steps, takes over. Bodies held by contact alone are anchored by soft
+springs whose force a proximal iteration removes; every pass ends with a look at the true equilibrium on its set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import NotConverged
+from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
+from contactqp.linalg.delassus import OPERATOR_ROUNDING, Delassus, delassus
+from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.saddle import BALANCED, saddle_point
+from contactqp.linalg.scaling import nondimensional
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Candidate
+from contactqp.solving.methods.method import Method, Settings
+
+# More steps than this mean that the sets alternate; the safeguard is cheaper.
+PRIMAL_DUAL_STEPS = 40
+PROXIMAL_STEPS = 60
+
+
+def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
+    """The contact set of the solution, and the answer on it.
+
+    Raises
+    ------
+    NotConverged
+        No set was found: the constraints conflict, or `max_iter` steps (by default 50 for each contact and 200 more)
+        did not suffice.
+    """
+    condensation = condense(problem)
+    operator = delassus(condensation)
+    load, inner = condensation.reduce_load(problem.load)
+    size = condensation.reduced_size(problem, inner)
+    limit = 50 * problem.contacts + 200 if settings.max_iter is None else settings.max_iter
+    anchor = _rigid_answer(problem, operator, load)
+    force = _warm(settings, operator, problem.contacts)
+    # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
+    doubtful = np.zeros(0, dtype=np.intp)
+    steps = 0
+    for _ in range(PROXIMAL_STEPS):
+        if steps >= limit:
+            raise NotConverged(f"active-set: no contact set was found in {steps} steps")
+        free = operator.free_response(load, anchor)
+        try:
+            force, taken = _closed_by(operator, problem, free, force, limit - steps)
+        except Infeasible as conflict:  # or so it looks through the anchors' springs, or in W
+            doubtful = conflict.rows[conflict.rows < problem.contacts]
+            break
+        steps += taken
+        anchor = operator.displaced(free, force)
+        closed = np.flatnonzero(force[: problem.contacts] > 0)
+        answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
+        if answer is not None:
+            x, normal_force, tie_force = answer
+            return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+        if not condensation.rigid.count:
+            break
+    try:
+        return _without_anchors(problem, settings, steps)
+    except NotConverged:
+        answer = _equilibrium_on(problem, condensation, operator, load, size, doubtful)
+        if answer is None or np.any(_penetrated(condensation, problem, answer[0])):
+            raise
+        x, normal_force, tie_force = answer
+        return Candidate(condensation.expand(x, inner), normal_force, tie_force, iterations=steps)
+
+
+def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
+    """Lemke's finite pivoting, which needs no anchors: for bodies whose stiffnesses lie too far apart for them."""
+    from contactqp.solving.methods.lemke import solve_lemke
+
+    twin, scaling = nondimensional(problem)
+    candidate = scaling.unscale(solve_lemke(twin, replace(settings, warm_start=None, options={})))
+    pivots = candidate.iterations or 0
+    return replace(candidate, iterations=steps + pivots, status=f"by {pivots} pivots of Lemke's method")
+
+
+def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> Vector:
+    """Where the bodies would go if they were rigid: max f'Z a over E Z a <= g, scaled; the place to anchor them.
+
+    Under a light load a stiff body crosses a wide gap: far more than the anchors' springs would let it go in a step.
+    """
+    motions, scaled_load = operator.motions, load * operator.scale
+    drive = motions.T @ scaled_load
+    none = np.zeros(len(load))
+    if not motions.shape[1] or np.linalg.norm(drive) <= OPERATOR_ROUNDING * np.linalg.norm(scaled_load):
+        return none
+    from scipy.optimize import linprog
+
+    rows, m = operator.rows, problem.contacts
+    length = np.linalg.norm(rows, axis=1)
+    limit = np.concatenate([problem.gap, problem.tie_value]) / length
+    reach = np.max(abs(limit), initial=0.0)
+    if reach == 0:
+        return none
+    rows = (rows / length[:, None]) @ motions
+    answer = linprog(
+        -drive / np.linalg.norm(drive),
+        A_ub=rows[:m],
+        b_ub=limit[:m] / reach,
+        A_eq=rows[m:] if problem.ties else None,
+        b_eq=limit[m:] / reach if problem.ties else None,
+        bounds=(None, None),
+        method="highs",
+    )
+    return none if answer.x is None else np.asarray(reach * (motions @ answer.x))
+
+
+def _warm(settings: Settings, operator: Delassus, m: int) -> Vector:
+    force = np.zeros(len(operator.W))
+    if settings.warm_start is not None:
+        force[:m] = settings.warm_start.normal_force / operator.row_scale[:m]
+    return force
+
+
+def _closed_by(
+    operator: Delassus, problem: ContactProblem, free: Vector, force: Vector, limit: int
+) -> tuple[Vector, int]:
+    """Scaled forces of the anchored problem: primal-dual steps, then the finite method if they come back."""
+    data = operator.dual_data(problem, free)
+    force, steps, done = _primal_dual(*data, force, min(limit, PRIMAL_DUAL_STEPS))
+    if done:
+        return force, steps
+    force, more, done = dual_active_set(*data, limit - steps)
+    if not done:
+        raise NotConverged(f"active-set: the contact set still changed after {limit} steps")
+    return force, steps + more
+
+
+def _primal_dual(
+    W: NDArray[np.float64],
+    excess: Vector,
+    tied: NDArray[np.bool_],
+    tolerance: Vector,
+    force: Vector,
+    limit: int,
+) -> tuple[Vector, int, bool]:
+    """l_B = W_BB^-1 h_B on the contacts B with l + (h - W l) > 0, until B stays; false if it does not."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    seen: set[bytes] = set()
+    for step in range(1, limit + 1):
+        closed = tied | (force + (excess - W @ force) > tolerance)
+        if closed.tobytes() in seen:
+            return force, step, False
+        seen.add(closed.tobytes())
+        B = np.flatnonzero(closed)
+        force = np.zeros(len(W))
+        if B.size:
+            try:
+                lower, _ = cho_factor(W[np.ix_(B, B)], lower=True, check_finite=False)
+            except np.linalg.LinAlgError:  # redundant contacts: the finite method knows which of them to keep
+                return force, step, False
+            if np.min(np.diag(lower)) ** 2 < OPERATOR_ROUNDING:
+                return force, step, False
+            force[B] = cho_solve((lower, True), excess[B], check_finite=False)
+        penetrated = np.where(closed, 0.0, excess - W @ force)
+        if np.all(penetrated <= tolerance) and np.all(force[~tied] >= 0):
+            return force, step, True
+    return force, limit, False
+
+
+def _equilibrium_on(
+    problem: ContactProblem,
+    condensation: Condensation,
+    operator: Delassus,
+    load: Vector,
+    size: Vector,
+    closed: NDArray[np.intp],
+) -> tuple[Vector, Vector, Vector] | None:
+    """The answer on a set without anchors, or None where its signs do not hold or a load drives what it leaves free."""
+    saddle = saddle_point(condensation, closed)
+    x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
+    carried = condensation.normal[closed].T @ on_set + condensation.tie.T @ tie_force
+    if np.any(saddle.drive(load - carried, size)):
+        return None
+    force = np.zeros(problem.contacts)
+    force[closed] = on_set
+    push = force / operator.row_scale[: problem.contacts]
+    tension = max(
+        OPERATOR_ROUNDING * np.max(abs(push), initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0)
+    )
+    if np.any(push < -tension):
+        return None
+    # Where nothing floats, the anchored set is the set. What free motions open, polishing opens by moving them.
+    if condensation.rigid.count:
+        penetrated = _penetrated(condensation, problem, x) & ~_moved(condensation, operator, saddle.free)
+        penetrated[closed] = False
+        if np.any(penetrated):
+            return None
+    return x, np.maximum(force, 0.0), tie_force
+
+
+def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> NDArray[np.bool_]:
+    """(m,) contacts that a displacement of the contact unknowns penetrates by more than rounding."""
+    length = abs(condensation.normal) @ abs(x) + abs(problem.gap)
+    return np.asarray(condensation.normal @ x - problem.gap > OPERATOR_ROUNDING * length)
+
+
+def _moved(condensation: Condensation, operator: Delassus, free: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(m,) contacts that feel motions (p, q), orthonormal and scaled, which the set leaves free."""
+    rows = operator.rows[: len(condensation.normal)]
+    felt = np.linalg.norm(rows @ free, axis=1)
+    return np.asarray(felt > UNRESISTED * np.linalg.norm(rows, axis=1))
+
+
+METHODS = (
+    Method(
+        name="active-set",
+        kind="active set",
+        solve=solve_active_set,
+        polish=True,
+        corrections=50,
+        note="finite: primal-dual steps, safeguarded by a dual active-set method",
+    ),
+)

@@ -1,0 +1,160 @@
+"""Contact as a linear complementarity problem in the contact forces.
+
+    w = q + M z,   w >= 0,   z >= 0,   w'z = 0
+
+With K regular, z is the force l_N, w the gap g - E_N u, q the gap without contact, and M = W = E_N K^-1 E_N' (ties
+eliminated). Where bodies float, u has rigid motions Z a besides; their balance Z'(f - E_N' l) = 0 is used to pivot as
+many contacts as there are motions, after which z holds the gaps of those contacts and the forces of the others
+(a principal pivot transform: M stays positive semidefinite, though no longer symmetric).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import NotConverged
+from contactqp.linalg.factorization import null_space
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.solving.methods.textbook_algebra import (
+    Indices,
+    independent_rows,
+    refuse_contradiction,
+    solve_linear,
+    spread,
+)
+
+# A unit motion that approaches every contact by less than this is felt by none: an arm shorter than rounding makes.
+RESISTED = 1e-10
+# Load on a unit motion that nothing holds, relative to all load: it balances to this or is meant to drive it. (Not
+# relative to the load on the unknowns that move: those at rest move by rounding.)
+BALANCED = 1e-9
+
+Dense = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """Displacements and tie forces without contact and per unit contact force, and the rigid motions that remain.
+
+    u = free - response l + motions a;   nu = tie_free - tie_response l;   motions'(f - E_N' l) = 0
+    """
+
+    free: Vector  # (n,)
+    response: Dense  # (n, m)
+    motions: Dense  # (n, r), orthonormal; not felt by stiffness and ties, each resisted by some contact
+    tie_free: Vector  # (k,)
+    tie_response: Dense  # (k, m)
+
+
+def compliance(name: str, problem: ContactProblem) -> Compliance:
+    """Eliminate displacements and ties.
+
+    Raises
+    ------
+    NotConverged
+        The load drives a rigid motion that no contact and no tie resists; or ties contradict each other.
+    """
+    K = problem.stiffness.toarray() if sp.issparse(problem.stiffness) else problem.stiffness
+    ties = independent_rows(problem.tie)
+    refuse_contradiction(name, problem, ties)
+    A, E = problem.tie[ties].toarray(), problem.normal.toarray()
+    rigid = _rigid_motions(problem)
+    n, k = problem.dimension, ties.size
+    # Rigid motions are measured in the stiffness's own numbers, so that they are pivots as large as the others.
+    Z = rigid * (float(np.max(K.diagonal())) or 1.0)
+    system = np.block([[K, A.T, Z], [A, np.zeros((k, k + Z.shape[1]))], [Z.T, np.zeros((Z.shape[1], k + Z.shape[1]))]])
+    loads = np.column_stack([problem.load, E.T])
+    loads -= rigid @ (rigid.T @ loads)  # what drives rigid motions is balanced apart
+    right = np.vstack([loads, np.zeros((k + Z.shape[1], 1 + len(E)))])
+    right[n : n + k, 0] = problem.tie_value[ties]
+    solved = solve_linear(name, system, right)
+    tie_solved = np.zeros((problem.ties, 1 + len(E)))
+    tie_solved[ties] = solved[n : n + k]
+    motions = _resisted(name, problem, rigid)
+    return Compliance(solved[:n, 0], solved[:n, 1:], motions, tie_solved[:, 0], tie_solved[:, 1:])
+
+
+def _rigid_motions(problem: ContactProblem) -> Dense:
+    """Orthonormal basis (n, r) of the motions that neither stiffness nor ties feel: K Z = 0 and A Z = 0."""
+    return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness).motions)[0])[1]
+
+
+def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
+    """Orthonormal motions, split into those that some row feels and those that none does."""
+    if motions.shape[1] == 0 or rows.shape[0] == 0:
+        return motions[:, :0], motions
+    unit = rows.toarray() / np.sqrt(rows.power(2).sum(axis=1))[:, None]
+    _, felt, directions = np.linalg.svd(unit @ motions)
+    count = int(np.count_nonzero(felt > RESISTED))
+    return motions @ directions[:count].T, motions @ directions[count:].T
+
+
+def _resisted(name: str, problem: ContactProblem, rigid: Dense) -> Dense:
+    """The rigid motions that some contact feels; the others stay at rest, if no load drives them."""
+    resisted, unresisted = _split(problem.normal, rigid)
+    if np.any(np.abs(unresisted.T @ problem.load) > BALANCED * np.linalg.norm(problem.load)):
+        raise NotConverged(f"{name}: the load drives a rigid motion that no contact and no tie resists")
+    return resisted
+
+
+@dataclass(frozen=True, eq=False)
+class Complementarity:
+    """w = q + M z, w >= 0, z >= 0, w'z = 0, and which of its pairs have force and gap exchanged."""
+
+    offset: Vector  # q (m,)
+    matrix: Dense  # M (m, m), positive semidefinite
+    exchanged: Indices  # contacts i whose z_i is the gap and w_i the force
+
+    def force_and_gap(self, w: Vector, z: Vector) -> tuple[Vector, Vector]:
+        force, gap = z.copy(), w.copy()
+        force[self.exchanged], gap[self.exchanged] = w[self.exchanged], z[self.exchanged]
+        return force, gap
+
+
+def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Complementarity:
+    """The linear complementarity problem of the contacts.
+
+    Without rigid motions q = g - E_N u_free, M = E_N response. With them, w = q + W l - N a and N'l = Z'f (N = E_N Z):
+    as many contacts B as there are motions, with N_B regular, give l_B and a from these equations.
+    """
+    E, m = problem.normal, problem.contacts
+    W = E @ reduced.response
+    W = (W + W.T) / 2
+    q = problem.gap - E @ reduced.free
+    N, balance = E @ reduced.motions, reduced.motions.T @ problem.load
+    if N.shape[1] == 0:
+        return Complementarity(q, W, np.zeros(0, dtype=np.intp))
+    from scipy.linalg import qr
+
+    unit = N / np.sqrt(E.power(2).sum(axis=1))[:, None]
+    B = qr(unit.T, mode="r", pivoting=True)[1][: N.shape[1]]
+    R = np.setdiff1d(np.arange(m), B)
+    # l = T y + l0 with y the forces of R; l_B = N_B'^-1 (Z'f - N_R' y).
+    T = np.zeros((m, R.size))
+    T[R, np.arange(R.size)] = 1.0
+    T[B] = -np.linalg.solve(N[B].T, N[R].T)
+    l0 = spread(np.linalg.solve(N[B].T, balance), B, m)
+    # w_R - (N_R N_B^-1) w_B = T'(q + W l), for the motions a drop out of T'N = 0.
+    offset, matrix = np.zeros(m), np.zeros((m, m))
+    offset[B], offset[R] = l0[B], T.T @ (q + W @ l0)
+    matrix[np.ix_(B, R)] = T[B]
+    matrix[np.ix_(R, B)] = -T[B].T
+    matrix[np.ix_(R, R)] = T.T @ W @ T
+    return Complementarity(offset, matrix, B)
+
+
+def expand(
+    problem: ContactProblem, reduced: Compliance, lcp: Complementarity, force: Vector, gap: Vector
+) -> tuple[Vector, Vector]:
+    """Displacements and tie forces of given contact forces; the gaps of the exchanged contacts place rigid motions."""
+    displacement = reduced.free - reduced.response @ force
+    B = lcp.exchanged
+    if B.size:
+        approach = (problem.gap - problem.normal @ displacement - gap)[B]
+        displacement = displacement + reduced.motions @ np.linalg.solve((problem.normal @ reduced.motions)[B], approach)
+    return displacement, reduced.tie_free - reduced.tie_response @ force

@@ -1,0 +1,256 @@
+"""The primal-dual active set by conjugate gradients, inexact: for bodies too large to factorise.
+
+On the contacts A that are closed, with all ties, conjugate gradients approach K u = f - E_A'l_A, E_A u = g_A; forces
+come from the residual r = f - K u, l_A = (E_A D^-1 E_A')^-1 E_A D^-1 r. After each step the forces l and the gaps of
+the moment say which contacts they would close and open (Hintermueller, Ito and Kunisch 2003): those with
+l_i + (E u - g)_i / (E_i D^-1 E_i') > 0. What contradicts the set has the energy
+
+    delta^2 = sum of (E_i D^-1 E_i') l_i^2 over tensions + sum of (E u - g)_i^2 / (E_i D^-1 E_i') over penetrations,
+
+and the set is changed as soon as the error r'M r of the displacement on it is not larger than that: what a system of
+an early set is solved to is not better than the set. Only the last set is solved to the end.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
+from contactqp.certificate.violations import beyond, ratio
+from contactqp.linalg.conjugate_gradients import ConjugateGradients
+from contactqp.linalg.contact_iteration import ContactIteration, HeldRows, Limits
+from contactqp.model.problem import Vector
+from contactqp.model.solution import Candidate
+from contactqp.solving.methods.method import Settings
+
+# The bodies without contact are solved to this part of their energy norm: the first set comes from them.
+FIRST = 0.3
+# A set is changed when the error on it is this part of what contradicts it; less where sets come back.
+TRUST, TIGHTER, LEAST_TRUST = 3.0, 0.1, 1e-6
+# Changes of the set, and steps on one of them, before the method gives up.
+SETS, STEPS = 200, 2000
+# Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
+EQUILIBRIUM, SIGN = 0.7, 0.1
+TIGHTEST = 1e-13
+# What is left of the forces that meet at an unknown when their rounding is all that is left.
+ROUNDING = 4 * np.finfo(float).eps
+# What the certificate asks of the equilibrium, whatever the method is asked for.
+LOOSEST = 1e-9
+# A load of this part of what the known displacement takes is none beside the rounding of that: start from rest.
+UNLOADED = 1e-4
+# An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
+SETTLED = 1e-4
+# Forces and lengths of this part of the energy norm of the displacement are nothing
+# (`contactqp.linalg.intrinsic_size`): a tenth of what the certificate takes for nothing.
+NOTHING = 1e-13
+# Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
+# certificate shall prove 1e-6.
+ENERGY, BOUND = 1e-7, 3e-7
+
+
+def solve_by_iteration(problem: Limits, way: ContactIteration, settings: Settings, energy: float = ENERGY) -> Candidate:
+    """Displacement and forces on the set that their signs agree with; `claimed` is false where none was found.
+
+    `energy` is the error in energy on that set, over the energy of the contact forces.
+    """
+    return _Search(problem, way, settings, energy).run()
+
+
+class _Search:
+    """The displacement of the moment, its set, and what it has cost."""
+
+    def __init__(self, problem: Limits, way: ContactIteration, settings: Settings, energy: float) -> None:
+        self.problem, self.way, self.energy = problem, way, energy
+        self.m = len(problem.gap)
+        self.limit = np.concatenate([problem.gap, problem.tie_value])
+        self.sets_left = settings.max_iter or SETS
+        self.tolerance = max(min(settings.tolerance, LOOSEST), TIGHTEST)
+        self.end = np.inf if settings.time_limit is None else time.perf_counter() + settings.time_limit
+        self.seen: set[object] = set()
+        self.trust = TRUST
+        self.history: list[float] = []
+        self.before: Vector | None = None  # a displacement without contact forces
+        self.start(settings.warm_start)
+
+    def start(self, known: Candidate | None) -> None:
+        """A displacement and a set, from a known solution or from the bodies without contact."""
+        if known is not None and self._loaded(known):
+            self.x = known.displacement.copy()
+            self.residual = self.problem.load - self.way.product(self.x)
+            self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
+            self.closed = self.way.supported(self.problem, known.normal_force > 0, self.x)
+            return
+        resting = self.way.rest(self.problem)
+        if resting is not None:
+            self.x, self.closed = resting
+            self.residual = self.problem.load.copy()
+            return
+        run = self.way.run_without_rows(self.problem.load.copy())
+        enough = FIRST**2 * run.square()
+        while run.estimate() > enough and run.steps < STEPS and self._step(run):
+            pass
+        self.way.learn(run)
+        self.x, self.residual = run.x.copy(), run.residual.copy()
+        self.before, self.residual_before = run.x, run.residual
+        self.closed = self._penetration() > 0
+
+    def _loaded(self, known: Candidate) -> bool:
+        """Whether the load is more than rounding of what a known displacement takes."""
+        scale, norm = 1 / np.sqrt(self.way.diagonal), self.way.norm
+        taken = norm(scale * self.way.product(known.displacement))
+        return norm(scale * self.problem.load) > UNLOADED * taken
+
+    def run(self) -> Candidate:
+        sets = 0
+        while True:
+            sets += 1
+            mark = self.way.mark(self.closed)
+            if mark in self.seen:
+                self.trust *= TIGHTER
+            self.seen.add(mark)
+            stopped = self._solve_on_set()
+            if not stopped and (sets >= self.sets_left or self.trust < LEAST_TRUST):
+                stopped = (
+                    f"no contact set was found; {self.way.count(self.tension | self.penetrated)} contacts disagree"
+                )
+            if stopped:
+                return self._candidate(sets, stopped)
+            closed = self.closed & ~self.tension | self.penetrated
+            self.closed = self.way.supported(self.problem, closed, self.x)
+
+    def _candidate(self, sets: int, stopped: str) -> Candidate:
+        """What there is; an answer has no tension, not even within the tolerance."""
+        force = self.force[: self.m]
+        if stopped == FOUND:
+            force = np.maximum(force, 0.0)
+        return Candidate(
+            self.x,
+            force,
+            self.force[self.m :],
+            iterations=sets,
+            claimed=stopped == FOUND,
+            status=stopped,
+            history=tuple(self.history),
+        )
+
+    def _solve_on_set(self) -> str:
+        """Steps until the set is contradicted ("") or the answer is good enough (FOUND) or something else ends them."""
+        on_set, held, run = self._start_on_set()
+        stopped = self._steps_on_set(run, held, on_set)
+        held.close(self.x)  # what rounding has opened on the way
+        self.way.learn(run)
+        return stopped
+
+    def _start_on_set(self) -> tuple[NDArray[np.intp], HeldRows, ConjugateGradients]:
+        on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
+        held = self.way.held(on_set, self.limit[on_set])
+        self.way.close(held, self.x, self.residual)
+        return on_set, held, self.way.run(self.x, self.residual, on_set, held)
+
+    def _steps_on_set(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> str:
+        goal: _Goal | None = None
+        while True:
+            self._look(run, held, on_set)
+            contradicted = self.way.any(self.tension | self.penetrated)
+            error = run.estimate()
+            if contradicted:
+                if run.steps and error <= self.trust**2 * self.history[-1] ** 2:
+                    return ""
+            elif error <= SETTLED**2 * self._work(run):
+                goal = goal or _Goal(self)
+                if goal.reached(run):
+                    return FOUND
+            if self.way.any(time.perf_counter() > self.end):
+                return "the time limit is reached"
+            if run.steps >= STEPS:
+                return f"conjugate gradients did not converge in {STEPS} steps"
+            if not self._step(run):
+                if contradicted:
+                    return ""
+                return FOUND  # nothing to go along: what is left is rounding, or else the certificate will tell
+
+    def _step(self, run: ConjugateGradients) -> bool:
+        self.way.krylov_iterations += 1
+        return run.step()
+
+    def _work(self, run: ConjugateGradients) -> float:
+        """x'K x."""
+        return self.way.dot(self.x, self.problem.load - run.residual)
+
+    def _energy_norm(self, run: ConjugateGradients) -> float:
+        """|x|_K."""
+        return float(np.sqrt(max(self._work(run), 0.0)))
+
+    def _penetration(self) -> Vector:
+        return np.asarray((self.way.lengths(self.x) - self.limit)[: self.m])
+
+    def _look(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> None:
+        """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
+        self.force = np.zeros(len(self.limit))
+        self.force[on_set] = held.forces(run.residual)
+        m, allowed = self.m, SIGN * self.tolerance
+        pull = self.way.force_measure(self.force, self.x, self.problem.load)[:m]
+        compliance, least = self.way.own_compliance[:m], NOTHING * self._energy_norm(run)
+        pulling = -self.force[:m] * np.sqrt(compliance) > least
+        self.tension = pulling & (pull > allowed)
+        depth, lengths = self._penetration(), (self.way.length_sizes(self.x) + abs(self.limit))[:m]
+        self.penetrated = ~self.closed & (depth > np.maximum(allowed * lengths, least * np.sqrt(compliance)))
+        pulled = np.where(self.tension, self.force[:m] * np.sqrt(compliance), 0.0)
+        sunk = np.where(self.penetrated, depth, 0.0) / np.sqrt(np.where(self.penetrated, compliance, 1.0))
+        self.history.append(float(np.hypot(self.way.norm(pulled), self.way.norm(sunk))))
+
+
+class _Goal:
+    """How good the answer on a set has to be; sizes are taken once, when the set is first agreed with."""
+
+    def __init__(self, search: _Search) -> None:
+        way = search.way
+        self.sizes = way.product_sizes(search.x) + abs(search.problem.load) + way.force_sizes(search.force)
+        self.equilibrium = EQUILIBRIUM * search.tolerance
+        self.size = _size(search)
+        self.nothing = NOTHING * _strain(search) * np.sqrt(way.diagonal)
+        self.energy = search.energy * self.size
+        self.way, self.on_set = way, np.append(search.closed, np.ones(len(search.limit) - search.m, dtype=bool))
+
+    def reached(self, run: ConjugateGradients) -> bool:
+        error = run.estimate()
+        left = ratio(beyond(abs(run.unbalanced), self.nothing), self.sizes)
+        if not self.way.any(left > ROUNDING):
+            return True
+        if error > self.way.least_eigenvalue * self.energy**2:
+            return False
+        if self.way.any(left > self.equilibrium):
+            return False
+        # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
+        self.way.learn(run)
+        share = np.where(self.on_set, self.way.own_compliance, 1.0)
+        forces = self.way.balanced(run.unbalanced, np.where(self.on_set, 1 / share, 0.0))
+        weight = dual_norm(self.way, run.unbalanced - self.way.forces(forces), learned=True)
+        if weight <= BOUND * self.size:
+            return True
+        self.energy *= min(0.5, BOUND * self.size / weight)
+        return False
+
+
+def _size(search: _Search) -> float:
+    """A lower bound of |l|_W, of |x|_K where there are no forces."""
+    way, force = search.way, search.force
+    if not way.any(force != 0):
+        return _strain(search)
+    if search.before is None:
+        return force_norm(np.where(np.arange(len(force)) < search.m, force, 0.0), search.m, way) or _strain(search)
+    # |l|_W >= l'E v / |v|_K for any v: for the way back to the bodies without contact it is nearly equal.
+    back = search.before - search.x
+    energy = way.dot(back, search.residual - search.residual_before)
+    return abs(way.dot(force, way.lengths(back))) / np.sqrt(energy) if energy > 0 else 0.0
+
+
+def _strain(search: _Search) -> float:
+    """|x|_K."""
+    return float(np.sqrt(max(search.way.dot(search.x, search.problem.load - search.residual), 0.0)))
+
+
+FOUND = "signs and equilibrium hold"

@@ -1,0 +1,117 @@
+"""The contact problem stated in a modelling language (cvxpy): an independent way from the energy to the solver."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Candidate
+from contactqp.solving.methods.backends import BACKENDS, backend_options
+from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.quadratic_program import collected_words
+
+NAME = "cvxpy"
+
+
+def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
+    """min 1/2 u'K u - f'u subject to E_N u <= g and A u = b, as cvxpy sentences; the forces are their dual values.
+
+    cvxpy's dual of E_N u <= g is l_N >= 0, and that of A u == b is nu, in the signs of K u + E_N' l_N + A' nu = f.
+
+    Options
+    -------
+    solver : str, optional
+        Any solver of cvxpy's by its name, Clarabel by default. Solvers that are also methods of their own get
+        `settings.tolerance` in their own words; others run at their defaults.
+
+    Raises
+    ------
+    BackendMissing, Unsupported
+        The solver is not installed; there is none of that name.
+    BackendFailed
+        cvxpy or the solver raised, or found no values.
+    """
+    cp = _cvxpy()
+    solver = _solver(cp, settings.options.get("solver", "CLARABEL"))
+    u = cp.Variable(problem.dimension)
+    # K is positive semidefinite by construction; cvxpy's own test can fail by rounding.
+    energy = 0.5 * cp.quad_form(u, cp.psd_wrap(problem.stiffness)) - problem.load @ u
+    contacts = [problem.normal @ u <= problem.gap] if problem.contacts else []
+    ties = [problem.tie @ u == problem.tie_value] if problem.ties else []
+    model = cp.Problem(cp.Minimize(energy), contacts + ties)
+    options = _options(solver, settings)
+    with collected_words() as words:
+        try:
+            model.solve(solver=solver, verbose=False, **options)
+        except (KeyboardInterrupt, SystemExit, MemoryError):
+            raise
+        except BaseException as error:
+            # cvxpy hands through whatever its solvers raise, Rust's panics included. Nothing else runs here.
+            raise BackendFailed(f"{NAME}: {solver}: {type(error).__name__}: {error}") from error
+    status = "; ".join([f"{NAME}: {solver}: {model.status}", *words])
+    return Candidate(
+        displacement=_values(u.value, problem.dimension, status),
+        normal_force=_values(contacts[0].dual_value if contacts else (), problem.contacts, status),
+        tie_force=_values(ties[0].dual_value if ties else (), problem.ties, status),
+        iterations=_iterations(model),
+        claimed=model.status == cp.OPTIMAL,
+        status=status,
+    )
+
+
+def _cvxpy() -> Any:
+    """The module, untyped: half of its functions carry no annotations."""
+    return importlib.import_module("cvxpy")
+
+
+def _solver(cp: Any, name: Any) -> str:
+    if not isinstance(name, str):
+        raise InvalidProblem(f"{NAME}: solver: expected a name such as 'CLARABEL', got {name!r}")
+    solver, installed = name.upper(), cp.installed_solvers()
+    if solver in installed:
+        return solver
+    if solver in cp.settings.SOLVERS:
+        raise BackendMissing(f"{NAME}: solver {name!r} is not installed; installed are {', '.join(installed)}")
+    raise Unsupported(f"{NAME}: no solver is called {name!r}; installed are {', '.join(installed)}")
+
+
+def _options(solver: str, settings: Settings) -> dict[str, Any]:
+    """The solver's keywords, from the table of backends where it is there."""
+    for backend in BACKENDS:
+        if backend.name.upper() == solver:
+            return backend_options(backend, settings)
+    if settings.time_limit is not None or settings.max_iter is not None:
+        raise Unsupported(f"{NAME}: solver {solver}: its keywords for limits of time and iterations are not known here")
+    return {}
+
+
+def _values(values: Any, size: int, status: str) -> Vector:
+    vector = np.array([np.nan] if values is None else values, dtype=float).ravel()
+    if vector.shape != (size,) or not np.all(np.isfinite(vector)):
+        raise BackendFailed(f"{status}: no finite values")
+    return vector
+
+
+def _iterations(model: Any) -> int | None:
+    count = model.solver_stats.num_iters if model.solver_stats is not None else None
+    return None if count is None else int(count)
+
+
+METHODS = (
+    Method(
+        name=NAME,
+        kind="modelling language",
+        solve=solve_modelled,
+        polish=True,
+        scale=True,
+        options=("solver",),
+        knob="tolerance",
+        packages=("cvxpy",),
+        install="pip install contactqp",
+        note="an independent route: the energy is stated in cvxpy; any of its solvers",
+    ),
+)

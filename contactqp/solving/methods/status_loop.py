@@ -1,0 +1,255 @@
+"""The textbook's loop with friction: every contact is open, sticks, or slips one way or the other.
+
+Solve the system of the statuses that are thought right. Then an open contact that penetrates closes and sticks; a
+closed one in tension opens; one that sticks with more friction than mu l_N slips the way it is pushed; one that slips
+against its own friction sticks. Repeat until nothing changes. Where that goes in circles, or so many contacts changed
+that a body came loose, one contact changes at a time, least index first, to a combination that has not been tried;
+where none is left, to what else an earlier step could have become. With several contacts that may take long, and above
+a critical coefficient of friction there may be no answer or several (Klarbring 1990): the first that is met is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.errors import NotConverged
+from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.solution import Candidate
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, status_names
+from contactqp.solving.methods.floating_bodies import FloatingBodies
+from contactqp.solving.methods.method import Settings
+from contactqp.solving.methods.stick_and_slip import (
+    FrictionalEnforcement,
+    FrictionalStep,
+    coefficients,
+    origins,
+    status_rows,
+)
+from contactqp.solving.methods.textbook_algebra import Indices, Mask, SingularSystem
+from contactqp.solving.methods.textbook_ending import Budget, last_candidate
+from contactqp.solving.methods.textbook_rounding import Sizes
+
+# Contacts that a message names.
+MOST_NAMES = 8
+
+
+def status_loop(
+    name: str,
+    problem: ContactProblem,
+    settings: Settings,
+    enforce: FrictionalEnforcement,
+    *,
+    compliance: Vector | None = None,
+    stiffness: tuple[Vector, Vector] | None = None,
+) -> Candidate:
+    """Repeat `enforce` on the statuses until they no longer change.
+
+    The first are all open, or where the bodies float freely all stuck; those of `settings.warm_start` that push, stuck.
+
+    Parameters
+    ----------
+    enforce : FrictionalEnforcement
+        Solves the system of one status.
+    compliance : (m,) array, optional
+        Of tangential springs [length / force], zero by default: what has slipped is not E_T u - o but that less the
+        spring's own stretch.
+    stiffness : two (m,) arrays, optional
+        Forces that one unit of normal and of tangential length make [force / length], zero by default. Rounding of
+        lengths is seen in the forces by these factors.
+
+    Returns
+    -------
+    Candidate
+        `history` is the number of contacts whose status is wrong, one number an iteration. Not claimed where no
+        combination is left to try, or where the loop stops at `settings.max_iter` (50 m + 200) or at
+        `settings.time_limit`.
+
+    Raises
+    ------
+    NotConverged
+        The first system is singular, or every one that may follow.
+    """
+    none = np.zeros(problem.contacts)
+    loop = _Loop(
+        name, problem, settings, enforce, none if compliance is None else compliance, stiffness or (none, none)
+    )
+    try:
+        return loop.run()
+    except SingularSystem as error:
+        raise NotConverged(str(error), tuple(loop.history)) from None
+
+
+class _Loop:
+    def __init__(
+        self,
+        name: str,
+        problem: ContactProblem,
+        settings: Settings,
+        enforce: FrictionalEnforcement,
+        compliance: Vector,
+        stiffness: tuple[Vector, Vector],
+    ) -> None:
+        self._name, self._problem, self._settings, self._enforce = name, problem, settings, enforce
+        self._compliance, self._stiffness = compliance, stiffness
+        self._bodies = FloatingBodies(problem)
+        self._sizes = Sizes.of(problem, self._bodies)
+        self._tangent, self._origin = sp.csr_array(problem.tangent), origins(problem)
+        self._friction = coefficients(problem)
+        self._budget = Budget(settings, 50 * problem.contacts + 200)
+        self._together: int | None = None  # iterations that changed all wrong contacts, once the loop has ended that
+        self._tried: set[bytes] = set()
+        self._singular: SingularSystem | None = None  # the first that was met
+        self._ways: list[Iterator[tuple[Status, Mask]]] = []  # what the steps so far could still become
+        self.history: list[float] = []
+
+    def run(self) -> Candidate:
+        step = self._first_step()
+        while True:
+            following = self._following(step)
+            wrong = following != step.status
+            self.history.append(float(np.count_nonzero(wrong)))
+            reason, after = self._stop(wrong), None
+            if not reason:
+                after = self._next_step(step, following)
+                reason = (
+                    ""
+                    if after
+                    else f"no combination of open, stick and slip is left to try that could mend {self._named(wrong)}"
+                )
+            if after is None:
+                return self._candidate(step, reason)
+            step = after
+
+    def _first_step(self) -> FrictionalStep:
+        first = self._warm_status()
+        none = np.zeros(len(first), dtype=bool)
+        found = self._untried(first, none) or self._untried(self._closing(), none)
+        if found is None:
+            raise self._singular or SingularSystem(f"{self._name}: no system to begin with")
+        return found
+
+    def _warm_status(self) -> Status:
+        """What the contacts of a warm start do; those that push stick, where it does not say that they slip."""
+        warm = self._settings.warm_start
+        if warm is None:
+            return np.full(self._problem.contacts, OPEN, dtype=np.int8)
+        closing = self._closing()
+        if warm.contact_status is not None and warm.friction_force is not None:
+            slips = (warm.contact_status == "slip") & (warm.friction_force[:, 0] != 0)
+            closing = np.where(slips, np.sign(warm.friction_force[:, 0]), closing)
+        return np.where(warm.normal_force > 0, closing, OPEN).astype(np.int8)
+
+    def _closing(self) -> Status:
+        """What contacts do as they close: stick, or without friction slip, whichever way."""
+        return np.where(self._friction > 0, STICK, SLIP_ON).astype(np.int8)
+
+    def _next_step(self, step: FrictionalStep, following: Status) -> FrictionalStep | None:
+        """The next system; None where all that could be next have been tried."""
+        if self._together is None:
+            # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
+            found = self._untried(following, (step.status != OPEN) | (following == OPEN))
+            if found is not None:
+                return found
+            self._together = len(self.history)
+        self._ways.append(_one_by_one(step, following))
+        while self._ways:
+            for changed, newcomer in self._ways[-1]:
+                found = self._untried(changed, ~newcomer)
+                if found is not None:
+                    return found
+            self._ways.pop()  # and back to what else the step before could have become
+        return None
+
+    def _untried(self, status: Status, last: Mask) -> FrictionalStep | None:
+        """The system of a status, `last` the contacts that are left out first should rows be dependent.
+
+        None where it has been tried or is singular.
+        """
+        if status.tobytes() in self._tried:
+            return None
+        self._tried.add(status.tobytes())
+        try:
+            found = self._step(status, np.argsort(last, kind="stable"))
+        except SingularSystem as error:
+            self._singular = self._singular or error
+            return None
+        if found.status.tobytes() != status.tobytes():
+            if found.status.tobytes() in self._tried:
+                return None
+            self._tried.add(found.status.tobytes())
+        return found
+
+    def _step(self, status: Status, preference: Indices) -> FrictionalStep:
+        if self._bodies.rigid.shape[1]:
+            rows = status_rows(self._name, self._problem, status, preference, independent=False)
+            if not all(self._bodies.held_by(self._bodies.unit(side)) for side in (rows.held, rows.pushed)):
+                raise SingularSystem(
+                    f"{self._name}: the bodies are not held where {self._named(status == STICK)} stick and "
+                    f"{self._named(abs(status) == 1)} slip"
+                )
+        return self._enforce(status, preference)
+
+    def _following(self, step: FrictionalStep) -> Status:
+        """What every contact should do, judged by this answer: wrong by more than rounding, or as it is."""
+        problem, status, friction = self._problem, step.status, self._friction
+        if problem.contacts == 0:
+            return status
+        u, normal, tangential = step.displacement, step.normal_force, step.friction_force
+        pushes = ((problem.normal, normal), (self._tangent, tangential), (problem.tie, step.tie_force))
+        holds = (
+            (problem.normal, problem.gap, status != OPEN),
+            (self._tangent, self._origin, status == STICK),
+            (problem.tie, problem.tie_value, np.ones(problem.ties, dtype=bool)),
+        )
+        noise = self._sizes.noise(u, self._sizes.forces(u, pushes), holds)
+        length, shift = noise.of_lengths(problem.normal, problem.gap), noise.of_lengths(self._tangent, self._origin)
+        push = noise.of_forces(problem.normal) + self._stiffness[0] * length
+        drag = noise.of_forces(self._tangent) + self._stiffness[1] * shift
+        slip = self._tangent @ u - self._origin
+        stuck, slides = status == STICK, (abs(status) == 1) & (friction > 0)
+        beyond = stuck & (abs(tangential) > friction * np.maximum(normal, 0.0) + drag + friction * push)
+        # A dependent tangential row was left out: the contact slips although it was to stick.
+        loose = stuck & (tangential == 0) & (abs(slip) > shift)
+        against = slides & (status * (slip - self._compliance * tangential) < -(shift + self._compliance * drag))
+        found = status.copy()
+        found[beyond] = np.where(tangential[beyond] > 0, SLIP_ON, SLIP_BACK)
+        found[loose] = np.where(slip[loose] > 0, SLIP_ON, SLIP_BACK)
+        found[against] = STICK
+        found[(status != OPEN) & (normal < -push)] = OPEN
+        closing = (status == OPEN) & (problem.normal @ u - problem.gap > length)
+        return np.where(closing, self._closing(), found).astype(np.int8)
+
+    def _stop(self, wrong: Mask) -> str:
+        """Why the loop ends here, or nothing."""
+        if not wrong.any():
+            return "open, stick and slip no longer change"
+        spent = self._budget.spent(len(self.history))
+        return f"{spent}, while {self._named(wrong)} still changed" if spent else ""
+
+    def _candidate(self, step: FrictionalStep, reason: str) -> Candidate:
+        found = last_candidate(self._name, step, reason, self.history, self._together)
+        friction = step.friction_force[:, None]
+        return replace(found, friction_force=friction, contact_status=status_names(step.status))
+
+    def _named(self, contacts: Mask) -> str:
+        indices = np.flatnonzero(contacts)
+        names = ", ".join(self._problem.contact_name(int(i)) for i in indices[:MOST_NAMES])
+        return (names or "no contacts") + (", ..." if indices.size > MOST_NAMES else "")
+
+
+def _one_by_one(step: FrictionalStep, following: Status) -> Iterator[tuple[Status, Mask]]:
+    """Statuses where one wrong contact changes, and which it is: least index first, as it should by itself, then in
+    every other way."""
+    wrong = np.flatnonzero(following != step.status)
+    pushed = np.where(step.friction_force < 0, SLIP_BACK, SLIP_ON)
+    ways = [following, pushed, -pushed, np.full_like(following, STICK), np.full_like(following, OPEN)]
+    for way in ways:
+        for i in wrong:
+            if way[i] != step.status[i]:
+                changed = step.status.copy()
+                changed[i] = way[i]
+                yield changed, changed != step.status

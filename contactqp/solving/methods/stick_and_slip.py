@@ -1,0 +1,167 @@
+"""Stick and slip in the plane as rows of equations: the course chapter's section 2.4, its signs corrected.
+
+A closed contact holds E_N u = g. Where it sticks it holds E_T u = o too, o its slip origin. Where it slips, with s = +1
+or -1 the sense of the slip, friction s mu l_N acts on the obstacle along E_T: the contact pushes along
+
+    E_s = E_N + s mu E_T        (l_N >= 0; the chapter's E_N - s mu E_T, eq. 2.41, belongs to R_N = -l_N <= 0)
+
+and not along the row that it holds, so that the systems of slip are unsymmetric.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.errors import InvalidProblem
+from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.statuses import OPEN, STICK, Status
+from contactqp.solving.methods.method import Settings
+from contactqp.solving.methods.textbook_algebra import (
+    Indices,
+    contact_stiffness,
+    independent_rows,
+    refuse_contradiction,
+    spread,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionalStep:
+    """The answer of one system, for one status of every contact."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,), zero where open
+    friction_force: Vector  # (m,), likewise
+    tie_force: Vector  # (k,)
+    status: Status  # (m,) that took part; dependent rows may leave contacts out, which are open then
+
+
+# The status of every contact, and an order of preference among those that are closed should rows be dependent.
+FrictionalEnforcement = Callable[[Status, Indices], FrictionalStep]
+
+
+def coefficients(problem: ContactProblem) -> Vector:
+    """(m,) mu, zero where every unknown of the tangential row is supported: such a contact cannot slide."""
+    if problem.tangent is None or problem.friction is None:
+        return np.zeros(problem.contacts)
+    return np.where(np.diff(problem.tangent.indptr) > 0, problem.friction, 0.0)
+
+
+def origins(problem: ContactProblem) -> Vector:
+    """(m,) E_T u where the slip starts [length]."""
+    return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class StatusRows:
+    """The equations of one status: ties, then closed contacts, then those of them that stick.
+
+    Attributes
+    ----------
+    held, pushed : (r, n) csr_arrays
+        [A; E_N; E_T] and [A; E_s; E_T], E_s = E_N where a contact sticks.
+    values : (r,)
+        [b; g; o].
+    ties, closed, stuck : index arrays
+        Which ties and contacts the rows are.
+    """
+
+    problem: ContactProblem
+    status: Status
+    held: Matrix
+    pushed: Matrix
+    values: Vector
+    ties: Indices
+    closed: Indices
+    stuck: Indices
+
+    @property
+    def of_contacts(self) -> slice:
+        """The rows that are no ties."""
+        return slice(self.ties.size, None)
+
+    def per_row(self, normal: Vector, tangential: Vector) -> Vector:
+        """Values per contact (m,) for normal and for tangential rows, as values of the rows of contacts."""
+        return np.concatenate([normal[self.closed], tangential[self.stuck]])
+
+    def step(self, displacement: Vector, contact_force: Vector, tie_force: Vector) -> FrictionalStep:
+        """The answer whose rows of contacts and of ties carry these forces."""
+        count, m = self.closed.size, self.problem.contacts
+        normal = spread(contact_force[:count], self.closed, m)
+        friction = spread(contact_force[count:], self.stuck, m)
+        friction = friction + np.where(self.status == STICK, 0, self.status) * coefficients(self.problem) * normal
+        return FrictionalStep(
+            displacement, normal, friction, spread(tie_force, self.ties, self.problem.ties), self.status
+        )
+
+
+def status_rows(
+    name: str, problem: ContactProblem, status: Status, preference: Indices, *, independent: bool
+) -> StatusRows:
+    """The equations of a status; `independent` leaves out rows of contacts that follow from those before them.
+
+    Of dependent ties the first are kept always. A closed contact whose normal row is left out is open; one that sticks
+    and whose tangential row is left out carries no friction.
+
+    Raises
+    ------
+    NotConverged
+        Ties contradict each other.
+    """
+    E_N, E_T = problem.normal, sp.csr_array(problem.tangent)
+    ties = independent_rows(problem.tie)
+    refuse_contradiction(name, problem, ties)
+    closed = preference[(status != OPEN)[preference]]
+    stuck = closed[status[closed] == STICK]
+    held = _stacked(problem.tie[ties], E_N[closed], E_T[stuck])
+    if independent and len(kept := independent_rows(held)) < held.shape[0]:
+        normal = kept[(kept >= ties.size) & (kept < ties.size + closed.size)] - ties.size
+        tangential = stuck[kept[kept >= ties.size + closed.size] - ties.size - closed.size]
+        closed = closed[normal]
+        stuck = tangential[np.isin(tangential, closed)]
+        held = _stacked(problem.tie[ties], E_N[closed], E_T[stuck])
+        status = np.where(np.isin(np.arange(problem.contacts), closed), status, OPEN).astype(np.int8)
+    drag, pushed = np.where(status == STICK, 0, status)[closed] * coefficients(problem)[closed], held
+    if np.any(drag):
+        pushed = _stacked(problem.tie[ties], E_N[closed] + sp.diags(drag) @ E_T[closed], E_T[stuck])
+    values = np.concatenate([problem.tie_value[ties], problem.gap[closed], origins(problem)[stuck]])
+    return StatusRows(problem, status, held, pushed, values, ties, closed, stuck)
+
+
+def _stacked(*parts: Matrix) -> Matrix:
+    return sp.csr_array(sp.vstack(parts, format="csr"))
+
+
+def frictional_springs(rows: StatusRows, beta: Vector) -> tuple[Matrix, Vector]:
+    """K + P' beta H and f + P' beta q over the rows of contacts: held H u = q, pushed along P, springs beta (r,)."""
+    problem, contacts = rows.problem, rows.of_contacts
+    weighted = rows.pushed[contacts].T @ sp.diags(beta)
+    spring = sp.csr_array(weighted @ rows.held[contacts])
+    K = problem.stiffness + (spring if sp.issparse(problem.stiffness) else spring.toarray())
+    return K, problem.load + weighted @ rows.values[contacts]
+
+
+def spring_stiffnesses(
+    name: str, problem: ContactProblem, settings: Settings, normal: Vector, *, zero: bool = False
+) -> tuple[Vector, Vector]:
+    """Normal and tangential springs (m,) [force / length]; `tangential_penalty`, or as stiff as the normal ones.
+
+    Raises
+    ------
+    InvalidProblem
+        The option is not positive (or negative, where `zero` allows none) and finite.
+    """
+    given = settings.options.get("tangential_penalty")
+    if given is None:
+        return normal, normal
+    return normal, contact_stiffness(name, "tangential_penalty", given, problem.contacts, zero=zero)
+
+
+def refuse_tangential_penalty(name: str, settings: Settings) -> None:
+    """Raise on an option that a problem without friction has no use for."""
+    if settings.options.get("tangential_penalty") is not None:
+        raise InvalidProblem(f"{name}: tangential_penalty was given, and the problem has no friction")

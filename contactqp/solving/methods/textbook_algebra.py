@@ -1,0 +1,267 @@
+"""The linear algebra that the five classical enforcements share: systems of equations and independent constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.problem_data import read_array
+
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+# What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
+TEXTBOOK_ROUNDING = 1e3 * float(np.finfo(float).eps)
+# Values of ties that repeat others are often decimals: they agree to this part of their size, or contradict.
+CONTRADICTION = 1e-9
+
+
+class SingularSystem(NotConverged):
+    """A textbook system is singular: too few of its contacts are closed."""
+
+
+def binding_rows(
+    name: str, problem: ContactProblem, closed: Mask, preference: Indices
+) -> tuple[Matrix, Vector, Indices, Indices]:
+    """The rows of the ties and of the closed contacts, without those that follow from others.
+
+    Ties come first, then the closed contacts in the order of `preference`; a row that depends on those before it is
+    left out, and its multiplier is zero.
+
+    Returns
+    -------
+    rows : (r, n) csr_array, values : (r,)
+        [A; E_N] u = [b; g].
+    ties, contacts : index arrays
+        Which ties and which contacts the rows are, in this order.
+
+    Raises
+    ------
+    NotConverged
+        Ties contradict each other.
+    """
+    ties = independent_rows(problem.tie)
+    refuse_contradiction(name, problem, ties)
+    candidates = preference[closed[preference]]
+    both = sp.csr_array(sp.vstack([problem.tie[ties], problem.normal[candidates]], format="csr"))
+    kept = independent_rows(both)
+    contacts = candidates[kept[kept >= ties.size] - ties.size]
+    rows = sp.csr_array(sp.vstack([problem.tie[ties], problem.normal[contacts]], format="csr"))
+    return rows, np.concatenate([problem.tie_value[ties], problem.gap[contacts]]), ties, contacts
+
+
+def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> None:
+    """Whether the ties that follow from the `kept` ones say the same as they do: b_i = c'b where A_i = c'A.
+
+    Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish.
+
+    Raises
+    ------
+    NotConverged
+        They do not.
+    """
+    dropped = np.setdiff1d(np.arange(problem.ties), kept)
+    if dropped.size == 0:
+        return
+    A, b = problem.tie.toarray(), problem.tie_value
+    weights = np.linalg.lstsq(A[kept].T, A[dropped].T, rcond=None)[0].T
+    off = np.abs(b[dropped] - weights @ b[kept])
+    wrong = off > CONTRADICTION * (np.abs(b[dropped]) + np.abs(weights) @ np.abs(b[kept]))
+    if np.any(wrong):
+        raise NotConverged(f"{name}: tie {int(dropped[wrong][0])} contradicts the other ties")
+
+
+def independent_rows(rows: Matrix) -> Indices:
+    """Indices, increasing, of the rows that do not depend on the rows before them."""
+    count = rows.shape[0]
+    if count < 2:
+        return np.arange(count)
+    unit = rows[:, np.unique(rows.indices)].toarray()
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    # Unit rows whose Gram matrix is this far from singular are independent; the common case, decided by one product.
+    off_diagonal = np.abs(unit @ unit.T).sum(axis=1) - 1.0
+    if np.all(off_diagonal < 0.5):  # Gershgorin
+        return np.arange(count)
+    basis, kept = np.zeros((min(unit.shape), unit.shape[1])), list[int]()
+    for i, row in enumerate(unit):
+        rest = row - basis[: len(kept)].T @ (basis[: len(kept)] @ row)
+        rest -= basis[: len(kept)].T @ (basis[: len(kept)] @ rest)  # twice is enough (Kahan, Parlett)
+        size = float(np.linalg.norm(rest))
+        if size > TEXTBOOK_ROUNDING and len(kept) < len(basis):
+            basis[len(kept)] = rest / size
+            kept.append(i)
+    return np.array(kept, dtype=np.intp)
+
+
+def spread(values: Vector, where: Indices, size: int) -> Vector:
+    """An array of `size` zeros with `values` at the indices `where`."""
+    full = np.zeros(size)
+    full[where] = values
+    return full
+
+
+def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: bool = False) -> Vector:
+    """A stiffness per contact (m,) from a number or an array of m numbers, positive (or not negative) and finite.
+
+    Raises
+    ------
+    InvalidProblem
+        It is anything else.
+    """
+    sign = "not negative" if zero else "positive"
+    expected = f"{name}: {key}: expected a {sign} finite number or {contacts} of them"
+    try:
+        values = read_array(key, value)
+    except InvalidProblem as error:
+        raise InvalidProblem(f"{expected}; {error}") from None
+    if np.asarray(value).dtype == bool:
+        raise InvalidProblem(f"{expected}, got {value!r}")
+    allowed = (values >= 0 if zero else values > 0) & np.isfinite(values)
+    if values.shape not in ((), (contacts,)) or not np.all(allowed):
+        raise InvalidProblem(f"{expected}, got {value!r}")
+    return np.broadcast_to(values, (contacts,)).astype(float)
+
+
+def springs(problem: ContactProblem, closed: Mask, beta: Vector) -> tuple[Matrix, Vector]:
+    """K + E' beta E and f + E' beta g over the closed contacts: the two sides of the course chapter's eq. 2.25."""
+    E = problem.normal[np.flatnonzero(closed)]
+    spring = E.T @ sp.diags(beta[closed]) @ E
+    K = problem.stiffness + (spring if sp.issparse(problem.stiffness) else spring.toarray())
+    return K, problem.load + E.T @ (beta[closed] * problem.gap[closed])
+
+
+def solve_bordered(
+    name: str,
+    matrix: Matrix,
+    load: Vector,
+    rows: Matrix,
+    values: Vector,
+    corner: Vector | None = None,
+    *,
+    pushed: Matrix | None = None,
+    refined: bool = False,
+) -> tuple[Vector, Vector]:
+    """Solve [[matrix, pushed'], [rows, diag(corner)]] {x; y} = {load; values}.
+
+    Parameters
+    ----------
+    matrix : (n, n), sparse or dense
+    load : (n,)
+    rows : (r, n) csr_array
+    values : (r,)
+    corner : (r,), optional
+        Diagonal of the lower right block, zero by default.
+    pushed : (r, n) csr_array, optional
+        Where the forces y act, `rows` by default; contacts that slip push along other rows than they hold.
+    refined : bool
+        As for `solve_linear`.
+
+    Raises
+    ------
+    NotConverged
+        The system is singular.
+    """
+    n, r = matrix.shape[0], rows.shape[0]
+    corner = np.zeros(r) if corner is None else corner
+    pushed = rows if pushed is None else pushed
+    if r == 0:
+        return solve_linear(name, matrix, load, refined=refined), np.zeros(0)
+    if sp.issparse(matrix):
+        system = sp.bmat([[matrix, pushed.T], [rows, sp.diags(corner)]], format="csc")
+    else:
+        system = np.block([[matrix, pushed.toarray().T], [rows.toarray(), np.diag(corner)]])
+    solution = solve_linear(name, system, np.concatenate([load, values]), refined=refined)
+    return solution[:n], solution[n:]
+
+
+def solve_linear(name: str, matrix: Matrix, load: NDArray[np.float64], *, refined: bool = False) -> NDArray[np.float64]:
+    """Solve matrix x = load by LU with partial pivoting, in the numbers as they are.
+
+    A bad condition alone refuses nothing: rounding is to show as it would in the textbook's own program. Only a matrix
+    that is singular however its rows and columns are scaled is refused.
+
+    `refined` adds one step of refinement in the same precision, which makes the residual small equation by equation,
+    where stiffness beside multiplier rows leaves it small beside the largest equation only (Skeel 1980).
+
+    Raises
+    ------
+    NotConverged
+        The matrix is singular.
+    """
+    if matrix.shape[0] == 0:
+        return np.zeros_like(load)
+    solve = _sparse_lu(matrix) if sp.issparse(matrix) else _dense_lu(matrix)
+    if solve is None or _hopeless(matrix, solve):
+        raise SingularSystem(
+            f"{name}: the system of equations is singular: the bodies are not held by the contacts that are closed, "
+            "or springs are so stiff that the bodies' stiffness is lost beside them"
+        )
+    x = np.asarray(solve(load, False))
+    return np.asarray(x + solve(load - matrix @ x, False)) if refined else x
+
+
+# Solves for a right-hand side; with the transposed matrix where the second argument is true.
+Solver = Callable[[NDArray[np.float64], bool], NDArray[np.float64]]
+
+
+def _dense_lu(matrix: NDArray[np.float64]) -> Solver | None:
+    from scipy.linalg import lapack
+
+    # LAPACK itself rather than scipy.linalg.lu_factor: a zero pivot is a return code here, not a warning.
+    factors, pivots, zero_pivot = lapack.dgetrf(matrix)
+    if zero_pivot:
+        return None
+    return lambda load, transposed: np.asarray(lapack.dgetrs(factors, pivots, load, trans=int(transposed))[0])
+
+
+def _sparse_lu(matrix: Matrix) -> Solver | None:
+    from scipy.sparse.linalg import splu
+
+    try:
+        factors = splu(sp.csc_array(matrix))
+    except RuntimeError:  # "Factor is exactly singular"
+        return None
+    return lambda load, transposed: np.asarray(factors.solve(load, "T" if transposed else "N"))
+
+
+def _hopeless(matrix: Matrix, solve: Solver) -> bool:
+    """Whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, with the diagonal R and C that equilibrate M.
+
+    With them, stiffness beside penalty or beside multiplier rows is not mistaken for singularity. For a symmetric M
+    they are the same.
+    """
+    from scipy.sparse.linalg import LinearOperator, onenormest
+
+    n = matrix.shape[0]
+    size = abs(matrix)
+    rows, columns = np.ones(n), np.ones(n)
+    for _ in range(3):  # Ruiz equilibration; it settles in two or three sweeps
+        of_rows, of_columns = _row_maxima(size, rows, columns), _row_maxima(size.T, columns, rows)
+        rows = rows / np.sqrt(np.where(of_rows > 0, of_rows, 1.0))
+        columns = columns / np.sqrt(np.where(of_columns > 0, of_columns, 1.0))
+    norm = float(np.max(columns * (size.T @ rows)))
+
+    def scaled_solve(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(solve(np.ravel(x) / rows, False) / columns)
+
+    def scaled_solve_transposed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(solve(np.ravel(x) / columns, True) / rows)
+
+    inverse = LinearOperator((n, n), matvec=scaled_solve, rmatvec=scaled_solve_transposed, dtype=float)
+    with np.errstate(all="ignore"):
+        bound = norm * float(onenormest(inverse, t=1))
+    return not bound * n * np.finfo(float).eps < 1
+
+
+def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
+    """max over j of r_i |M_ij| c_j for each row i."""
+    if sp.issparse(size):
+        scaled = sp.diags(rows) @ size @ sp.diags(columns)
+        return np.asarray(scaled.max(axis=1).toarray()).ravel()
+    return np.asarray((rows[:, None] * size * columns).max(axis=1))

@@ -1,0 +1,37 @@
+"""The worst combination of resultants, where the linear program that finds it is hard on its solver."""
+
+import numpy as np
+import pytest
+
+from contactqp.certificate.balance import _worst_direction
+
+# Of a lattice in corners that is free to slide: forces along two motions, next to none along the third.
+BASIS = np.array(
+    [
+        [float.fromhex(x) for x in row.split()]
+        for row in (
+            "-0x1.4fd67fbe5e19fp-7 -0x1.6a002a00132acp-1 -0x1.34fa76e404082p-17",
+            "-0x1.689572d4b6d9cp-18 0x1.39f5047f72ee9p-16 -0x1.f12b25f8ed541p-2",
+            "-0x1.4fd67fbe5e0e0p-7 -0x1.6a002a00132b4p-1 -0x1.34fa3f8a931e0p-17",
+            "0x1.7dcb6a564000cp-20 -0x1.4c6cd722e006fp-18 -0x1.0734f5de27aa9p-1",
+            "-0x1.6a002a0224e67p-1 0x1.4fd67f68c9a39p-7 0x1.7656b341104a6p-19",
+            "-0x1.68957282852acp-18 0x1.39f50437e7de8p-16 -0x1.f12b2587d27ddp-2",
+            "-0x1.6a002a0224e67p-1 0x1.4fd67f68c9a39p-7 0x1.7656b341104a6p-19",
+            "0x1.7dcb6a2f6c745p-20 -0x1.4c6cd70111c00p-18 -0x1.0734f5c36366dp-1",
+        )
+    ]
+)
+WEIGHT = np.array(
+    [float.fromhex(x) for x in ["-0x1.bc48ae2634680p-18", "0x1.832e1b866d887p-16", "-0x1.0000000000000p+0"]]
+)
+
+
+def test_a_program_that_its_solver_gives_up_is_solved_more_roughly():
+    """HiGHS has no answer within 1e-10; the certificate must not end in an ArithmeticError."""
+    direction = _worst_direction(BASIS, WEIGHT)
+    assert np.sum(abs(BASIS @ direction)) == pytest.approx(1.0, abs=1e-6)
+    best = WEIGHT @ direction
+    assert best == pytest.approx(0.50020404, rel=1e-6)
+    random = np.random.default_rng(0).normal(size=(3, 20000))
+    random = random / np.sum(abs(BASIS @ random), axis=0)
+    assert np.max(WEIGHT @ random) <= best * (1 + 1e-6)

@@ -1,0 +1,235 @@
+"""Bounds are never below the true error: small problems whose errors are known by hand, in the corners of rounding."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.certificate.energy_norm import force_norm
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.extended import extend
+
+CHAIN = 100.0 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+
+
+def chain(**changes):
+    """Three nodes that float, the first held by a tie, the others before walls; pushed against both."""
+    data = dict(stiffness=CHAIN, load=[0.0, 3.0, 5.0], normal=[[0, 1, 0], [0, 0, 1]], gap=[0.01, 0.02], tie=[[1, 0, 0]])
+    return cq.ContactProblem(**(data | changes))
+
+
+def test_forces_of_bodies_that_only_ties_hold_are_bounded_in_their_tied_compliance():
+    problem = chain()
+    force, tie = np.array([3.0, 4.0]), np.array([1.0])
+    W = np.array([[1.0, 1.0], [1.0, 2.0]]) / 100  # by hand: the first node is the ground
+    change = np.array([1e-3, -2e-3])
+    certificate = cq.certify(problem, [0.0, 0.01, 0.02], force + change, tie_force=tie)
+    error = np.sqrt(change @ W @ change) / np.sqrt(force @ W @ force)
+    assert error * (1 - 1e-12) <= certificate.force_error <= 1.001 * error
+    assert cq.certify(problem, [0.0, 0.01, 0.02], force, tie_force=tie).passed
+
+
+def test_with_and_without_ties_the_larger_force_error_is_the_bound():
+    K = CHAIN + np.diag([100.0, 0.0, 0.0])
+    problem = chain(stiffness=K)
+    force, change = np.array([3.0, 4.0]), np.array([2e-3, -2e-3])
+    certificate = cq.certify(problem, [0.0, 0.01, 0.02], force + change, tie_force=[1.0])
+    E = np.array([[0, 1, 0], [0, 0, 1.0]])
+    for W in (E @ np.linalg.solve(K, E.T), np.array([[1.0, 1.0], [1.0, 2.0]]) / 100):
+        assert certificate.force_error >= np.sqrt(change @ W @ change) / np.sqrt(force @ W @ force) * (1 - 1e-12)
+
+
+def test_a_large_free_motion_does_not_hide_a_small_strain():
+    """Moved by 2 along the motion that nothing resists, strained by 1e-13: v'Kv drowns in the rounding of Kv."""
+    problem = cq.ContactProblem(CHAIN, [1.0, 0.0, -1.0], [[0, 0, 1.0]], [10.0])
+    truth = np.array([0.01, 0.0, -0.01])
+    moved = truth + 2.0 + np.array([0.0, 1e-13, 0.0])
+    strain = np.diff(moved - truth)  # exact: numbers of like size are subtracted
+    error = np.sqrt(100 * strain @ strain / (truth @ CHAIN @ truth))
+    certificate = cq.certify(problem, moved, [0.0])
+    assert error <= certificate.energy_error <= 100 * error
+    assert certificate.passed
+
+
+def test_what_is_open_or_closed_by_rounding_is_in_the_bounds():
+    """Penetrated by one unit in the last place: the force that closes it, 2 * 2^-53, is the error of none."""
+    problem = cq.ContactProblem([[2.0]], [2.0], [[1.0]], [1.0 - 2.0**-53])
+    certificate = cq.certify(problem, [1.0], [0.0])
+    assert certificate.force_bound[0] >= 2.0**-52
+    assert certificate.force_error >= np.sqrt(0.5) * 2.0**-52
+    assert certificate.energy_error >= 2.0**-53
+    assert certificate.passed
+
+
+def test_the_closed_contacts_are_searched_for_where_corrections_of_the_set_go_in_circles():
+    """Nearly redundant contacts and an answer with no force: the bound is the error, not the gap of energies."""
+    n = 6
+    K = np.diag(np.full(n, 2.0)) - np.eye(n, k=1) - np.eye(n, k=-1)
+    rng = np.random.default_rng(3)
+    rows = np.ones((n, n)) + 1e-5 * rng.normal(size=(n, n))
+    problem = cq.ContactProblem(K, rng.normal(size=n) + 1.0, rows, 0.1 + 1e-6 * rng.normal(size=n))
+    solution = cq.solve(problem)
+    free = np.linalg.solve(K, problem.load)
+    error = free - solution.displacement
+    true = np.sqrt(error @ K @ error) / np.sqrt(solution.displacement @ K @ solution.displacement)
+    certificate = cq.certify(problem, free, np.zeros(n))
+    assert certificate.energy_error == pytest.approx(true, rel=1e-6)
+    assert not certificate.passed
+
+
+def test_a_displacement_that_doubles_cannot_hold_is_refused():
+    """A body moved by 5 onto a spring of 1e13 by a force of 0.1: rounding 5 to doubles strains it by percents."""
+    K = np.zeros((3, 3))
+    K[0, 0] = 2.0**43
+    K[1:, 1:] = 2.0**47 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    problem = cq.ContactProblem(K, [0.0, 0.0, -0.1], [[1.0, -1.0, 0.0]], [5.0])
+    at = np.array([-0.1 / 2**43, -5.0, -5.0])  # 5.0000000000000114 in truth, and a strain of 7e-16
+    certificate = cq.certify(problem, at, [0.1])
+    assert certificate.energy_error > 1e-6
+    assert not certificate.passed
+
+
+def test_a_floating_body_is_found_behind_a_stiffness_that_rounding_hides():
+    """Condensed onto its ends, a chain of springs 1e9 around one of 14 keeps 14 to eight digits: a pivot of 3e-8."""
+    springs = np.array([4.6875e5, 9.63e6, 9.65e8, 8.25e6, 7.59e8, 13.625, 3.6875e6])
+    K = np.zeros((9, 9))
+    for i, k in enumerate(springs):
+        K[i : i + 2, i : i + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    K[8, 8] = 100.0
+    load = np.zeros(9)
+    load[0], load[8] = 2.0, -1.0
+    rows = np.zeros((2, 9))
+    rows[0, 0], rows[1, 7], rows[1, 8] = -1.0, 1.0, -1.0
+    problem = cq.ContactProblem(K, load, rows, [1.0, 0.25])
+    assert condense(problem).rigid.count == 1
+    assert cq.solve(problem).normal_force == pytest.approx([0.0, 2.0], rel=1e-13)
+
+
+@pytest.mark.parametrize("force", [1e-320, 1e-200])
+def test_forces_whose_squares_are_zero_have_a_norm(force):
+    """No division of nothing by nothing; a warning would fail here."""
+    problem = cq.ContactProblem(stiffness=[[3.0, 0.0], [0.0, 5.0]], load=[6.0, 0.0], normal=[[0.0, 1.0]], gap=[0.5])
+    norm, rounding = force_norm(problem, condense(problem), extend(np.array([force])))
+    assert 0 <= norm < 1e-160
+    assert 0 <= rounding < 1e-160
+
+
+def _floating_triangle(stiffness: float, gap: float, force: float) -> cq.ContactProblem:
+    """Three bars at odd angles, loaded where they land: K z of a rigid motion is rounding, and u* only moves."""
+    at = np.array([[0.0, 0.0], [1.3, 0.1], [0.4, 0.9]])
+    K = np.zeros((6, 6))
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        d = np.concatenate([at[i] - at[j], at[j] - at[i]]) / np.linalg.norm(at[i] - at[j])
+        K[np.ix_([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], [2 * i, 2 * i + 1, 2 * j, 2 * j + 1])] += np.outer(d, d)
+    rows = np.zeros((2, 6))
+    rows[0, 1] = rows[1, 3] = -1.0
+    load = np.array([0.0, -1.0, 0.0, -0.7, 0.0, 0.0]) * force
+    return cq.ContactProblem(stiffness * K, load, rows, [gap, 1.001 * gap])
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "gap", "force"),
+    [(3.1e2, 1e-6, 1e-3), (3.1e2, -0.02, 1e3), (3.1e2, 0.83, 1e6), (7.7e10, 1e-6, 1e3), (7.7e10, -1e-9, 1.0)],
+)
+def test_a_body_whose_stiffness_is_singular_to_rounding_only_may_move_without_strain(stiffness, gap, force):
+    problem = _floating_triangle(stiffness, gap, force)
+    for method in ("active-set", "clarabel"):
+        solution = cq.solve(problem, method)
+        assert solution.normal_force == pytest.approx([force, 0.7 * force], rel=1e-9)
+        assert solution.certificate.proven
+    u, push = solution.displacement, solution.normal_force
+    strained = u + np.array([0.0, 0.0, 0.0, 0.0, 1e-6 * max(abs(gap), force / stiffness), 0.0])
+    assert not cq.certify(problem, strained, push).passed
+    assert not cq.certify(problem, u, push * [1.0, 1 + 1e-5]).passed
+
+
+def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refused():
+    """Moved by 0.83 m, bars of 7.7e10 leave 1e-5 N of rounding, and loads of 1e-3 N would be carried to a percent."""
+    problem = _floating_triangle(7.7e10, 0.83, 1e-3)
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([1e-3, 0.7e-3], rel=1e-12)
+    assert "zero along the rigid motions" in solution.certificate.notes[-1]
+    rounding = problem.stiffness @ solution.displacement
+    carried = np.linalg.lstsq(problem.normal.toarray().T, problem.load - rounding, rcond=None)[0]
+    assert abs(np.sum(carried) - 1.7e-3) > 1e-6 * 1.7e-3
+    refused = cq.certify(problem, solution.displacement, carried)
+    assert any("balance: the forces on a body do not balance" in failure for failure in refused.failures)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
+@pytest.mark.parametrize("springs", [3, 60])
+def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs, contrast):
+    """Two contacts press a chain from both ends: |d|_W^2 = d^2 sum 1/k, whichever precision its residuals need."""
+    k = np.geomspace(1.0, contrast, springs)
+    K = sp.lil_matrix((springs + 1, springs + 1))
+    for i, stiffness in enumerate(k):
+        K[i : i + 2, i : i + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    ends = np.zeros((2, springs + 1))
+    ends[0, 0], ends[1, -1] = -1.0, 1.0
+    problem = cq.ContactProblem(
+        K.tocsc(), np.zeros(springs + 1), ends, [0.0, 0.0], near_null_space=np.ones((springs + 1, 1))
+    )
+    way = condense(problem)
+    assert way.rigid.count == 1
+    for force in (1.0, 1e-9, 1.0):  # the first tells how refinement goes on, the others know
+        norm, rounding = force_norm(problem, way, extend(np.full(2, force)))
+        truth = force * np.sqrt(np.sum(1 / k))
+        assert abs(norm - truth) <= rounding + 1e-14 * truth
+        assert rounding <= 1e-6 * truth
+
+
+def test_a_load_that_misses_balance_by_1e_11_is_carried_by_the_stop_that_it_drives_to():
+    """A free bar in tension, pulled a little more to the one side: its stop is half a length away."""
+    net = 2.0**-36
+    problem = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, net - 1.0], [[1.0, 0.0]], [0.5])
+    assert cq.solve(problem).normal_force == pytest.approx([net], rel=1e-9)
+    assert not cq.certify(problem, [0.5, -0.5], [0.0]).passed
+    rounding = problem.replace(load=[1.0, 2.0**-52 - 1.0])  # no load of doubles balances better
+    assert cq.solve(rounding).normal_force == pytest.approx([0.0], abs=2.0**-51)
+
+
+def test_a_tension_of_rounding_that_is_dropped_is_carried_elsewhere():
+    """K u + l = f with l = (2, -d); without tension the solution has (2 - d, 0), and not (2, 0)."""
+    K, d = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]]), 2.0**-50
+    problem = cq.ContactProblem(K, [3.0, -1.0 - d, 0.0], np.eye(2, 3), [0.0, -1.0])
+    certificate = cq.certify(problem, [0.0, -1.0, -1.0], [2 + 2 * d, d])  # (3 d, d) from the solution
+    W = np.array([[5.0, -1.0], [-1.0, 2.0]]) / 9  # of the free chain
+    error, size = np.array([3 * d, d]), np.array([2 - d, 0.0])
+    assert certificate.force_error >= np.sqrt(error @ W @ error / (size @ W @ size))
+    assert certificate.force_bound[0] >= 3 * d
+    assert certificate.passed
+
+
+def _rounded_bar(first: float, second: float, load: float, rows: list[float], gap: float) -> cq.ContactProblem:
+    """Two springs whose sum is rounded: K z of the rigid motion z is a force at the middle node."""
+    K = np.array([[first, -first, 0.0], [-first, first + second, -second], [0.0, -second, second]])
+    return cq.ContactProblem(K, [load, 0.0, -load], [rows], [gap])
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.1, 0.2), (0.3, 0.6), (0.7, 0.1), (1.1, 2.2)])
+@pytest.mark.parametrize("moved", [1e5, 1e7])
+def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_from_the_error(first, second, moved):
+    """v = z + a strain of known energy, z'Kz < 0 or > 0 by rounding; and v is the error, or the solution itself."""
+    problem = _rounded_bar(first, second, 1e-3, [0.0, 0.0, 1.0], 1e9)
+    truth = np.array([1e-3 / first, 0.0, -1e-3 / second])
+    strain = np.array([2.0**-8, 0.0, -(2.0**-9)])
+    error = np.sqrt(first * strain[0] ** 2 + second * strain[2] ** 2) / np.sqrt(1e-6 / first + 1e-6 / second)
+    certificate = cq.certify(problem, truth + strain + 2.0 ** np.round(np.log2(moved)), [0.0])
+    assert error * (1 - 1e-5) <= certificate.energy_error <= error * (1 + 1e3 * moved * 1e-8)
+
+    stopped = _rounded_bar(first, second, 1e-3, [1.0, 0.0, 0.0], -(2.0 ** np.round(np.log2(moved))))
+    at = truth - truth[0] + stopped.gap[0]
+    certificate = cq.certify(stopped, at + strain - strain[0], [0.0])
+    assert certificate.energy_error >= error * (1 - 1e-5)
+
+
+@pytest.mark.parametrize("far", [1e12, 1e16])
+def test_a_displacement_that_is_lost_says_nothing_against_forces_that_are_right(far):
+    K = np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    problem = cq.ContactProblem(K, [1.0, 2.0, 1.0], np.eye(3), [0.5, 0.5, 0.5])
+    certificate = cq.certify(problem, far * np.array([1.0, -1.3, 0.7]), [1.0, 2.0, 1.0])
+    assert certificate.force_error <= 1e-15
+    assert certificate.energy_error >= far
+    assert not certificate.passed
+    wrong = cq.certify(problem, far * np.array([1.0, -1.3, 0.7]), [1.0, 2.0 + 1e-6, 1.0 - 1e-6])
+    assert wrong.force_error >= 1e-7

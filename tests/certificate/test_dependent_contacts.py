@@ -1,0 +1,121 @@
+"""Contacts that hardly differ, their truth known exactly: no bound is less than the error, and no error is hidden."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
+from contactqp.model.solution import Solution
+
+
+def solution_of(problem: cq.ContactProblem) -> Solution:
+    try:
+        return cq.solve(problem)
+    except cq.NotCertified as refused:
+        return refused.solution
+
+
+def corner(angle: float) -> cq.ContactProblem:
+    """u* = (0, -1) and λ* = (3, 5) exactly, f = K u* + E'λ*, while 1 + 5 θ is a double."""
+    return cq.ContactProblem(
+        [[4.0, -1.0], [-1.0, 5.0]], [1.0 + 5.0 * angle, -13.0], [[0.0, -1.0], [angle, -1.0]], [1.0, 1.0]
+    )
+
+
+def wedge(angle: float, load: float) -> cq.ContactProblem:
+    """u_1 <= 1 and u_1 >= 1 + θ u_2 leave no u_2 > 0 however small θ is: u* = (1, 0)."""
+    return cq.ContactProblem([[1.0, 0.0], [0.0, 1.0]], [0.0, load], [[1.0, 0.0], [-1.0, angle]], [1.0, -1.0])
+
+
+@pytest.mark.parametrize("exponent", range(30, 51))
+def test_bounds_cover_the_errors_of_nearly_parallel_contacts(exponent: int) -> None:
+    problem = corner(2.0**-exponent)
+    found = solution_of(problem)
+    certificate = found.certificate
+    assert certificate.energy_error is not None
+    assert certificate.force_error is not None
+    du = found.displacement - [0.0, -1.0]
+    K, resultant = problem.stiffness, problem.normal.T @ (found.normal_force - [3.0, 5.0])
+    whole = problem.normal.T @ np.array([3.0, 5.0])
+    assert np.sqrt(du @ (K @ du)) / np.sqrt(5.0) <= certificate.energy_error
+    inverse = np.linalg.inv(K)
+    assert np.sqrt(resultant @ inverse @ resultant / (whole @ inverse @ whole)) <= certificate.force_error
+
+
+@pytest.mark.parametrize("exponent", [43, 44, 45, 46, 47])
+@pytest.mark.parametrize("load", [0.0625, 0.25, 1.0])
+def test_a_wedge_that_hardly_narrows_still_holds(exponent: int, load: float) -> None:
+    found = solution_of(wedge(2.0**-exponent, load))
+    assert not found.certificate.passed
+
+
+@pytest.mark.parametrize("exponent", [50, 51, 52])
+def test_what_the_last_place_of_a_gap_decides_is_not_proven(exponent: int) -> None:
+    """A gap that is one unit in its last place wider lets the body slip in by a quarter of the truth or more."""
+    certificate = solution_of(wedge(2.0**-exponent, 1.0)).certificate
+    assert not certificate.proven
+    assert certificate.energy_error is None
+    assert "conflict by" in certificate.reasons[0]
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0, 1 / 7])
+@pytest.mark.parametrize("gap", [0.3, 0.1 + 0.2])
+def test_redundant_contacts_whose_gaps_differ_by_rounding_are_proven(scale: float, gap: float) -> None:
+    row = np.array([0.6, 0.8])
+    problem = cq.ContactProblem(np.diag([2.0, 3.0]), [5.0, 1.0], [row, scale * row], [0.3, scale * gap])
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert certificate.proven
+
+
+def test_a_body_between_walls_that_touch_it_to_rounding_is_right() -> None:
+    """0.1 + 0.2 > 0.3: the walls overlap by half an ulp, which is no conflict, and nothing that could be proven."""
+    problem = cq.ContactProblem(np.diag([2.0, 3.0]), [5.0, 1.0], [[1.0, 0.0], [-1.0, 0.0]], [0.3, -(0.1 + 0.2)])
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert not certificate.proven
+
+
+def test_the_least_retreat_opens_by_what_is_asked() -> None:
+    rows, tie = np.array([[3.0, 4.0, 0.0], [6.0, 8.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    moved = least_retreat(rows, tie, np.array([5.0, 0.0]))
+    assert moved is not None
+    np.testing.assert_allclose(moved, [-0.6, -0.8, 0.0], atol=1e-12)
+
+
+def test_there_is_no_retreat_between_walls() -> None:
+    assert least_retreat(np.array([[1.0], [-1.0]]), np.zeros((0, 1)), np.array([1.0, 0.0])) is None
+
+
+def test_the_least_closing_tells_rows_apart_that_their_products_do_not() -> None:
+    moved = least_closing(np.array([[1.0, 0.0], [-1.0, 1e-13]]), np.zeros((0, 2)), np.array([0.0, 1e-13]))
+    np.testing.assert_allclose(moved, [0.0, -1.0], atol=1e-2)
+
+
+@pytest.mark.parametrize("fall", [1e-3, 1.0, 1e3])
+def test_a_body_that_falls_onto_two_stops_at_each_node_is_right(fall: float) -> None:
+    """Gaps that differ in their last place: the energy of forces over them is no error of the displacement."""
+    n, random = 20, np.random.default_rng(1)
+    chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    chain[0, 0] = chain[-1, -1] = 1.0
+    once = fall + 0.01 * random.random(n)
+    gap = np.append(once, np.nextafter(once, np.where(random.random(n) < 0.5, -np.inf, np.inf)))
+    problem = cq.ContactProblem(chain, 1e-2 * random.random(n), np.vstack([np.eye(n), np.eye(n)]), gap)
+    certificate = cq.solve(problem).certificate
+    assert certificate.proven
+    assert certificate.energy_error is not None
+    assert certificate.energy_error < 1e-9
+    exact = cq.exact(problem).doubles.displacement
+    du, K = cq.solve(problem).displacement - exact, problem.stiffness
+    assert du @ (K @ du) <= (certificate.energy_error + 1e-12) ** 2 * (exact @ (K @ exact))
+
+
+def test_forces_are_moved_to_rows_that_hold_them_and_stay_forces() -> None:
+    rows = np.array([[1.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(least_forces(rows, np.zeros((0, 2)), np.array([3.0, 2.0])), [1.0, 2.0], rtol=1e-12)
+    np.testing.assert_allclose(least_forces(rows, np.zeros((0, 2)), np.array([-3.0, 0.0])), [0.0, 0.0], atol=1e-15)
+    tied = least_forces(rows, np.array([[0.0, 1.0]]), np.array([3.0, 7.0]))
+    assert tied is not None
+    assert tied.sum() == pytest.approx(3.0)

@@ -1,0 +1,185 @@
+"""With friction the answer of the candidate's own combination of open, stick and slip judges its forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from benchmarks.friction_families import contact_problem
+from benchmarks.friction_forgeries import FAMILIES, beam, forged, rough_stops
+from contactqp.certificate import state_answer
+from contactqp.certificate.violations import FIGURES
+from tests.solving.friction.space import several
+
+
+def _worst_figure(certificate: cq.Certificate) -> float:
+    return max(float(getattr(certificate, name)) for name in FIGURES)
+
+
+@pytest.mark.parametrize(("family", "seed"), [("tip 2D", 0), ("stops 2D", 1), ("tip 3D", 8), ("stops 3D", 2)])
+def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) -> None:
+    problem, part = rough_stops(family, seed), 2e-4
+    certificate = cq.certify(problem, *forged(problem, cq.solve(problem), part))
+    assert _worst_figure(certificate) <= certificate.tolerance
+    assert not certificate.passed
+    assert certificate.basis == "state"
+    assert certificate.distance == pytest.approx(part, rel=0.2)
+    assert any(failure.startswith("state: ") for failure in certificate.failures)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_right_answers_of_slender_bodies_pass_to_rounding(family: str) -> None:
+    for seed in range(4):
+        solution = cq.solve(rough_stops(family, seed))
+        assert solution.certificate.passed
+        assert solution.certificate.basis == "state"
+        assert solution.certificate.distance is not None
+        assert solution.certificate.distance < 1e-9
+
+
+def _bar(gap: float, load: float, friction: float = 0.3, contacts: int = 1) -> cq.ContactProblem:
+    """A point on a spring of 1000 that is pressed onto a floor `gap` away, and on a spring of 500 along it."""
+    return cq.ContactProblem(
+        stiffness=np.diag([1000.0, 500.0]),
+        load=[load, 3.0],
+        normal=np.tile([1.0, 0.0], (contacts, 1)),
+        gap=np.full(contacts, gap),
+        tangent=np.tile([0.0, 1.0], (contacts, 1)),
+        friction=friction,
+    )
+
+
+def test_what_a_verdict_rests_on_without_friction() -> None:
+    smooth = cq.ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0]], gap=[0.5])
+    certificate = cq.solve(smooth).certificate
+    assert (certificate.basis, certificate.distance) == ("bounds", None)
+    assert cq.certify(smooth, np.array([np.nan]), np.array([2.0])).basis == "figures"
+
+
+def test_redundant_forces_may_be_shared_in_any_way_that_adds_up() -> None:
+    problem = _bar(1e-3, 11.0, contacts=2)
+    shared = np.array([0.001, 0.0]), np.array([3.0, 7.0]), np.array([0.9, 2.1])
+    certificate = cq.certify(problem, *shared)
+    assert certificate.passed
+    assert certificate.basis == "state"
+    assert "redundant contacts: forces are compared as far as the bodies feel them" in certificate.notes
+    wrong = cq.certify(problem, shared[0], np.array([3.0, 7.0 + 1e-5]), shared[2])
+    assert not wrong.passed
+
+
+def test_too_large_a_system_leaves_the_figures_alone_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = _bar(1e-3, 11.0)
+    monkeypatch.setattr(state_answer, "MOST_OPERATIONS", 1.0)
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert certificate.basis == "figures"
+    assert any("the verdict rests on the figures alone" in note for note in certificate.notes)
+    assert "figures alone" in str(certificate)
+
+
+def test_where_nothing_settles_friction_is_held_and_the_minimum_judges(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = rough_stops("tip 2D", 0)
+    solution = cq.solve(problem)
+    monkeypatch.setattr(state_answer._Comparison, "_last_correction", lambda *_: np.inf)
+    right = cq.certify(problem, solution.displacement, solution.normal_force, solution.friction_force)
+    assert right.passed
+    assert right.basis == "figures"
+    wrong = cq.certify(problem, *forged(problem, solution, 2e-4))
+    assert _worst_figure(wrong) <= wrong.tolerance
+    assert any(failure.startswith("with friction held, ") for failure in wrong.failures)
+
+
+@pytest.mark.parametrize("load", [1.0, 1.0 + 1e-16, 1.0 - 1e-16])
+@pytest.mark.parametrize("friction", [0.3, 3.0])
+def test_a_contact_that_just_touches_may_be_taken_in_either_state(load: float, friction: float) -> None:
+    problem = _bar(1e-3, load, friction)
+    for force in (0.0, 1e-14):
+        certificate = cq.certify(problem, np.array([1e-3, 6e-3]), np.array([force]), np.array([friction * force]))
+        assert certificate.passed, str(certificate)
+
+
+def test_at_the_end_of_sticking_either_state_is_right() -> None:
+    problem = _bar(1e-3, 11.0, friction=0.3)  # a force of 10 whose friction bound is the load along the floor
+    assert cq.certify(problem, np.array([1e-3, 0.0]), np.array([10.0]), np.array([3.0])).passed
+    assert cq.certify(problem, np.array([1e-3, 1e-18]), np.array([10.0]), np.array([3.0])).passed
+    assert not cq.certify(problem, np.array([1e-3, 1e-6]), np.array([10.0]), np.array([3.0])).passed
+
+
+def test_a_strain_that_is_wrong_behind_a_large_gap_is_refused() -> None:
+    """A bar that is soft beside its support slides one metre with it; of its strain 5 % are missing."""
+    problem = cq.ContactProblem(
+        stiffness=[[1e9, -1e9, 0.0], [-1e9, 1e9, 0.0], [0.0, 0.0, 1e9]],
+        load=[0.0, 1.0, 0.1],
+        normal=[[0.0, 1.0, 0.0]],
+        gap=[1.0],
+        tangent=[[0.0, 0.0, 1.0]],
+        friction=0.5,
+        tie=[[1.0, 0.0, 0.0]],
+        tie_value=[1.0 - 0.5e-9],
+    )
+    solution = cq.solve(problem)
+    assert solution.certificate.passed, str(solution.certificate)
+    force = solution.normal_force + 0.05 * 0.5
+    tie = solution.tie_force - 0.05 * 0.5
+    certificate = cq.certify(problem, solution.displacement, force, solution.friction_force, tie)
+    assert not certificate.passed
+
+
+@pytest.mark.parametrize("family", ["any 2D", "any 3D", "singular 2D", "redundant 3D", "bad units 3D"])
+@pytest.mark.parametrize("seed", range(6))
+def test_right_answers_pass_and_a_force_that_is_off_does_not(family: str, seed: int) -> None:
+    """Coefficients of zero at some contacts, ties and slip origins are among them."""
+    problem = contact_problem(family, seed).problem
+    try:
+        solution = cq.solve(problem)
+    except cq.ContactQPError:
+        pytest.skip("no answer, or several")
+    assert solution.certificate.basis in ("state", "figures")
+    if not np.any(solution.normal_force):
+        return
+    force = solution.normal_force * (1 + 1e-4)
+    assert not cq.certify(problem, solution.displacement, force, solution.friction_force, solution.tie_force).passed
+
+
+def test_contacts_that_slip_in_space_are_compared_along_their_slip() -> None:
+    known = several(3)
+    solution = cq.solve(known.problem)
+    assert solution.certificate.basis == "state"
+    turned = solution.friction_force + 1e-5 * solution.friction_force[:, ::-1]
+    assert not cq.certify(known.problem, solution.displacement, solution.normal_force, turned).passed
+
+
+def test_in_space_a_redundant_contact_at_its_bound_that_does_not_slip_sticks() -> None:
+    """Its slip is zero and has no direction; its twin sticks well within its bound."""
+    problem = contact_problem("redundant 3D", 92).problem
+    certificate = cq.solve(problem, algorithm="nsgs").certificate
+    assert certificate.passed
+    assert certificate.basis == "state"
+
+
+def test_a_slender_body_in_space_is_solved_to_the_last_digits() -> None:
+    """Its system looks singular to working precision; the least correction that fits was 4e-6 off."""
+    certificate = cq.solve(rough_stops("tip 3D", 75)).certificate
+    assert certificate.distance is not None
+    assert certificate.distance < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_contacts_far_from_the_load_of_a_bedded_rail_are_no_reason_to_deny_its_equilibrium(seed: int) -> None:
+    """Displacements decay to rounding along a rail on springs; one contact, under the load, plainly slips."""
+    elements, length = 400, 100.0
+    h = length / elements
+    K = beam(elements, 1, 30.0).toarray() * 10.0 ** (3 + seed)
+    deflection = np.arange(1, len(K), 3)
+    K[deflection, deflection] += 1e8 * h
+    K[deflection - 1, deflection - 1] += 5e7 * h
+    nodes = np.array([20, 200, 390])
+    normal, tangent, load = np.zeros((3, len(K))), np.zeros((3, len(K))), np.zeros(len(K))
+    normal[np.arange(3), 3 * nodes + 1], tangent[np.arange(3), 3 * nodes] = 1.0, 1.0
+    load[3 * nodes[0] : 3 * nodes[0] + 2] = 9e4, 1e5
+    solution = cq.solve(
+        cq.ContactProblem(stiffness=K, load=load, normal=normal, gap=np.zeros(3), tangent=tangent, friction=0.3)
+    )
+    assert solution.certificate.passed
+    assert solution.contact_status[0] == "slip"

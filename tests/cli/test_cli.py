@@ -1,0 +1,247 @@
+"""The command line: exit codes, one line for an error, JSON where a program might read, nothing imported in vain."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from contactqp.cli import main
+from contactqp.solving.methods.method import Method
+from contactqp.study.footprint.footprint import Footprint
+from tests.examples import PUSHED_OFF
+
+CASES = Path(__file__).parents[2] / "cases"
+WALL = str(CASES / "bar_wall.toml")
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as exit_:
+        main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return exit_.value.code, captured.out, captured.err
+
+
+def test_run_prints_the_answer_and_what_was_expected(capsys):
+    code, out, err = run(capsys, "run", WALL)
+    assert (code, err) == (0, "")
+    for words in ("A bar and a rigid wall", "certificate passed", "142.5", "closed", "met"):
+        assert words in out
+    assert "NOT MET" not in out
+
+
+def test_run_takes_a_folder(capsys, tmp_path):
+    for name in ("two_bars", "bar_wall", "truss_floor"):
+        shutil.copy(CASES / f"{name}.toml", tmp_path)
+    code, out, _ = run(capsys, "run", tmp_path)
+    assert code == 0
+    assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall", "A truss over a"))
+
+
+def test_an_expectation_that_is_not_met_is_exit_1(capsys, tmp_path):
+    file = tmp_path / "off.toml"
+    file.write_text(Path(WALL).read_text().replace('value = "285/2 kN"', 'value = "143 kN"', 1))
+    code, out, _ = run(capsys, "run", file)
+    assert code == 1
+    assert "NOT MET" in out
+    code, _, _ = run(capsys, "run", file, WALL)
+    assert code == 1
+
+
+def test_a_verdict_that_does_not_hold_is_exit_1(capsys, tmp_path):
+    file = tmp_path / "off.toml"
+    text = (CASES / "truss_floor.toml").read_text()
+    assert 'printed = "30.255 kN"\nverdict = "right"' in text
+    file.write_text(
+        text.replace('printed = "30.255 kN"\nverdict = "right"', 'printed = "30.255 kN"\nverdict = "wrong"')
+    )
+    code, out, _ = run(capsys, "run", file)
+    assert code == 1
+    assert "NOT wrong" in out
+
+
+def test_what_a_verdict_rests_on_is_printed_and_written(capsys):
+    rough = str(CASES / "truss_friction.toml")
+    assert "compared with the answer of its own states" in " ".join(run(capsys, "run", rough)[1].split())
+    written = [json.loads(run(capsys, "run", case, "--json")[1])[0] for case in (rough, WALL)]
+    assert [one["certificate"]["basis"] for one in written] == ["state", "bounds"]
+
+
+def test_json_holds_the_same(capsys):
+    code, out, _ = run(capsys, "run", WALL, "--json")
+    first, *others = json.loads(out)
+    assert code == 0
+    assert first["method"] == "active-set"
+    assert first["normal_force"] == {"tip": 142.5}
+    assert first["contact_status"] == {"tip": "closed"}
+    assert first["certificate"]["passed"]
+    assert all(row["ok"] for row in first["expectations"])
+    assert {other["knobs"].get("penalty") for other in others if other["method"] == "penalty"} >= {"1e8 kN/m"}
+
+
+def test_a_method_is_run_with_the_knobs_of_the_case(capsys):
+    _, out, _ = run(capsys, "run", WALL, "--method", "penalty", "--json")
+    assert [one["knobs"]["penalty"] for one in json.loads(out)] == [f"1e{i} kN/m" for i in (4, 5, 6, 7, 8)]
+
+
+def test_knobs_have_units(capsys):
+    code, out, _ = run(capsys, "run", WALL, "--method", "penalty", "--penalty", "1e8 N/mm", "--json")
+    (one,) = json.loads(out)
+    assert code == 0
+    assert one["normal_force"]["tip"] == pytest.approx(5700000 / 40063, rel=1e-12)
+    assert len(one["expectations"]) == 2
+    for value, words in (("1e8", "without a unit"), ("1e8 kN", "which is a force")):
+        code, _, err = run(capsys, "run", WALL, "--method", "penalty", "--penalty", value)
+        assert code == 2
+        assert words in err
+
+
+def test_a_knob_that_nobody_states_is_exit_2_and_named_as_on_the_command_line(capsys):
+    code, _, err = run(capsys, "run", CASES / "tie_symmetry.toml", "--method", "penalty")
+    assert code == 2
+    assert "--penalty" in err
+
+
+def test_options_reach_the_method(capsys):
+    code, _, _ = run(capsys, "run", WALL, "--method", "augmented-lagrangian", "--option", "update=uzawa")
+    assert code == 0
+    code, _, err = run(capsys, "run", WALL, "--method", "active-set", "--option", "colour=red")
+    assert code == 2
+    assert "colour" in err
+    assert run(capsys, "run", WALL, "--option", "colour")[0] == 2
+
+
+def test_several_methods(capsys):
+    code, out, _ = run(capsys, "run", WALL, "--method", "active-set", "--method", "lemke", "--json")
+    assert code == 0
+    assert [one["method"] for one in json.loads(out)] == ["active-set", "lemke"]
+
+
+def test_an_unknown_method_is_exit_2_with_the_nearest_name(capsys):
+    code, _, err = run(capsys, "run", WALL, "--method", "activ-set")
+    assert code == 2
+    assert "active-set" in err
+    assert err.count("\n") == 1
+
+
+def test_a_method_that_is_not_installed_is_exit_3(capsys, monkeypatch):
+    monkeypatch.setattr(Method, "installed", property(lambda self: self.name != "clarabel"))
+    code, _, err = run(capsys, "run", WALL, "--method", "clarabel")
+    assert code == 3
+    assert "pip install" in err
+
+
+def test_no_equilibrium_is_exit_1_in_one_line(capsys, tmp_path):
+    file = tmp_path / "loose.toml"
+    file.write_text(PUSHED_OFF)
+    code, _, err = run(capsys, "run", file)
+    assert code == 1
+    assert err.count("\n") == 1
+    assert str(file) in err
+    (data,) = json.loads(run(capsys, "run", file, "--json")[1])
+    assert data["failure"]
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("case", sorted(CASES.glob("*.toml")), ids=lambda case: case.stem)
+def test_explain_says_what_is_in_a_case(case, capsys):
+    code, out, _ = run(capsys, "explain", "--no-solve", case)
+    assert code == 0
+    assert "left out" in out
+    data = json.loads(run(capsys, "explain", "--no-solve", case, "--json")[1])
+    assert data["unknowns"]
+    assert data["footprint"] is None
+
+
+def test_explain_says_what_the_answer_takes(capsys):
+    code, out, err = run(capsys, "explain", WALL)
+    assert (code, err) == (0, "")
+    for words in ("certificate passed", "import modules", "certify", "0 factorisations", "1 looked at, 1 kept", "MiB"):
+        assert words in out
+    (left_out,) = (line for line in out.splitlines() if line.startswith("not imported:"))
+    assert "osqp" in left_out
+
+
+def test_explain_explains_what_has_no_answer(capsys, monkeypatch):
+    footprint = Footprint(WALL, "active-set", failure="the process died of SIGSEGV")
+    monkeypatch.setattr("contactqp.study.footprint.measuring.measure", lambda case: replace(footprint, case=case))
+    code, out, _ = run(capsys, "explain", WALL)
+    assert code == 0
+    assert "left out" in out
+    assert out.endswith("no answer: the process died of SIGSEGV\n")
+    code, out, _ = run(capsys, "explain", WALL, "--json")
+    assert json.loads(out)["footprint"] == json.loads(json.dumps(footprint.data()))
+    assert json.loads(out)["unknowns"] == ["1.x"]
+
+
+def test_methods_are_listed(capsys):
+    code, out, _ = run(capsys, "methods")
+    assert code == 0
+    assert "active-set" in out
+    data = {one["name"]: one for one in json.loads(run(capsys, "methods", "--json")[1])}
+    assert data["penalty"]["knob"] == "penalty"
+    assert data["active-set"]["installed"] is True
+
+
+def test_wrong_usage_is_exit_2(capsys):
+    assert run(capsys, "run")[0] == 2
+    assert run(capsys, "walk")[0] == 2
+    assert run(capsys, "--help")[0] == 0
+
+
+def test_interruption_is_quiet(capsys, monkeypatch):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactqp.scene.loading.load_scene", interrupt)
+    code, _, err = run(capsys, "run", WALL)
+    assert code == 130
+    assert err.strip() == "contactqp: interrupted"
+
+
+def test_python_m_is_the_command_line_and_imports_nothing_in_vain():
+    script = (
+        "import sys\nfrom contactqp.cli import main\ntry:\n    main(['run', sys.argv[1]])\nexcept SystemExit as e:\n"
+        "    print(e.code, *sorted(sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, WALL], capture_output=True, text=True, check=True)
+    code, *modules = done.stderr.split()
+    assert code == "0"
+    heavy = {
+        "cvxpy",
+        "matplotlib",
+        "skfem",
+        "qpsolvers",
+        "osqp",
+        "clarabel",
+        "piqp",
+        "highspy",
+        "scs",
+        "daqp",
+        "sympy",
+        "pandas",
+        "h5py",
+    }
+    assert not heavy & {name.partition(".")[0] for name in modules}
+    ours = {name for name in modules if name.startswith("contactqp.")}
+    not_needed = (
+        "exchange",
+        "friction",
+        "analysis.motion",
+        "analysis.load_path",
+        "analysis.large_deformation",
+        "study",
+    )
+    assert not [name for name in ours if name.removeprefix("contactqp.").startswith(not_needed)]
+    listed = subprocess.run([sys.executable, "-m", "contactqp", "methods"], capture_output=True, text=True, check=True)
+    assert "active-set" in listed.stdout
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    command = f"{sys.executable} -m contactqp run {CASES} | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert done.stderr == ""

@@ -1,0 +1,176 @@
+"""Absence is proven: a claim that nothing is an equilibrium carries what shows it, and that is true in exact sums."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.linalg.existence import Conflict, DrivenMotion
+
+METHODS = ("active-set", "lemke", "daqp", "clarabel", "lagrange-multiplier")
+BAR = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+def assert_conflict(problem: cq.ContactProblem, proof: Conflict) -> None:
+    """E'y + A'n = 0, to rounding where it is said to be only that, and g'y + b'n < 0, all of it in rational numbers."""
+    rows = [*problem.normal.toarray(), *problem.tie.toarray()]
+    weights = [Fraction(float(x)) for x in (*proof.normal, *proof.tie)]
+    limit = [Fraction(float(x)) for x in (*problem.gap, *problem.tie_value)]
+    assert np.all(proof.normal >= 0)
+    assert sum(w * g for w, g in zip(weights, limit, strict=True)) < 0
+    for j in range(problem.dimension):
+        terms = [w * Fraction(float(row[j])) for w, row in zip(weights, rows, strict=True)]
+        assert abs(sum(terms)) <= Fraction(1, 2**48) * sum(abs(x) for x in terms)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
+def test_gaps_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 0.0], [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - part])
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1") as caught:
+        cq.solve(problem, method)
+    assert caught.value.proof.exact
+    assert_conflict(problem, caught.value.proof)
+    assert caught.value.proof.excess == pytest.approx(part, rel=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("part", [1e-6, 1e-9, 1e-12])
+def test_ties_that_conflict_by_little_are_a_conflict(method: str, part: float) -> None:
+    ties = dict(tie=[[1.0, 0.0], [2.0, 0.0]], tie_value=[1e-3, 2e-3 * (1 + part)])
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 0.0], [[0.0, 1.0]], [1.0], **ties)
+    with pytest.raises(cq.NoEquilibrium, match="tie 0, tie 1") as caught:
+        cq.solve(problem, method)
+    assert_conflict(problem, caught.value.proof)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
+    ties = dict(tie=[[1.0, 0.0], [1.0, 0.0]], tie_value=[0.3, 0.1 + 0.2])
+    problem = cq.ContactProblem(np.eye(2) * 1e5, [300.0, 100.0], [[0.0, 1.0]], [1e-4], **ties)
+    solution = cq.solve(problem, method)
+    assert solution.certificate.passed
+    assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    E = rng.integers(-4, 5, (6, 4)).astype(float)
+    u, weight = rng.integers(-3, 4, 4).astype(float), rng.integers(1, 4, 6).astype(float)
+    E = np.vstack([E, -(weight @ E)])  # weight'E + last = 0
+    met = E @ u
+    apart = met + np.append(np.zeros(6), -(10.0 ** -rng.integers(3, 9)))
+    K = np.eye(4) * 1e4
+    assert cq.solve(cq.ContactProblem(K, np.ones(4), E, met)).certificate.passed
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(cq.ContactProblem(K, np.ones(4), E, apart))
+    assert_conflict(cq.ContactProblem(K, np.ones(4), E, apart), caught.value.proof)
+
+
+def test_a_proof_travels_with_its_exception() -> None:
+    problem = cq.ContactProblem(np.eye(1), [0.0], [[1.0], [-1.0]], [1.0, -2.0])
+    with pytest.raises(cq.NoEquilibrium) as caught:
+        cq.solve(problem)
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert str(copy) == str(caught.value)
+    assert copy.proof.normal.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rounding_of_a_load_drives_nothing(method: str) -> None:
+    """F sin(pi) = 4e-14 on an unknown that nothing holds, beside F: whatever comes of it, it is no absence."""
+    load = 300 * np.array([math.cos(math.pi), math.sin(math.pi)])
+    for rows, gaps in (([[-1.0, 0.0]], [1e-3]), ([[-1.0, 0.0], [0.0, -1.0]], [1e-3, 1.0])):
+        problem = cq.ContactProblem(np.diag([157500.0, 0.0]), load, rows, gaps)
+        try:
+            cq.solve(problem, method)
+        except cq.NoEquilibrium:
+            pytest.fail("4e-14 beside 300 was taken for a load that drives a motion")
+        except cq.ContactQPError:
+            pass
+
+
+@pytest.mark.parametrize("load", [1e-6, 1.0])
+def test_a_load_that_drives_a_motion_is_named_with_the_motion(load: float) -> None:
+    problem = cq.ContactProblem(np.diag([157500.0, 0.0]), [300.0, load], [[1.0, 0.0]], [1e-3])
+    with pytest.raises(cq.NoEquilibrium, match=r"unknown 1 by \+1") as caught:
+        cq.solve(problem)
+    proof = caught.value.proof
+    assert isinstance(proof, DrivenMotion)
+    z = [Fraction(float(x)) for x in proof.motion]
+    assert all(sum(Fraction(float(k)) * x for k, x in zip(row, z, strict=True)) == 0 for row in problem.stiffness)
+    assert all(
+        sum(Fraction(float(e)) * x for e, x in zip(row, z, strict=True)) <= 0 for row in problem.normal.toarray()
+    )
+    assert sum(Fraction(float(f)) * x for f, x in zip(problem.load, z, strict=True)) > 0
+
+
+def test_loads_that_balance_to_seven_digits_name_motion_and_imbalance_and_the_way_out() -> None:
+    load = np.array([100.0, -100.00001])
+    problem = cq.ContactProblem(BAR, load, [[1.0, -1.0]], [1e-3])
+    with pytest.raises(cq.NoEquilibrium, match=r"balance but for 1e-05 .*project them") as caught:
+        cq.solve(problem)
+    assert caught.value.proof.work == pytest.approx(1e-5, rel=1e-6)
+    Z = np.ones((2, 1))
+    balanced = load - Z @ np.linalg.solve(Z.T @ Z, Z.T @ load)
+    assert cq.solve(problem.replace(load=balanced)).certificate.passed
+
+
+def _pad(pull: float, count: int = 1) -> cq.ContactProblem:
+    """Pads of 10 N each, all on springs of their own, all but the first of them at rest."""
+    unit = np.eye(2 * count)
+    load = np.zeros(2 * count)
+    load[0], load[1::2] = pull, -10.0
+    spring = np.diag(np.tile([1.0, 0.0], count))
+    return cq.ContactProblem(spring, load, -unit[1::2], np.zeros(count), tangent=unit[::2], friction=0.3)
+
+
+def test_with_friction_absence_is_proven_in_rational_numbers() -> None:
+    """The spring across keeps the pad's normal force at 10 N: no motion alone proves that 5 N along it are too much."""
+    sliding = _pad(5.0).replace(stiffness=np.diag([0.0, 1.0]))
+    for algorithm in (None, "enumeration"):
+        with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
+            cq.solve(sliding, algorithm=algorithm)
+    assert cq.exact_equilibria(sliding) == ()
+
+
+def test_with_friction_a_driven_motion_proves_absence() -> None:
+    sliding = _pad(5.0).replace(stiffness=np.zeros((2, 2)))
+    with pytest.raises(cq.NoEquilibrium, match="no contact, friction or tie holds back") as found:
+        cq.solve(sliding)
+    motion = found.value.proof.motion
+    assert sliding.load @ motion > 0
+    assert motion[1] >= 0.3 * abs(motion[0])
+    assert cq.exact_equilibria(sliding) == ()
+
+
+def test_what_floats_did_not_find_is_not_denied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Floats overlook the equilibrium: where rationals find it, or cannot look, nothing is denied."""
+    monkeypatch.setattr("contactqp.solving.friction_attempt.all_equilibria", lambda *_: ())
+    with pytest.raises(cq.NotConverged, match="in rational numbers there is one"):
+        cq.solve(_pad(5.0), algorithm="enumeration")
+    with pytest.raises(cq.NotConverged, match="up to 4 contacts"):
+        cq.solve(_pad(5.0, count=6), algorithm="enumeration")
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_rigid_bodies_that_overlap_are_moved_apart(seed: int) -> None:
+    """K = 0: the energy sees nothing; what is feasible by construction is found, with forces that balance the load."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 7))
+    E = np.zeros((m, n))
+    for row in E:
+        touched = rng.choice(n, min(n, int(rng.integers(1, 3))), replace=False)
+        row[touched] = rng.choice([-1.0, 1.0, 0.5, 2.0], len(touched))
+    gap = E @ rng.normal(size=n) + rng.uniform(0, 1, m) * (rng.random(m) < 0.7)
+    load = E.T @ (rng.uniform(0, 1, m) * (rng.random(m) < 0.5)) if rng.random() < 0.6 else np.zeros(n)
+    solution = cq.solve(cq.ContactProblem(np.zeros((n, n)), load, E, gap))
+    assert solution.certificate.passed
+    assert np.all(solution.gap >= -1e-12)
+    assert E.T @ solution.normal_force == pytest.approx(load, abs=1e-12)

@@ -1,0 +1,40 @@
+"""Products in more than double precision against rational numbers."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from contactqp.linalg import extended
+from contactqp.linalg.extended import images
+
+
+@pytest.mark.parametrize("short", [0, extended.SHORT], ids=["pairs of doubles", "the longest floats there are"])
+def test_images_are_right_where_doubles_cancel(monkeypatch, short):
+    """K z of rows whose terms cancel but for the last digits: to half an eps of the sum of sizes, whoever adds."""
+    monkeypatch.setattr(extended, "SHORT", short)
+    random = np.random.default_rng(0)
+    matrix = sp.random(40, 40, 0.4, random_state=random, format="csr")
+    matrix.data *= 2.0 ** random.integers(-20, 20, size=matrix.nnz)
+    columns = random.normal(size=(40, 3))
+    dense = matrix.toarray()
+    columns[0] -= (dense @ columns)[0] / np.where(dense[0, 0], dense[0, 0], 1.0)
+    found = images(matrix, columns)
+    for i, row in enumerate(dense):
+        for j, z in enumerate(columns.T):
+            terms = [Fraction(float(a)) * Fraction(float(x)) for a, x in zip(row, z, strict=True)]
+            size = float(sum(abs(term) for term in terms))
+            rounded = abs(found[i, j]) * np.finfo(float).eps
+            assert abs(found[i, j] - float(sum(terms))) <= 0.5 * np.finfo(float).eps * size / 2**8 + rounded
+
+
+def test_long_rows_are_added_in_pairs_of_doubles(monkeypatch):
+    """So many terms in floats of 64 digits would lose what rounding of doubles is told by."""
+    monkeypatch.setattr(extended, "SHORT", 3)
+    row = np.array([[2.0**60, 1.0, -(2.0**60), 2.0**-20]])
+    assert images(sp.csr_matrix(row), np.ones((4, 1)))[0, 0] == 1.0 + 2.0**-20
+
+
+def test_no_columns_have_no_images():
+    assert images(sp.identity(4, format="csr"), np.zeros((4, 0))).shape == (4, 0)

@@ -1,0 +1,223 @@
+"""What is nothing beside the whole: right answers that decay are accepted, and what is planted among them is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as sla
+
+import contactqp as cq
+from contactqp.certificate.violations import Answer
+from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.intrinsic_size import intrinsic_size, nothing, without_rigid_part
+
+FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
+
+
+def rail(elements: int = 200, tie: bool = False, length: float = 1.0, force: float = 1.0) -> cq.ContactProblem:
+    """A rail of 100 m on a Winkler foundation, loaded at its left end, with stops beneath; unknowns (w, theta) a node.
+
+    The characteristic length (4 EI / k)^(1/4) is 2.1 m: at the right end the deflection is e^-47 of that at the left.
+    """
+    h, EI, k = 100.0 / elements, 5e6, 1e6
+    K = np.zeros((2 * elements + 2, 2 * elements + 2))
+    beam = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]]
+    beam += [[-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+    for e in range(elements):
+        K[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += EI / h**3 * np.array(beam)
+    K[::2, ::2] += k * h * np.eye(elements + 1)
+    units = np.tile([length, 1.0], elements + 1)  # deflections in 1/length of a metre
+    K = K / np.outer(units, units) * force * length
+    load = np.zeros(len(K))
+    load[0] = -3e4 * force
+    stops = np.linspace(0, elements, FAR + 2).astype(int)[1:]
+    rows = np.zeros((FAR + 1, len(K)))
+    rows[np.arange(FAR + 1), 2 * stops] = -1.0
+    ties = {}
+    if tie:
+        both = np.zeros((1, len(K)))
+        both[0, [elements, elements + 20]] = 1.0, -1.0
+        ties = dict(tie=both, tie_value=[0.0])
+    return cq.ContactProblem(sp.csr_matrix(K), load, rows, np.zeros(FAR + 1), **ties)
+
+
+def struck_rod(elements: int = 300) -> cq.ContactProblem:
+    """One implicit step of a struck rod: 4 M / dt^2 + K, the wave of the step decays by 0.6 an element."""
+    K = np.diag(np.full(elements + 1, 4.0)) + 1.0 * (np.diag(np.full(elements + 1, 2.0)))
+    K -= np.eye(elements + 1, k=1) + np.eye(elements + 1, k=-1)
+    load = np.zeros(elements + 1)
+    load[0] = 5.0
+    rows = np.zeros((2, elements + 1))
+    rows[0, 0], rows[1, elements // 2] = 1.0, 1.0
+    return cq.ContactProblem(1e5 * K, load, rows, [1e-6, 0.0])
+
+
+@pytest.mark.parametrize("problem", [rail(), rail(tie=True), struck_rod()], ids=["rail", "tied rail", "struck rod"])
+def test_answers_that_decay_to_nothing_are_accepted(problem: cq.ContactProblem) -> None:
+    for method in ("active-set", "osqp", "lagrange-multiplier"):
+        solution = cq.solve(problem, method)
+        assert solution.certificate.proven
+        u = abs(solution.displacement)
+        assert np.min(u[u > 0]) < 1e-17 * np.max(u)
+
+
+@pytest.mark.parametrize("tie", [False, True])
+def test_answers_of_plain_linear_solvers_are_accepted(tie: bool) -> None:
+    """Conjugate gradients leave 1e-14 of the load everywhere, a factorisation what it rounds; both beside 1e-20."""
+    problem = rail(tie=tie)
+    right = cq.solve(problem)
+    K = problem.stiffness.tocsc()
+    load = problem.load - problem.normal.T @ right.normal_force - problem.tie.T @ right.tie_force
+    found, left = sla.cg(K, load, rtol=1e-14, maxiter=10**5)
+    assert left == 0
+    for u in (found, sla.spsolve(K, load), right.displacement + 1e-25):
+        assert cq.certify(problem, u, right.normal_force, tie_force=right.tie_force).passed
+
+
+def test_what_is_planted_among_nothing_is_seen() -> None:
+    """1e-6 of what counts there, S/D_j of forces and S|E_i D| of lengths, where 1e-12 of it is excused."""
+    problem = rail()
+    right = cq.solve(problem)
+    u, force = right.displacement, right.normal_force
+    D = 1 / np.sqrt(problem.diagonal)
+    strain = np.sqrt(u @ (problem.stiffness @ u))
+    stop = int(problem.normal.indices[FAR])
+    assert abs(u[stop]) < 1e-17 * np.max(abs(u))
+    pulled = force.copy()
+    pulled[FAR] = -1e-6 * strain / D[stop]
+    assert cq.certify(problem, u, pulled).tension > 1e-9
+    sunk = u.copy()
+    sunk[stop] -= 1e-6 * strain * D[stop]
+    assert cq.certify(problem, sunk, force).penetration > 1e-9
+    assert cq.certify(problem, sunk, force).equilibrium > 1e-9
+    turned = u.copy()
+    turned[stop + 1] += 1e-6 * strain * D[stop + 1]
+    certificate = cq.certify(problem, turned, force)
+    assert certificate.equilibrium > 1e-9
+    assert not certificate.passed
+
+
+def test_bounds_see_what_is_excused() -> None:
+    problem = rail()
+    right = cq.solve(problem)
+    D = 1 / np.sqrt(problem.diagonal)
+    strain = np.sqrt(right.displacement @ (problem.stiffness @ right.displacement))
+    moved = right.displacement.copy()
+    moved[-1] += 1e-13 * strain * D[-1]
+    certificate = cq.certify(problem, moved, right.normal_force)
+    assert certificate.equilibrium == pytest.approx(right.certificate.equilibrium, abs=1e-15)
+    assert certificate.energy_error > 9e-14
+    assert certificate.passed
+
+
+@pytest.mark.parametrize(("length", "force"), [(2.0**-10, 2.0**10), (2.0**20, 2.0**-30), (1e3, 1e-3)])
+def test_nothing_is_the_same_in_any_units(length: float, force: float) -> None:
+    one, other = cq.solve(rail()), cq.solve(rail(length=length, force=force))
+    assert other.certificate.passed
+    a, b = one.certificate.violations, other.certificate.violations
+    assert a is not None
+    assert b is not None
+    assert b.nothing.force[::2] == pytest.approx(a.nothing.force[::2] * force)
+    assert b.nothing.normal == pytest.approx(a.nothing.normal * length)
+
+
+def test_a_rigid_motion_hides_no_tension() -> None:
+    """A bar that falls by 1 m onto two supports: beside |K||u| of 1e9 N a tension of 2.5 N would be rounding."""
+    K = 1e9 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    rows = np.array([[1.0, 0.0], [0.0, 1.0]])
+    problem = cq.ContactProblem(K, [6.0, -2.5], rows, [1.0, 1.0])
+    right = cq.solve(problem)
+    assert right.normal_force == pytest.approx([3.5, 0.0])
+    pulled = cq.certify(problem, [1.0, 1.0], [6.0, -2.5])
+    assert pulled.tension > 0.1
+    assert not pulled.passed
+
+
+@pytest.mark.parametrize("gap", [1e-3, -1e-3, 0.37, 0.0, 12.0])
+@pytest.mark.parametrize("stiffness", [3e2, 7e8])
+def test_a_body_that_only_moves_is_accepted(gap: float, stiffness: float) -> None:
+    """Pushed onto a stop at its loaded node, a free bar is not strained: the answer has no energy to compare with."""
+    K = stiffness * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    problem = cq.ContactProblem(K, [0.0, 0.0, 17.3], [[0.0, 0.0, 1.0]], [gap])
+    for method in ("active-set", "osqp", "clarabel", "lemke"):
+        solution = cq.solve(problem, method)
+        assert solution.certificate.proven
+        assert solution.certificate.energy_error < 1e-6 * np.sqrt(stiffness) * max(abs(gap), 1e-9)
+        assert solution.displacement == pytest.approx(np.full(3, gap), rel=1e-14, abs=1e-20)
+    assert not cq.certify(problem, [gap + 1e-6, gap, gap], [17.3]).passed
+    assert not cq.certify(problem, np.full(3, gap), [17.3 * (1 + 1e-6)]).passed
+
+
+def test_where_nothing_moves_rounding_is_nothing_and_more_is_not() -> None:
+    """A load on a node that rests on its support: u = 0, to whatever a code rounds."""
+    K = 1e6 * np.array([[2.0, -1.0], [-1.0, 2.0]])
+    held = cq.ContactProblem(K, [50.0, 0.0], [[1.0, 0.0]], [0.0])
+    assert cq.certify(held, [1e-25, -2e-25], [50.0]).passed
+    assert not cq.certify(held, [0.0, 1e-12], [50.0]).passed
+    unloaded = held.replace(load=np.zeros(2), gap=np.array([1e-3]))
+    assert cq.certify(unloaded, [1e-25, -2e-25], [0.0]).passed
+    assert not cq.certify(unloaded, [1e-12, 0.0], [0.0]).passed
+    nothing_given = held.replace(load=np.zeros(2))
+    assert not cq.certify(nothing_given, [1e-25, -2e-25], [0.0]).passed
+    assert cq.certify(nothing_given, [0.0, 0.0], [0.0]).passed
+
+
+def test_forces_that_ties_exert_on_each_other_give_no_size() -> None:
+    """The same tie twice may carry any pair of opposite forces; however large, they excuse nothing elsewhere."""
+    K = np.diag([2.0, 3.0])
+    problem = cq.ContactProblem(K, [1.0, 2.0], [[0.0, 1.0]], [0.5], tie=[[1.0, 0.0], [1.0, 0.0]], tie_value=[0.0, 0.0])
+    right = cq.solve(problem)
+    tie = np.array([1e13, 1.0 - 1e13])
+    wrong = cq.certify(problem, right.displacement * (1 + 1e-6), right.normal_force, tie_force=tie)
+    assert wrong.penetration > 1e-7
+
+
+def test_a_claimed_force_on_an_open_contact_gives_no_size() -> None:
+    """A gap counts as closed where the displacement closes it, not where somebody says that it pushes."""
+    problem = cq.ContactProblem(np.diag([1e9, 1e3]), [0.0, 1e-6], np.eye(2), [1.0, 1e-12])
+    answer = Answer(np.array([0.0, 1e-12]), np.array([1e-300, 1e-6 - 1e-9]), None, np.zeros(0))
+    size = intrinsic_size(problem, answer, answer.displacement)
+    assert np.max(size) < 1e-7
+    assert np.max(nothing(problem, answer, answer.displacement, size, 1e-12).force) < 1e-11
+
+
+def test_parts_that_nothing_connects_have_their_own_size() -> None:
+    rows = [[1.0, 0.0, 0.0], [0.0, 1.0, -1.0]]
+    problem = cq.ContactProblem(np.diag([1.0, 1e12, 1e12]), [3e-8, 1e12, 0.0], rows, [1e-8, 0.5])
+    answer = Answer(np.array([1e-8, 1.0, 0.0]), np.array([2e-8, 0.0]), None, np.zeros(0))
+    size = intrinsic_size(problem, answer, answer.displacement)
+    assert size[0] == pytest.approx(1e-9 * 1e6)
+    assert size[1] == size[2] == pytest.approx(1e6)
+
+
+def test_a_part_that_nothing_moves_is_measured_by_the_others() -> None:
+    """A second body on its own supports, unloaded: what a code rounds there is nothing beside the first."""
+    problem = cq.ContactProblem(np.diag([1e6, 2e6]), [50.0, 0.0], np.eye(2), [1e-3, 0.0])
+    right = cq.solve(problem)
+    for noise, passes in ((1e-22, True), (1e-10, False)):
+        moved = right.displacement + np.array([0.0, -noise])
+        assert cq.certify(problem, moved, right.normal_force).passed == passes
+
+
+def test_unknowns_without_stiffness_get_their_scale_from_their_rows() -> None:
+    problem = cq.ContactProblem(np.diag([4.0, 0.0, 0.0]), [8.0, 0.0, 0.0], [[1.0, -2.0, 0.0]], [0.0])
+    answer = Answer(np.array([2.0, 1.0, 0.0]), np.zeros(1), None, np.zeros(0))
+    least = nothing(problem, answer, answer.displacement, np.full(3, 4.0), 1e-12).force
+    assert least[:2] == pytest.approx([8e-12, 16e-12])
+    assert least[2] == pytest.approx(64 * np.finfo(float).eps * 8.0)
+
+
+def test_the_rigid_part_is_taken_out() -> None:
+    K = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    problem = cq.ContactProblem(K, [0.0, 0.0], [[1.0, 0.0]], [5.0])
+    rigid = RigidMotions(np.full((2, 1), 0.5**0.5))
+    assert without_rigid_part(problem, np.array([5.0, 5.0 + 2e-9]), rigid) == pytest.approx([-1e-9, 1e-9], rel=1e-6)
+
+
+def test_what_overflows_excuses_nothing() -> None:
+    problem = cq.ContactProblem(np.diag([2.0, 1e300]), [1.0, 0.0], [[1.0, 0.0]], [0.25])
+    right = cq.solve(problem)
+    assert right.certificate.passed
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not cq.certify(problem, [right.displacement[0], 1e100], right.normal_force).passed

@@ -1,0 +1,66 @@
+"""Problems that share a factorisation may be solved from several threads, and BLAS gets its threads back."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.linalg import blas_threads
+from tests.blocks_in_space import on_paraboloid
+
+
+@pytest.mark.parametrize("solver", ["pardiso", "superlu"])
+def test_loads_of_one_body_in_threads(solver, monkeypatch):
+    monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", solver)
+    if solver == "pardiso":
+        pytest.importorskip("pypardiso")
+    base = on_paraboloid((8, 8, 5))
+    loads = [base.replace(load=(0.5 + 0.05 * k) * base.load) for k in range(10)]
+    expected = [cq.solve(problem.replace(stiffness=problem.stiffness)) for problem in loads]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(cq.solve, loads))
+    for one, other in zip(found, expected, strict=True):
+        assert one.certificate.proven
+        np.testing.assert_allclose(one.normal_force, other.normal_force, rtol=0, atol=1e-15 * other.normal_force.max())
+    assert sum(solution.work.factorisations for solution in found) == 1
+
+
+def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
+    threadpoolctl = pytest.importorskip("threadpoolctl")
+    monkeypatch.setattr(blas_threads, "WORTHWHILE", 1)
+    problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in blas_threads._openblas().info()]
+
+    with threadpoolctl.threadpool_limits(2, "blas"):
+        before = threads()
+        first, second = blas_threads.one_blas_thread(problem), blas_threads.one_blas_thread(problem)
+        first.__enter__(), second.__enter__()
+        assert set(threads()) <= {1}
+        first.__exit__(None, None, None)
+        assert set(threads()) <= {1}
+        second.__exit__(None, None, None)
+        assert threads() == before
+
+
+def test_copies_are_problems_without_what_was_computed():
+    problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
+    force = cq.solve(problem).normal_force
+    for twin in (copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
+        assert cq.solve(twin).normal_force == force
+
+
+def test_paths_of_one_body_in_threads():
+    base = on_paraboloid((6, 6, 4))
+    expected = cq.follow_path(base.replace(stiffness=base.stiffness), [base.load], steps=3).normal_forces
+    with ThreadPoolExecutor(3) as pool:
+        histories = list(pool.map(lambda _: cq.follow_path(base, [base.load], steps=3), range(6)))
+        forces = list(pool.map(lambda history: history.normal_forces, histories))
+    for found in forces:
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15 * expected.max())

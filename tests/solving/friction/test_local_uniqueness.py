@@ -1,0 +1,99 @@
+"""A local problem's certificate says where other forces or velocities satisfy the law too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE
+
+KLARBRING = np.array([[1.0, 2.0], [2.0, 5.0]])  # critical coefficient W_NN / |W_NT| = 1/2
+
+
+@pytest.mark.parametrize(("friction", "findings"), [(0.4, ()), (0.8, (POSSIBLE,))])
+def test_one_contact_below_and_above_its_critical_coefficient(friction: float, findings: tuple[str, ...]) -> None:
+    # At q = (0.3, 1.25) and mu = 0.8 the contact may be open, stick and slip.
+    problem = cq.LocalProblem(delassus=KLARBRING, offset=[0.3, 1.25], friction=friction, dimension=2)
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert certificate.uniqueness == findings
+    if findings:
+        assert "mu = 0.8 of contact 0 is not below the critical 0.5" in str(certificate)
+        for force in ([0.0, 0.0], [1.0, -0.65], [0.5, -0.4]):
+            assert cq.certify_local(problem, force).passed
+
+
+def test_a_block_between_two_walls() -> None:
+    # q_T = -1: it hangs by any pressure of the walls, or slides past them.
+    W = np.zeros((4, 4))
+    W[::2, ::2], W[1::2, 1::2] = [[1.0, -1.0], [-1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]]
+    problem = cq.LocalProblem(delassus=W, offset=[0.0, -1.0, 0.0, -1.0], friction=0.5, dimension=2)
+    hangs = cq.certify_local(problem, [2.0, 0.5, 2.0, 0.5])
+    slides = cq.certify_local(problem, np.zeros(4))
+    assert hangs.passed
+    assert slides.passed
+    assert hangs.uniqueness == (FORCES, POSSIBLE)
+    assert POSSIBLE in slides.uniqueness
+
+
+def test_contacts_that_share_their_rows() -> None:
+    W = np.kron(np.ones((2, 2)), np.eye(3))
+    problem = cq.LocalProblem(delassus=W, offset=np.tile([-1.0, 0.1, 0.0], 2), friction=0.5, dimension=3)
+    assert FORCES in cq.solve(problem).certificate.uniqueness
+    alone = cq.LocalProblem(delassus=np.eye(3), offset=[-1.0, 0.1, 0.0], friction=0.5, dimension=3)
+    assert cq.solve(alone).certificate.uniqueness == ()
+
+
+def test_an_unsymmetric_operator_is_said_to_be_so() -> None:
+    W = np.array([[1.0, 2.001], [2.0, 5.0]])
+    problem = cq.LocalProblem(delassus=W, offset=[-7.0, -17.0], friction=0.3, dimension=2)
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert certificate.uniqueness == ()  # by the determinants, which need no symmetry
+    assert any("not symmetric by 0.0002" in note for note in certificate.notes)
+
+
+def test_complex_forces_are_refused() -> None:
+    problem = cq.LocalProblem(delassus=KLARBRING, offset=[0.3, 1.25], friction=0.4, dimension=2)
+    with pytest.raises(cq.InvalidProblem, match="force: expected real numbers"):
+        cq.certify_local(problem, np.array([0.0, 1j]))
+    bodies = cq.ContactProblem(
+        stiffness=np.eye(2), load=[-1.0, 0.0], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]], friction=0.3
+    )
+    with pytest.raises(cq.InvalidProblem, match="friction_force: expected real numbers"):
+        cq.certify(bodies, np.zeros(2), [1.0], np.array([1j]))
+    with pytest.raises(cq.InvalidProblem, match="friction: expected a coefficient, got True"):
+        bodies.replace(friction=True)
+
+
+def test_numpy_integers_count() -> None:
+    problem = cq.LocalProblem(delassus=KLARBRING, offset=[-7.0, -17.0], friction=0.3, dimension=2)
+    assert cq.solve(problem, algorithm="nsgs", max_iter=np.int64(50)).certificate.passed
+    space = cq.LocalProblem(delassus=np.eye(3), offset=[-1.0, 1.0, 0.0], friction=0.5, dimension=3)
+    assert cq.solve(space, algorithm="tresca", facets=np.int64(8)).certificate.passed
+    with pytest.raises(cq.InvalidProblem, match="facets: expected a whole number from 3 to 10000, got 1000000"):
+        cq.solve(space, algorithm="tresca", facets=10**6)
+
+
+def test_a_point_that_slides_away_is_named_by_the_problems_own_unknowns() -> None:
+    point = cq.ContactProblem(
+        stiffness=np.zeros((2, 2)),
+        load=[0.7, -1.0],
+        normal=[[0.0, -1.0]],
+        gap=[0.0],
+        tangent=[[1.0, 0.0]],
+        friction=0.5,
+    )
+    for algorithm in (None, "tresca", "newton", "nsgs"):
+        with pytest.raises(
+            cq.NoEquilibrium, match=r"no contact, friction or tie holds back: unknown 0 by \+1, unknown 1"
+        ):
+            cq.solve(point, algorithm=algorithm)
+
+
+def test_a_tangent_beneath_the_range_of_doubles() -> None:
+    # Its friction is that of mu = 1e-300 along a unit row: the contact slips as if there were none.
+    data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], load=[-1.0, -3.0], normal=[[-1.0, 0.0]], gap=[0.0])
+    solution = cq.solve(cq.ContactProblem(**data, tangent=[[0.0, 1e-300]], friction=0.3))
+    np.testing.assert_allclose(solution.normal_force, [7.0], rtol=1e-12)

@@ -1,0 +1,116 @@
+"""Newton's method on the combination of states: found among all equilibria, or not at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.solving.friction.force_system import ForceSystem
+from tests.solving.friction.problems import one_contact, pad, random_problem, rough_truss, two_masses
+
+
+def test_the_truss_is_solved_to_the_last_digits() -> None:
+    solution = cq.solve(rough_truss(), algorithm="newton")
+    assert solution.method == "newton"
+    np.testing.assert_allclose(solution.displacement, [30058 / 30933965, -1e-3], rtol=1e-15)
+    np.testing.assert_allclose(solution.normal_force, 180933933661 / 6186793000, rtol=1e-14)
+    assert solution.work.iterations <= 3
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
+def test_what_it_finds_is_among_all_equilibria(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = unique = 0
+    for _ in range(60):
+        problem = random_problem(rng)
+        if not problem.frictional:
+            continue
+        every = cq.equilibria(problem)
+        unique += len(every) == 1
+        try:
+            solution = cq.solve(problem, algorithm="newton")
+        except cq.NotConverged:
+            continue
+        except cq.NoEquilibrium:
+            assert not every
+            continue
+        scale = np.max(abs(solution.displacement))
+        distances = [np.max(abs(solution.displacement - other.displacement)) for other in every]
+        assert min(distances) <= 1e-7 * scale
+        found += len(every) == 1
+    assert found >= 0.8 * unique, "strongly coupled, mu up to 5: nearly all of them"
+
+
+def test_a_warm_start_is_newtons_and_what_newton_cannot_is_tresca_s() -> None:
+    first = cq.solve(two_masses(12.0))
+    again = cq.solve(two_masses(11.9, (4.6425e-3, 1.419e-2)), warm_start=first)
+    assert first.method.startswith("tresca")
+    assert again.method == "newton"
+    assert again.contact_status.tolist() == ["stick", "stick"]
+    with pytest.raises(cq.NotConverged, match="newton"):
+        cq.solve(two_masses(12.0), algorithm="newton", max_iter=1)
+    assert cq.solve(two_masses(12.0), warm_start=first, max_iter=3).certificate.passed
+
+
+def test_no_equilibrium_is_none_of_its_answers() -> None:
+    with pytest.raises(cq.NoEquilibrium, match="friction or tie holds back"):
+        cq.solve(pad(3636.0), algorithm="newton")
+    with pytest.raises(cq.NotConverged, match="newton"):
+        cq.solve(rough_truss(), algorithm="newton", time_limit=1e-9)
+
+
+def test_above_the_critical_friction_it_finds_one_of_three() -> None:
+    problem = one_contact([[1, 2], [2, 5]], [0.3, 1.25], 0.8)
+    states = {str(solution.contact_status[0]) for solution in cq.equilibria(problem)}
+    assert states == {"open", "stick", "slip"}
+    assert str(cq.solve(problem, algorithm="newton").contact_status[0]) in states
+
+
+@pytest.fixture
+def system_of_nine() -> tuple[ForceSystem, cq.ContactProblem]:
+    rng = np.random.default_rng(5)
+    m, n = 9, 20
+    shape = rng.normal(size=(n, n))
+    problem = cq.ContactProblem(
+        stiffness=shape @ shape.T + np.eye(n),
+        load=rng.normal(size=n),
+        normal=rng.normal(size=(m, n)),
+        gap=rng.normal(size=m),
+        tangent=rng.normal(size=(m, n)),
+        friction=0.4,
+    )
+    return ForceSystem(problem, condense(problem)), problem
+
+
+def test_factors_that_are_updated_give_what_new_ones_give(
+    system_of_nine: tuple[ForceSystem, cq.ContactProblem],
+) -> None:
+    system, problem = system_of_nine
+    lengths = system.lengths(problem, condense(problem).reduce_load(problem.load)[0])
+    rng = np.random.default_rng(6)
+    status = np.full(9, STICK, dtype=np.int8)
+    for _ in range(40):
+        status = status.copy()
+        status[rng.integers(9)] = rng.choice([OPEN, STICK, SLIP_BACK, SLIP_ON])
+        fresh = ForceSystem(problem, condense(problem)).solve(status, lengths)
+        updated = system.solve(status, lengths)
+        np.testing.assert_allclose(updated.normal, fresh.normal, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(updated.slip, fresh.slip, rtol=1e-9, atol=1e-10)
+    assert system.factorisations < 40
+
+
+def test_a_spoiled_update_is_seen_and_factorised_anew(system_of_nine: tuple[ForceSystem, cq.ContactProblem]) -> None:
+    system, problem = system_of_nine
+    lengths = system.lengths(problem, condense(problem).reduce_load(problem.load)[0])
+    status = np.full(9, STICK, dtype=np.int8)
+    system.solve(status, lengths)
+    status[0] = SLIP_ON
+    right = system.solve(status, lengths)
+    assert system.factorisations == 1
+    system._factor._columns = {i: 1.001 * column for i, column in system._factor._columns.items()}
+    again = system.solve(status, lengths)
+    assert system.factorisations == 2
+    np.testing.assert_allclose(again.normal, right.normal, rtol=1e-10)

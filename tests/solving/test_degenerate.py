@@ -1,0 +1,176 @@
+"""Redundant, conflicting, nearly equal and far-apart rows; soft supports; stacks of loose bodies: right or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.factorization import null_space
+
+
+def test_of_two_parallel_contacts_the_nearer_carries() -> None:
+    """The stops are 8e-15 apart, and the farther one has the larger row."""
+    problem = cq.ContactProblem(np.eye(2), [-5e4, 1e4], [[0.0, 128.0], [0.0, 1 / 64]], [1e-12, 0.0])
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([0.0, 640000.0], rel=1e-12)
+    assert solution.certificate.proven
+
+
+@pytest.mark.parametrize("d", [1e-13, 1e-9, 1e-8, 1e-7])
+def test_dependent_rows_that_differ_in_their_last_digits(d: float) -> None:
+    """A tie and two contacts say u1 <= -d, a third contact u1 <= 0: the third never carries."""
+    K = [[2.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 1.0]]
+    E = [[1.0, -1.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]
+    solution = cq.solve(cq.ContactProblem(K, [0.0, -1.0, 8000.0], E, [0.5, 0.0, -d], tie=[[-1.0, -1.0, 1.0]]))
+    assert solution.normal_force[1] == 0.0
+    assert solution.displacement[1] == pytest.approx(-d, rel=1e-9)
+    assert solution.certificate.proven
+
+
+def test_what_cannot_be_repaired_does_not_pass() -> None:
+    """Opposite walls that leave no room: no displacement near the candidate is feasible, and that speaks against it."""
+    problem = cq.ContactProblem(np.eye(1), [0.0], [[1.0], [-1.0]], [1.0, -1.0 - 1e-12])
+    certificate = cq.certify(problem, [1.0], [0.0, 1.0])
+    assert not certificate.passed
+    assert not certificate.proven
+
+
+def test_conflicts_by_a_hair_are_named() -> None:
+    problem = cq.ContactProblem(np.eye(2), [0.0, 0.0], [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - 1e-8])
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1"):
+        cq.solve(problem)
+
+
+@pytest.mark.parametrize("softness", [1e-9, 1e-12])
+@pytest.mark.parametrize("springs", [100, 1000])
+def test_a_soft_support_is_a_support(springs: int, softness: float) -> None:
+    """Its force is spread over all unknowns of the lowest motion; its energy is not."""
+    K = sp.diags([np.r_[1.0, np.full(springs - 1, 2.0), 1.0], -np.ones(springs), -np.ones(springs)], [0, 1, -1]).tolil()
+    assert null_space(K).count == 1
+    K[0, 0] += softness
+    assert null_space(K).count == 0
+
+
+@pytest.mark.parametrize("stiffness", [(1e6, 1e-6, 1e6), (1e-6, 1e6, 1e-6), (1.0, 1e9, 1e-3, 1e6, 1e-9, 1.0)])
+def test_stacks_of_loose_bodies_with_far_apart_stiffness(stiffness: tuple[float, ...]) -> None:
+    """Each block of two masses and a spring rests on the one before: forces 2, 4, ... from the top."""
+    count = len(stiffness)
+    K = sp.block_diag([k * np.array([[1.0, -1.0], [-1.0, 1.0]]) for k in stiffness]).toarray()
+    E = np.zeros((count, 2 * count))
+    E[0, 0] = -1.0
+    for i in range(1, count):
+        E[i, 2 * i - 1], E[i, 2 * i] = 1.0, -1.0
+    problem = cq.ContactProblem(K, np.full(2 * count, -1.0), E, np.zeros(count))
+    assert cq.solve(problem).normal_force == pytest.approx([2.0 * (count - i) for i in range(count)], rel=1e-9)
+
+
+def test_forces_on_rigid_motions_strain_nothing_and_pass() -> None:
+    mass = cq.ContactProblem(
+        np.diag([2.0, 2.0, 0.0]), [1.0, 0.0, -10.0], [[1.0, 1.0, -1.0]], [0.0], tie=[[1.0, 1.0, 0.0]]
+    )
+    solution = cq.solve(mass)
+    assert solution.normal_force == pytest.approx([10.0])
+    assert not cq.certify(mass, solution.displacement, [10.01], tie_force=solution.tie_force).passed
+
+
+def test_rows_whose_squares_are_no_doubles_are_refused() -> None:
+    with pytest.raises(cq.InvalidProblem, match="contact 0 has the size"):
+        cq.ContactProblem([[1.0]], [1.0], [[1e-310]], [0.1])
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [dict(tolerance=float("nan")), dict(tolerance="a"), dict(max_iter=0), dict(polish="no"), dict(condense=1),
+     dict(warm_start=3), dict(time_limit=-1.0)],
+)  # fmt: skip
+def test_arguments_are_checked(argument: dict[str, object]) -> None:
+    problem = cq.ContactProblem([[1.0]], [1.0], [[1.0]], [0.1])
+    with pytest.raises(cq.InvalidProblem):
+        cq.solve(problem, **argument)  # type: ignore[arg-type]
+
+
+def test_a_thousand_unknowns_held_by_contact_alone() -> None:
+    """A floating chain of 1000 springs pressed on a wall: the wall carries the whole load."""
+    n = 1001
+    K = sp.diags([np.r_[1.0, np.full(n - 2, 2.0), 1.0], -np.ones(n - 1), -np.ones(n - 1)], [0, 1, -1])
+    problem = cq.ContactProblem(K.tocsc(), np.full(n, 1e-3), np.eye(1, n, n - 1), [0.5])
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([1.001], rel=1e-12)
+    assert solution.certificate.proven
+
+
+def test_a_loose_body_beside_a_touching_one_stays_at_its_least_displacement() -> None:
+    """Two floating springs: one is pressed on a stop, the other, under balanced loads, is free."""
+    K = sp.block_diag(
+        [9.0 * np.array([[1.0, -1.0], [-1.0, 1.0]]), 4.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])]
+    ).toarray()
+    E = [
+        [-1.0, 1.0, 1.0, 1.0],
+        [1.0, -1.0, 0.0, 0.0],
+        [-1.0, -1.0, 0.0, -1.0],
+        [0.0, 0.0, 0.0, 1.0],
+        [0.0, 1.0, -1.0, 0.0],
+    ]
+    solution = cq.solve(cq.ContactProblem(K, [-4.0, 4.0, 0.0, 8.0], E, [2.0, 0.0, 0.0, 0.0, 1.0]))
+    assert solution.displacement == pytest.approx([-2 / 9, 2 / 9, 0.0, 0.0], abs=1e-15)
+    assert [motion.description for motion in solution.free_motions] == ["unknown 0 by +1, unknown 1 by +1"]
+
+
+def test_nothing_moves_and_nothing_pushes() -> None:
+    """A tie takes the whole load: the displacement is zero, and so are its energy and the contact forces."""
+    problem = cq.ContactProblem(
+        [[8.0, -8.0], [-8.0, 9.0]],
+        [-6.0, 6.0],
+        [[-1.0, 1.0], [0.0, -1.0], [1.0, -1.0]],
+        [0.0, 0.0, 1.0],
+        tie=[[1.0, -1.0]],
+    )
+    solution = cq.solve(problem)
+    assert solution.tie_force == pytest.approx([-6.0])
+    assert not np.any(solution.displacement)
+    assert not cq.certify(problem, [1e-3, 1e-3], np.zeros(3), tie_force=[-6.0]).passed
+
+
+@pytest.mark.parametrize("rows", [[1.0], [1.0, 2.0, 3.0]])
+def test_what_condensation_leaves_of_a_floating_chain_is_no_stiffness(rows: list[float]) -> None:
+    """A chain that only the contacts at its end hold: S is a rounding of zero, one number, and its own scale."""
+    springs = np.array([12.44140625, 1404.8125, 36.080078125, 44.43359375, 27.37109375])
+    K = sp.diags([np.r_[springs, 0.0] + np.r_[0.0, springs], -springs, -springs], [0, 1, -1])
+    load = np.array([0.0322265625, 14.34375, 1.40625, 2.25, -1.53125, -5.859375])
+    normal = np.zeros((len(rows), 6))
+    normal[:, 5] = rows
+    problem = cq.ContactProblem(stiffness=K, load=load, normal=normal, gap=0.0185546875 * np.array(rows))
+    assert condense(problem).rigid.count == 1
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.normal_force @ rows == load.sum()
+    off = cq.certify(problem, solution.displacement, solution.normal_force * (1 + 1e-12))
+    assert off.force_error is not None
+    assert off.force_error > 0.9e-12
+
+
+@pytest.mark.parametrize("seed", [11, 76, 81, 114, 186])
+def test_grazing_of_two_chains_is_decided_beneath_the_rounding_of_doubles(seed: int) -> None:
+    """The gap is the approach rounded: rationals say whether the chains touch, with forces of 1e-12 beside 1e3."""
+    pytest.importorskip("flint")
+    rng = np.random.default_rng(seed)
+    first, second = rng.integers(1, 12, 2)
+    K = np.zeros((first + second, first + second))
+    for start, size in ((0, first), (first, second)):
+        for i, spring in enumerate(10 ** rng.uniform(0, 6, size)):
+            at = start + i
+            K[at, at] += spring
+            if i:
+                K[at - 1, at - 1] += spring
+                K[at, at - 1] = K[at - 1, at] = -spring
+    load = np.zeros(first + second)
+    load[rng.integers(0, first + second, 3)] = rng.normal(size=3) * 10 ** rng.uniform(-2, 4, 3)
+    row = np.zeros(first + second)
+    row[[first - 1, -1]] = 1.0, -1.0
+    problem = cq.ContactProblem(K, load, [row], [row @ np.linalg.solve(K, load)])
+    solution, exact = cq.solve(problem), cq.exact(problem)
+    assert solution.certificate.passed
+    assert solution.normal_force[0] == pytest.approx(float(exact.normal_force[0]), rel=1e-9, abs=0)
