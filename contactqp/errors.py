@@ -1,16 +1,13 @@
-"""The exception tree. Every message names what came, what was expected, and where."""
+"""The exception tree. Every message names what came, what was expected, and where.
+
+An error carries what it is given, a solution or a candidate of whatever kind, and knows the class of none: this module
+imports nothing of the package.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-if TYPE_CHECKING:
-    from contactqp.distributed.solution import DistributedSolution
-    from contactqp.model.local_solution import LocalSolution
-    from contactqp.model.solution import Candidate, Solution
-
-    AnySolution: TypeAlias = Solution | LocalSolution | DistributedSolution
+from typing import Any
 
 
 class ContactQPError(Exception):
@@ -58,7 +55,7 @@ class NotConverged(ContactQPError):
         self,
         message: str,
         history: Sequence[Any] = (),
-        solution: AnySolution | None = None,
+        solution: Any = None,
     ) -> None:
         super().__init__(message)
         self.history = history
@@ -68,7 +65,7 @@ class NotConverged(ContactQPError):
 class NotCertified(ContactQPError):
     """A method that promises the exact answer returned one that the certificate refuses; `solution` is that answer."""
 
-    def __init__(self, message: str, solution: AnySolution) -> None:
+    def __init__(self, message: str, solution: Any) -> None:
         super().__init__(message)
         self.solution = solution
 
@@ -80,7 +77,7 @@ class BackendMissing(ContactQPError, ImportError):
 class BackendFailed(ContactQPError):
     """A backend raised an exception of its own (chained as the cause), or returned nothing usable."""
 
-    def __init__(self, message: str, candidate: Candidate | None = None) -> None:
+    def __init__(self, message: str, candidate: Any = None) -> None:
         super().__init__(message)
         self.candidate = candidate
 
