@@ -13,14 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.lazy_solutions import Unfinished
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import Vector
-
-Mask = NDArray[np.bool_]
+from contactqp.model.arrays import Array, Mask, Vector
 
 # Loads tried for one closing: bisection takes over where the secant does not shrink its bracket.
 MOST_LOADS = 60

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from itertools import chain, combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import Event
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.polishing import OnSet, answer_on
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Indices, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find
 
@@ -27,8 +27,6 @@ SIMULTANEOUS = 1e-12
 STEADY = 1e-12
 # Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
 TRIED_ONE_BY_ONE = 12
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

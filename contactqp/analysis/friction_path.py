@@ -17,7 +17,8 @@ from contactqp.analysis.step_jumps import step_notes
 from contactqp.errors import Unsupported
 from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.friction_states import STICK, holds
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction_attempt import attempt_with
 from contactqp.solving.methods import find

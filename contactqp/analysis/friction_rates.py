@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import suggested
-
-Mask = NDArray[np.bool_]
 
 # Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
 STEADY = 1e-11

@@ -8,18 +8,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Mask, State
+from contactqp.analysis.anchoring import State
 from contactqp.certificate.balance import balance
 from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.violations import Answer, own_compliance
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.stages import METHOD, POLISH, stage
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Anchors, Mask, State, step_to
+from contactqp.analysis.anchoring import Anchors, State, step_to
 from contactqp.analysis.friction_stepping import PlaneStepper, SolveStepper, Stepper
 from contactqp.analysis.history import Event
 from contactqp.analysis.lazy_solutions import LazySolutions
@@ -17,7 +17,8 @@ from contactqp.certificate.candidates import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.iteration import iterated
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported
 

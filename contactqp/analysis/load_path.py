@@ -20,8 +20,9 @@ from contactqp.certificate.idle_rows import acting_rows
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import own_floating_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution
 from contactqp.solving.methods import find

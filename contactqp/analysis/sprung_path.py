@@ -20,7 +20,8 @@ from contactqp.analysis.history import History
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.errors import Unsupported
 from contactqp.linalg.blas_threads import one_blas_thread
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs
 from contactqp.solving.methods import Method

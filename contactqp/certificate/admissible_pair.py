@@ -29,7 +29,8 @@ from contactqp.linalg.least_distance import least_closing, least_forces, least_r
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50

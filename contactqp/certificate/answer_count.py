@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from contactqp.certificate.critical_coefficients import DEPENDENT, OPEN, STICK, combinations, regular, system_matrices
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.violations import Answer, outer_forces
 from contactqp.linalg.extended import extend, extended_rows, images
-from contactqp.linalg.factorization import Array, RigidMotions
+from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import bodies
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14

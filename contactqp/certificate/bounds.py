@@ -64,7 +64,8 @@ from contactqp.linalg.intrinsic_size import rigid_part
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22

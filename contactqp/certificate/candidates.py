@@ -18,7 +18,8 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.polishing import WITHIN_ROUNDING
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000

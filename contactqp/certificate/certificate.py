@@ -40,8 +40,9 @@ from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.stages import CERTIFY, stage
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import own_floating_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_number, read_array
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an

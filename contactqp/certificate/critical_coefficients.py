@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.contact_compliance import ContactCompliance, contact_compliance
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.iteration import iterated
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.floating_point import computes, own_floating_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.

@@ -18,7 +18,8 @@ from contactqp.linalg.intrinsic_size import rigid_part, stiffness_sizes
 from contactqp.linalg.polishing import CAUTION, LEAST_CONTRACTION, correction
 from contactqp.linalg.range_space import REGULAR
 from contactqp.linalg.saddle import free_motions, saddle_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.certificate.violations import FIGURES, Answer, Violations
-from contactqp.model.problem import ContactProblem, Units, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem, Units
 
 # Grazing contacts that a note names.
 MOST_NAMED = 8

@@ -18,7 +18,8 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.intrinsic_size import Nothing
 from contactqp.linalg.row_sizes import contact_entries
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # What `Violations` has for every contact.
 _OF_CONTACTS = (

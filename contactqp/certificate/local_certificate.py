@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.certificate.local_uniqueness import local_uniqueness
 from contactqp.certificate.published_errors import siconos_local_error
 from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths, natural_map
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem_data import ReadOnly, Vector, is_number, read_array
+from contactqp.model.problem_data import ReadOnly, is_number, read_array
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
 NOTHING = 1e-12

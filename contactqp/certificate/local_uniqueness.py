@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.critical_coefficients import MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.uniqueness import DEPENDENT, FORCES, POSSIBLE, UNKNOWN, Uniqueness
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem import Vector
 
 # Operators further from symmetric than this, the tolerance of the verdict, are said to be.
 ROUNDING = 1e-9

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 # Refinement that contracts less than this proves nothing, as in `energy_norm`.
 CONTRACTION = 0.5

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import natural_map
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import Vector, read_array
+from contactqp.model.problem_data import read_array
 
 # Siconos divides by no scale that is smaller than these.
 LEAST_LOCAL_SCALE = float(np.finfo(float).eps)

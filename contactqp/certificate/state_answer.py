@@ -32,13 +32,14 @@ from contactqp.certificate.violations import Answer, Violations, residuals
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import Array, inverse_root
+from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
 from contactqp.linalg.row_sizes import row_sizes
 from contactqp.linalg.saddle import saddle_point
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
 from contactqp.model.coulomb_cone import lengths
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from contactqp.certificate.critical_coefficients import CriticalFriction, critic
 from contactqp.certificate.violations import Answer, Violations
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 
 SEVERAL = "several answers"  # others were found at this load
 POSSIBLE = "several answers possible"  # others are not excluded

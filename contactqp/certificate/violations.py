@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
-from contactqp.linalg.factorization import Array, RigidMotions
+from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import (
     HELD_BY_DOUBLES,
     Nothing,
@@ -29,8 +29,9 @@ from contactqp.linalg.intrinsic_size import (
     without_rigid_part,
 )
 from contactqp.linalg.row_sizes import ContactEntries, contact_entries, row_sizes
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
 FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")

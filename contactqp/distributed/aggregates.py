@@ -18,8 +18,8 @@ from contactqp.distributed.options import PREFIX, given
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.stored_rows import StoredBlocks, StoredRows
 from contactqp.errors import Unsupported
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 OPTIONS = {
     "pc_type": "gamg",
     "pc_mg_levels": 2,

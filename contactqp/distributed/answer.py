@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Vector
 
 
 @dataclass(frozen=True, eq=False)

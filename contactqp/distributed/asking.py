@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.distributed.ranks import Ranks
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 Answer = Callable[[NDArray[Any], Index], tuple[NDArray[Any], ...]]
 
 

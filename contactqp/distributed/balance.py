@@ -18,8 +18,7 @@ from contactqp.distributed.cutting_planes import CuttingPlanes
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.violations import outer_forces, outer_resultant
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 
 def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:

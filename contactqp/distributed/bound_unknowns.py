@@ -22,10 +22,10 @@ from contactqp.distributed.environment import petsc
 from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.iteration import stacked
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.worst import said_of_first
 from contactqp.errors import NoEquilibrium, Unsupported
+from contactqp.model.arrays import Vector
 
 Places = NDArray[np.intp]
 NONE = -1

@@ -21,8 +21,8 @@ from contactqp.distributed.environment import petsc
 from contactqp.distributed.options import given
 from contactqp.distributed.preconditioner import AUTO, FACTORISED
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.errors import BackendFailed, Unsupported
+from contactqp.model.arrays import Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods import Settings
 

@@ -38,10 +38,10 @@ from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.balance import balance
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.violations import coulomb_residual, row_sizes, violations
 from contactqp.distributed.worst import said_of_first, said_of_worst, worst
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 
 NOT_ASKED = "no solver was given that could bound it"
 NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"

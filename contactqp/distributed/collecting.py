@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.problem import Numbers
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.whole import certificate_of
+from contactqp.model.arrays import Vector
 from contactqp.model.solution import Work
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 # How near to each other the bounds end: figures are read with a few digits.
 NEAR = 1e-9

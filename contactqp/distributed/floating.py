@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import UNRESISTED
 from contactqp.linalg.contact_iteration import HeldRows
 from contactqp.linalg.polishing import shift_within_gaps
+from contactqp.model.arrays import Array, Vector
 
-Array = NDArray[np.float64]
 # A load that does this part of its work on a motion does none: it is rounding.
 BALANCED = 1e-10
 # A multiplier of the linear program below this part of the largest is none.

@@ -18,11 +18,11 @@ import numpy as np
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.friction_newton import FrictionNewton
 from contactqp.distributed.friction_rows import FrictionRows
-from contactqp.distributed.friction_states import Array, Iterate, States, states
+from contactqp.distributed.friction_states import Iterate, States, states
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.aitken import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration

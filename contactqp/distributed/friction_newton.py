@@ -15,9 +15,9 @@ from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.friction_states import Iterate, States
 from contactqp.distributed.friction_system import CombinationSystem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.violations import violations
 from contactqp.distributed.worst import worst
+from contactqp.model.arrays import Vector
 
 # Combinations tried from one start.
 MOST = 25

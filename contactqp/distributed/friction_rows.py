@@ -8,10 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.friction_states import Array, Iterate, States, states
+from contactqp.distributed.friction_states import Iterate, States, states
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions
 
 

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # C is at most so many times rho_T: what turns harder than that as good as sticks across t.

@@ -21,8 +21,8 @@ import scipy.sparse as sp
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.friction_states import Iterate, States
 from contactqp.distributed.krylov import gmres
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
+from contactqp.model.arrays import Vector
 
 # Steps of GMRES on one combination.
 STEPS = 600

@@ -13,9 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.linalg.held_rows import IndependentRows
+from contactqp.model.arrays import Vector
 
 
 class Gram(Protocol):

@@ -14,12 +14,12 @@ from contactqp.distributed.floating import Floating
 from contactqp.distributed.held_rows import DistributedHeldRows, gram_of, meets
 from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.distributed.stored_rows import chosen_rows
 from contactqp.linalg.conjugate_gradients import ConjugateGradients, Projections
 from contactqp.linalg.contact_iteration import ContactIteration, Flags, HeldRows, Limits
+from contactqp.model.arrays import Vector
 
 
 class DistributedIteration(ContactIteration):

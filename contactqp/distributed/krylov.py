@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Vector
 
 # Vectors kept until GMRES starts anew.
 RESTART = 60

@@ -12,9 +12,9 @@ import numpy as np
 from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.preconditioner import AUTO
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import judged, solve_distributed
+from contactqp.model.arrays import Vector
 
 
 def follow_distributed(

@@ -11,9 +11,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.problem import Numbers
-from contactqp.distributed.ranks import Ranks, T, Vector
+from contactqp.distributed.ranks import Ranks, T
 from contactqp.linalg.factorization import null_space
 from contactqp.linalg.intrinsic_size import bodies
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 
 # Blocks have one, two or three unknowns: shares that begin at multiples of all of them cut none.

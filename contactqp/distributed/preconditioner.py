@@ -15,10 +15,10 @@ from contactqp.distributed.formats import held_in_rows
 from contactqp.distributed.memory import give_back
 from contactqp.distributed.options import PREFIX, given
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.v_cycle import DistributedHierarchy
 from contactqp.errors import BackendFailed, Unsupported
+from contactqp.model.arrays import Vector
 
 # Names of `solver`, and what PETSc calls them. Its own options come after: -contactqp_pc_type, -contactqp_pc_gamg_...
 SOLVERS: dict[str, dict[str, Any]] = {

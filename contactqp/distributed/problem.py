@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
 
 Numbers = NDArray[np.int64]

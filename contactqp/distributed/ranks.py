@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from contactqp.distributed import messages
 from contactqp.distributed.environment import petsc
 from contactqp.errors import ContactQPError
+from contactqp.model.arrays import Vector
 
-Vector = NDArray[np.float64]
 T = TypeVar("T")
 
 

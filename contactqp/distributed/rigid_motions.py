@@ -11,7 +11,7 @@ from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.linalg.iteration import FLOATING
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 
 @dataclass(frozen=True, eq=False)

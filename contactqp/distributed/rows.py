@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Vector
 
 
 class Rows:

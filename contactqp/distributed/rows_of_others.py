@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
+from contactqp.model.arrays import Vector
 
 Index = NDArray[Any]
 

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.aggregates import Tentative, aggregates, tentative
 from contactqp.distributed.formats import held_in_blocks
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.stored_rows import StoredRows, stored_rows
 from contactqp.linalg.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
+from contactqp.model.arrays import Vector
 
 # Unknowns of the coarsest level: a dense factor on every rank, part of it anew for every contact set.
 COARSEST = 600

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.solution import Work
 
 

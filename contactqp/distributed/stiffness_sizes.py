@@ -6,9 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stored_rows import StoredBlocks, stored_rows
+from contactqp.model.arrays import Vector
 
 
 def stiffness_sizes(problem: DistributedProblem, x: Vector) -> Vector:

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.linalg.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularLevel
-from contactqp.linalg.multigrid import Array, largest_eigenvalue
+from contactqp.linalg.multigrid import largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
+from contactqp.model.arrays import Array, Vector
 
 # Unknowns of a coarsest level: its factor is dense, and on every rank.
 LARGEST_DENSE = 6000

@@ -22,13 +22,13 @@ from contactqp.certificate.violations import (
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.rigid_motions import without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
-from contactqp.linalg.factorization import RIGID_FORCE, Array
+from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
 from contactqp.linalg.row_sizes import RowSizes, entries_of, sizes_of
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.distributed.problem import Numbers
-from contactqp.distributed.ranks import Ranks, Vector
+from contactqp.distributed.ranks import Ranks
+from contactqp.model.arrays import Vector
 
 
 def worst(ranks: Ranks, *values: Vector) -> list[float]:

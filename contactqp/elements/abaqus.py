@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from contactqp.elements.mesh_import import Cells
 from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
 MOST_GENERATED = 10**7
 # Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.

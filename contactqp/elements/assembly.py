@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from contactqp.elements.geometry import Block
 from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 def boundary(blocks: Sequence[Block]) -> Index:

@@ -6,9 +6,8 @@ Polygons are (P, V, 2) arrays of vertices, counter-clockwise; those with fewer t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 
 def clip(polygons: Array, windows: Array) -> Array:

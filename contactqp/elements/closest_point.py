@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.facet import FacetKind, solve_small, tangent_vectors
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 NEWTON_STEPS = 50
 HALVINGS = 20

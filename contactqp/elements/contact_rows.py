@@ -9,9 +9,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.problem_data import is_whole
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 

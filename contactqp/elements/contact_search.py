@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
+
 Places = NDArray[np.int64]
 
 

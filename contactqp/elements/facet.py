@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from contactqp.elements.facet import kind_of
 from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import facet_normals, node_normals
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 # An error of the pressure of this part of it is worth a word.
 TOLD = 0.1
 # Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.

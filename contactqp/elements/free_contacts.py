@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
-
-Vector = NDArray[np.float64]
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index, Vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.bar_law import LAWS, BarLaw
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.floating_point import computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
-
-Array = NDArray[np.float64]
 
 
 @computes

@@ -21,8 +21,7 @@ from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import KINDS, REFERENCES, Reference
 from contactqp.errors import InvalidProblem
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 @dataclass(frozen=True, eq=False)

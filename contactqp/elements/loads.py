@@ -20,8 +20,8 @@ from contactqp.elements.membrane import Membrane
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 
-Vector = NDArray[np.float64]
 Field = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 

@@ -16,9 +16,8 @@ from contactqp.elements.mesh_checks import check_mesh, check_set, checked_side
 from contactqp.elements.reading import real_array
 from contactqp.elements.reference import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from contactqp.elements.boundary import facet_keys
 from contactqp.elements.geometry import Block, Geometry, batches
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 Points = NDArray[np.float64]
 
 # An element whose Jacobian, where it is looked at, falls below this part of its largest is looked at more closely.

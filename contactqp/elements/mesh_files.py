@@ -17,8 +17,8 @@ from contactqp.elements.mesh import Mesh
 from contactqp.elements.mesh_import import Cells, mesh_from_cells
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import BackendMissing, InvalidProblem
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 MESHIO_KINDS = {
     "vertex": "node", "line": "line2", "line3": "line3",
     "triangle": "tri3", "triangle6": "tri6", "quad": "quad4", "quad8": "quad8", "quad9": "quad9",

@@ -19,9 +19,9 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.floating_point import own_floating_point
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 # As node to segment: polygons of round bodies that fit overlap by a few per cent of their facets.

@@ -13,8 +13,8 @@ from contactqp.elements import clipping
 from contactqp.elements.facet import FacetKind, solve_small, tangent_vectors, triangle_quadrature
 from contactqp.elements.mortar_segments import Segments
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 # Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere

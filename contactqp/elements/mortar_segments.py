@@ -19,8 +19,8 @@ from contactqp.elements.facet import diameters, middle_normals
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 # Facets face each other when their normals are within 60 degrees of opposite: -cos 60.

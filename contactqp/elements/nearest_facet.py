@@ -14,8 +14,8 @@ from contactqp.elements.contact_search import bounding_balls, overlapping_balls
 from contactqp.elements.facet import FacetKind, diameters, kind_of, middle_normals, normal_vectors, tangent_vectors
 from contactqp.elements.faceting import kinks
 from contactqp.elements.surface import Surface
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.

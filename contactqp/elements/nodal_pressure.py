@@ -51,10 +51,9 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import nodal_moments, node_normals
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem_data import ReadOnly
 
-Vector = NDArray[np.float64]
-Index = NDArray[np.int64]
 # A node is on the axis of symmetry if it is nearer to it than so many diameters of its facet.
 ON_AXIS = 1e-9
 # The change from a mean to the node is at most this part of it: forces that are uneven or fall to zero beside the node

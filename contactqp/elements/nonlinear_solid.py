@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.assembly import Pattern, assemble, pattern
 from contactqp.elements.geometry import Block, batches, sum_at_nodes
@@ -16,9 +16,9 @@ from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHook
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.floating_point import computes
 
-Array = NDArray[np.float64]
 LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 
 

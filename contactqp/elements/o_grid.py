@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.lattice import Index, Patch
+from contactqp.elements.lattice import Patch
 from contactqp.elements.spacing import spacing
+from contactqp.model.arrays import Index
 
 Half = Literal["full", "positive", "negative"]
 # Half-width of the core over the radius, and how round it is (0 square, 1 circular): at these the angles of a

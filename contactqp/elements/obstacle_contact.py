@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements.deformable import ContactGeometry, ContactState, Vector
+from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.elements.obstacle import Obstacle, tangent_frames
 from contactqp.elements.obstacle_curvature import distance_hessians
 from contactqp.elements.pairing import pair
@@ -18,6 +18,7 @@ from contactqp.elements.paraboloid import Paraboloid
 from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import computes
 from contactqp.model.problem_data import ReadOnly, read_only
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.exact import unit_vector
 from contactqp.elements.obstacle import Obstacle, Plane
 from contactqp.elements.round_obstacle import Circle, Cylinder, Sphere
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 

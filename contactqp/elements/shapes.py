@@ -27,11 +27,12 @@ from typing import Generic, Literal, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.lattice import Index, Lattice, Patch
+from contactqp.elements.lattice import Lattice, Patch
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.o_grid import Half, OGrid
 from contactqp.elements.spacing import Towards, spacing
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 
 P = ParamSpec("P")
 Part = Literal["full", "half", "quarter", "eighth"]

@@ -19,10 +19,9 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
 
-Vector = NDArray[np.float64]
-Index = NDArray[np.int64]
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
 ROUNDING = 1e-12

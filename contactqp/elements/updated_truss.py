@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from contactqp.elements.green_truss import NonlinearTruss
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 from contactqp.model.floating_point import computes
 
-Array = NDArray[np.float64]
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")
 

@@ -24,8 +24,8 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.numpy_files import read_npz, sparse_matrix
 from contactqp.exchange.refusal import Path, file_size, read_bytes, wrong
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import Vector
 
 # The standard header: 100 words of four bytes; its item 2 is the kind of file, item 27 the length of the file in words.
 WORDS, KIND, LENGTH = 100, 2, 28

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path, check_finite, one_line, wrong
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 
 Integers = NDArray[np.int64]
 # Floats hold every integer up to here.

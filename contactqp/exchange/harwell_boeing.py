@@ -25,7 +25,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
 from contactqp.exchange.matrix_storage import COLUMNS, StoredMatrix, matrix_of
 from contactqp.exchange.refusal import Path, check_rows, file_size, read_text, wrong
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 
 NAME = "Harwell-Boeing"
 SYMMETRIES = {"s": "symmetric", "u": "unsymmetric", "r": "rectangular", "z": "skew-symmetric"}

@@ -10,11 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import Vector
 
 # Scaled to unit diagonal, a singular matrix has a reciprocal condition number of a few eps in floating point.
 SINGULAR = 64 * np.finfo(float).eps

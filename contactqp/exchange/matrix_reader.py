@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import Path
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 
 
 class MatrixFile(NamedTuple):

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 
 class SingularLevel(Unsupported):

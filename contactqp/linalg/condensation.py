@@ -24,7 +24,6 @@ from contactqp.linalg.elimination import LARGE, eliminate
 from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
-    Array,
     DenseCholesky,
     RigidMotions,
     condensed_null_space,
@@ -37,7 +36,8 @@ from contactqp.linalg.factorization import (
 )
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.stages import CONDENSE, count_factorisation, stage
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 
 # A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 # The square of a residual that is zero.
 TINY = float(np.finfo(float).tiny)

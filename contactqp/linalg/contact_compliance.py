@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.factorization import Array, DenseCholesky
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.linalg.factorization import DenseCholesky
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Joints whose smallest singular value is less than this part of the largest leave a body floating.
 FLOATING = 1e-9

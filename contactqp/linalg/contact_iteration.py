@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.conjugate_gradients import ConjugateGradients, Projections
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 Flags = NDArray[np.bool_]
 

@@ -14,8 +14,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.factorization import Array, DenseCholesky
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.linalg.factorization import DenseCholesky
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
 ANCHOR = 1e-6

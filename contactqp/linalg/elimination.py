@@ -17,11 +17,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg.factorization import DENSE_SIZE, Array, Factorization, factorise
+from contactqp.linalg.factorization import DENSE_SIZE, Factorization, factorise
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
 from contactqp.linalg.stages import count_half_substitutions
 from contactqp.linalg.trailing_block import TrailingBlock
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 # Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
 BLOCK = 64

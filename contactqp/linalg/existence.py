@@ -21,9 +21,9 @@ import scipy.sparse as sp
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, unknown_scale
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.saddle import BALANCED, IDLE
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
 LP_TOLERANCE = 1e-10

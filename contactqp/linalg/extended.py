@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 
 EPS = 2.0**-104
@@ -22,8 +23,6 @@ EPS = 2.0**-104
 # sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
 SHORT = 2**11
 _SPLITTER = 2.0**27 + 1.0
-
-Array = NDArray[np.float64]
 
 
 class Extended:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.extended import exact_images, images
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300

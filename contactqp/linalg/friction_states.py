@@ -22,12 +22,12 @@ from contactqp.certificate.balance import balance
 from contactqp.certificate.violations import FIGURES, Answer, imbalance, residuals, residuals_of, violations
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.saddle import BALANCED, independent_rows
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
 from contactqp.model.coulomb_cone import lengths
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.statuses import OPEN as OPEN
 from contactqp.model.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.model.statuses import SLIP_ON as SLIP_ON

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 
 class FrictionalRows:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 # A row of which its neighbours leave less than this, squared, depends on them; rounding leaves about 1e-16 of it.
 DEPENDENT = 1e-10

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.linalg.row_sizes import row_sizes
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
 # A gap that an answer leaves smaller than this part of its lengths is one that it closes.

@@ -18,7 +18,8 @@ from contactqp.linalg.held_rows import HeldRows
 from contactqp.linalg.intrinsic_size import stiffness_sizes
 from contactqp.linalg.multigrid import Hierarchy, available
 from contactqp.linalg.v_cycle import HeldHierarchy
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane).
 LARGE, COUPLED = 200_000, 40

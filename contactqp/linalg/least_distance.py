@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.polishing import WITHIN_ROUNDING
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 # Least-distance programming ends with less than this where the conditions conflict: the rounding of its last equation.
 CONFLICT = 1e-14

@@ -20,8 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 # Unknowns of the coarsest level, which is factorised densely.
 COARSEST = 1500

@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11

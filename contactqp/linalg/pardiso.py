@@ -19,8 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing
-
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 POSITIVE_DEFINITE = 2
 ANALYSE_AND_FACTORISE, SOLVE, FORWARD, BACKWARD, RELEASE = 12, 33, 331, 333, -1

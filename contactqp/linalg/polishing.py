@@ -24,10 +24,10 @@ from contactqp.certificate.violations import (
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12

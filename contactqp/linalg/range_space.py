@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import Delassus
-from contactqp.linalg.factorization import Array, DenseCholesky
-from contactqp.model.problem import Vector
+from contactqp.linalg.factorization import DenseCholesky
+from contactqp.model.arrays import Array, Vector
 
 # Pivots of S and of W_BB, with diagonals of ones, beneath which the null-space method keeps more digits.
 REGULAR = 1e-7

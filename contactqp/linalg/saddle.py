@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.factorization import Array, DenseCholesky, orthonormal
+from contactqp.linalg.factorization import DenseCholesky, orthonormal
 from contactqp.linalg.range_space import REGULAR, RangeSpace
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
 DEPENDENT = 1e-13

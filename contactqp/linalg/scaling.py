@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import unknown_scale
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 

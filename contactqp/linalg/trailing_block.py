@@ -27,14 +27,13 @@ from contactqp.errors import InvalidProblem
 from contactqp.linalg.factorization import (
     DIAGONAL_PIVOTS,
     LIFT,
-    Array,
     fill_reducing_order,
     forget_triangles,
     refuse_negative,
     unit_diagonal_scale,
 )
 from contactqp.linalg.stages import count_half_substitutions
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
 # 1e12: S is as accurate as without springs, up to 30 times more than with T = 1; f_S is as accurate as with T = 1, up

@@ -24,7 +24,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.coarsest_level import CoarsestLevel, HeldCoarsestLevel
-from contactqp.linalg.multigrid import Array, Hierarchy, Level, largest_eigenvalue
+from contactqp.linalg.multigrid import Hierarchy, Level, largest_eigenvalue
+from contactqp.model.arrays import Array
 
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the
 # spectrum of D^-1 K, from its end, that it damps.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 
 Vectors = NDArray[np.float64]  # (m, d)
 

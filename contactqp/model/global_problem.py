@@ -18,12 +18,12 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
     SYMMETRY_TOLERANCE,
     Matrix,
     ReadOnly,
-    Vector,
     is_number,
     read_array,
     read_coefficient,

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import computes, own_floating_point
 from contactqp.model.problem_data import (
     Matrix,
     ReadOnly,
-    Vector,
     is_number,
     read_array,
     read_coefficient,

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.local_certificate import LocalCertificate
+from contactqp.model.arrays import Vector
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem_data import ReadOnly, Vector
+from contactqp.model.problem_data import ReadOnly
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from contactqp.model.arrays import Array
 
 EPS = float(np.finfo(float).eps)
 # Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 from contactqp.model.printed_stiffness import clear_of_printing
 
-Vector = NDArray[np.float64]
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 
 # Kinds of arrays that hold real numbers, Python's own (Fraction, Decimal) among them, and what others are called.

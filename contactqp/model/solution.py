@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import computes
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 
 if TYPE_CHECKING:

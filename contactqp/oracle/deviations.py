@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
-from contactqp.model.problem import Vector
 from contactqp.oracle.reference import Reference, weights
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.violations import Answer
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.oracle.foreign.right_answer import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 

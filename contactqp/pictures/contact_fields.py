@@ -17,12 +17,11 @@ from contactqp.elements.solid import Body
 from contactqp.elements.stress import stress_at_nodes, von_mises
 from contactqp.elements.structure import System
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 from contactqp.pictures.contact_nodes import contact_nodes
 
-Vector = NDArray[np.float64]
-Index = NDArray[np.int64]
 # Of a contact that is not in the problem because all its nodes are supported: nobody knows its force.
 HELD = "held"
 

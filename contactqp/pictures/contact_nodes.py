@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import Structure
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 # A contact's point is a copy of its node's coordinates; what is further off, relative to the structure, is another one.
 SAME_PLACE = 1e-9
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contactqp.model.arrays import Array
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.magnification import magnification, scale_text
@@ -18,7 +18,6 @@ from contactqp.pictures.style import Colour
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # [inch]: of the longer side of the bodies, and what title, legend and colour bar add.
 LONG_SIDE, BESIDE, BELOW = 7.0, 2.0, 1.7

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import tangents
+from contactqp.model.arrays import Array
 from contactqp.pictures import style
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.pictures.magnification import LARGEST, magnification, scale_text
@@ -17,7 +17,6 @@ from contactqp.pictures.magnification import LARGEST, magnification, scale_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 LINES: dict[str, dict[str, Any]] = {
     "bar": dict(color="#0072B2", linewidth=2.2),
     "beam": dict(color="#0072B2", linewidth=3.0),

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.history import History
+from contactqp.model.arrays import Array
 from contactqp.pictures import event_marks, style
 from contactqp.pictures.history_fields import HistoryFields, history_fields
 from contactqp.pictures.history_loads import load_panel
@@ -19,7 +19,6 @@ from contactqp.pictures.history_panels import ALL, Curve, Panel, time_label, tim
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 # [inch]: width; height of a panel against time, of the one of load and displacement, of a line of text, of a letter of
 # an upright label; and what title and axis add.
 WIDTH, HEIGHT, LOAD_HEIGHT, LINE, LETTER, TEXT = 9.5, 1.45, 2.7, 0.16, 0.062, 1.3

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, refuse_other
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
-Array = NDArray[np.float64]
 # Loads are proportional to the times, or all along one of them, to this part of the largest.
 ROUNDING = 1e-9
 ENERGIES = ("kinetic", "elastic", "total", "work", "dissipated", "impact", "drift")

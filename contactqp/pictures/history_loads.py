@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.pictures import style
 from contactqp.pictures.history_fields import ROUNDING, HistoryFields
 from contactqp.pictures.history_panels import ALL, MOST_UNKNOWNS, Curve, Panel, ranked, work_of_unknowns
 
-Array = NDArray[np.float64]
 # Loads that come one by one; more would be curves that nobody could name.
 MOST_LOADS = 3
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.pictures import style
 from contactqp.pictures.history_fields import ENERGIES, HistoryFields
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 # Curves that can be told apart in one panel.
 MOST_CONTACTS, MOST_UNKNOWNS = 5, 4
 # Of unknowns: those that tell less than this part of what the first one does are left out.

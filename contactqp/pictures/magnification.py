@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Array
 
-Array = NDArray[np.float64]
 # The largest displacement is drawn as at most this part of the picture's size...
 LARGEST = 0.06
 # ... and at least this part counts as visible without magnification.

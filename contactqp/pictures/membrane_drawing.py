@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.mesh import Mesh
+from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.pictures import style
 from contactqp.pictures.sampling import cuts, edge_points, pieces, sample
@@ -16,7 +17,6 @@ from contactqp.pictures.sampling import cuts, edge_points, pieces, sample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 # [inch]
 WIDTH, HEIGHT = 11.0, 5.4
 # Of the smallest and the largest force, as areas of their dots [point^2].

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
+from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import BodyFields, ContactFields, PairingFields
 from contactqp.pictures.sampling import MANY, cuts, edge_points, edges, pieces, sample
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 MARGIN = 0.04
 # Of one pairing; more of them run into each other.
 MOST_ARROWS = 60

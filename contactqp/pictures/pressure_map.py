@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import tangent_frames
+from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import ContactFields, PairingFields
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 # Polygons between the nodes of a facet, in the node order of reference.REFERENCES.
 _PARTS: dict[str, list[list[int]]] = {
     "tri3": [[0, 1, 2]],

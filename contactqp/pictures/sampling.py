@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.boundary import facet_keys
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import Reference
+from contactqp.model.arrays import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 # Pieces that an edge is cut into: a parabola in 6 chords is off by 1/144 of its rise.
 CURVED_PIECES = 6
 # Elements beyond which nobody sees the curve of a single one.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.geometry import Block
+from contactqp.model.arrays import Array
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import ContactFields, PairingFields
 from contactqp.pictures.pressure_map import draw_map
@@ -16,7 +16,6 @@ from contactqp.pictures.sampling import outline_points, sample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 # Degrees: from the left, and from above, or from below where that is where the contact is.
 AZIMUTH, FROM_ABOVE, FROM_BELOW = -60.0, 24.0, -18.0
 # Of one pairing; more of them hide the body.

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.whole_file import PICTURES, check_file, check_installed, write_whole
+from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Colour = Literal["displacement", "von mises"]
 COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"

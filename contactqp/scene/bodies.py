@@ -27,6 +27,7 @@ from contactqp.elements.structure import Support as Held
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.stages import BUILD, stage
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
 from contactqp.scene.body_loads import at_key, loads_of, supports_of
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import Scene
     from contactqp.scene.schema_bodies import Body
     from contactqp.scene.schema_contacts import Contact
-
-Vector = NDArray[np.float64]
 
 
 class Surfaces(Protocol):

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing
-
-Vector = NDArray[np.float64]
+from contactqp.model.arrays import Vector
 
 
 class ContactAnswer(Protocol):

@@ -11,7 +11,6 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.large_deformation import large_deformation
@@ -21,13 +20,13 @@ from contactqp.elements.green_truss import NonlinearTruss
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
+from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel
 from contactqp.scene.corners import end_time
 from contactqp.scene.exact_numbers import point
 from contactqp.scene.obstacles import obstacle
 from contactqp.scene.unknowns import of_node
 
-Array = NDArray[np.float64]
 # Steps of a path that states none.
 DEFAULT_STEPS = 10
 # What the scene says itself, and no option of a method does.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contactqp.analysis.impact import impact
 from contactqp.analysis.motion.history import MotionHistory
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel
 from contactqp.scene.inertia import free_places, mass_on_all
@@ -20,7 +21,6 @@ from contactqp.solving.methods import find
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
 
-Vector = NDArray[np.float64]
 # What `impact` takes beside the options of a method.
 OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "start_time", "load")
 

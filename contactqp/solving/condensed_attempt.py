@@ -15,12 +15,12 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.condensation import condense as condensation_of
 from contactqp.linalg.elimination import LARGE
 from contactqp.linalg.existence import describe_motion, refuse_conflict, refuse_driven_motion
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.polishing import closed_contacts, least_displacement, polish, shift_to_least_norm, without_noise
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.floating_point import own_floating_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, FreeMotion, Work
 from contactqp.solving.metering import Meter, MeteredAttempt
 from contactqp.solving.methods import Method, Settings

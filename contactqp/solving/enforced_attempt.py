@@ -13,7 +13,8 @@ from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.polishing import INVISIBLE
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Work
 from contactqp.solving.metering import Meter, MeteredAttempt
 from contactqp.solving.methods import Method, Settings

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import own_floating_point
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve

@@ -14,7 +14,8 @@ from contactqp.certificate.candidates import among, take_all, widened
 from contactqp.certificate.certificate import certify, contact_status
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Raw, Solution, Work
 
 

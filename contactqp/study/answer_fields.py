@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import beam
+from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
@@ -19,7 +19,6 @@ from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import Scene
 from contactqp.scene.unknowns import ROTATION, of_node
 
-Array = NDArray[np.float64]
 # Points along a beam: its cubic looks smooth.
 BEAM_POINTS = 25
 

@@ -18,7 +18,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_files import read_matrix
 from contactqp.exchange.refusal import read_text, wrong
 from contactqp.exchange.tables import is_table, read_tables
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 
 EXPECTED = "places or names, one a line, or a table problem,candidate"

@@ -15,7 +15,8 @@ from contactqp.linalg.elimination import LastBlock
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.pardiso import NotPositive, Pardiso
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Solves timed at most, and the seconds of them after which a median is good enough.
 REPEATS, ENOUGH = 9, 0.2

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.saddle import saddle_point
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve

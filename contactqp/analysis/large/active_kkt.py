@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.factorization import DENSE_SIZE, factorise
+from contactqp.model.arrays import Array, Mask, Vector
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 # Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
 ZERO = 1e-12
 REFINEMENTS = 2

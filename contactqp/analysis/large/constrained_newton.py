@@ -11,8 +11,8 @@ import numpy as np
 from contactqp.analysis.large.deformation import NewtonIteration
 from contactqp.analysis.large.loaded_body import Forces, Imbalance, Instant, LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
-from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.model.arrays import Vector
 
 # Armijo's part of the slope, and the shortest fraction of a step that is tried.
 SUFFICIENT = 1e-4

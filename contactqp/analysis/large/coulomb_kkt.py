@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import solve_system
 from contactqp.analysis.large.loaded_body import Forces
-from contactqp.elements.deformable import Vector
 from contactqp.errors import NotConverged
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 

@@ -15,8 +15,8 @@ from contactqp.analysis.large.deformation_steps import large_solution
 from contactqp.analysis.large.loaded_body import Forces, LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, Target
 from contactqp.analysis.large.slip_anchors import balance_with_anchors
-from contactqp.elements.deformable import Vector
 from contactqp.errors import NotCertified, NotConverged
+from contactqp.model.arrays import Vector
 
 # Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
 HALVINGS = 20

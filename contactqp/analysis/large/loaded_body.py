@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable, Vector
+from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 
-Array = NDArray[np.float64]
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING = 64 * np.finfo(float).eps
 

@@ -10,9 +10,9 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import by_signs, lowest_eigenvalue, negative_on, positive_semidefinite
 from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
-from contactqp.analysis.large.loaded_body import Array, Forces, Instant, LoadedBody
-from contactqp.elements.deformable import Vector
+from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve

@@ -12,8 +12,8 @@ from contactqp.analysis.large.loaded_body import LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_equations import PathEquations
 from contactqp.analysis.large.path_following import ByArc, ByUnknown, Pace, PathFollower
-from contactqp.elements.deformable import Vector
 from contactqp.errors import NotConverged
+from contactqp.model.arrays import Vector
 
 # An unknown has reached its value when this part of its whole way is left.
 REACHED = 1e-13

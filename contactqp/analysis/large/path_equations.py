@@ -9,13 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.large.active_kkt import Mask, determinant_sign, solve_system
+from contactqp.analysis.large.active_kkt import determinant_sign, solve_system
 from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import NewtonIteration
 from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
-from contactqp.elements.deformable import Vector
 from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.model.arrays import Mask, Vector
 
 # Newton's method on a fixed set either converges in a few steps or not at all.
 ITERATIONS = 20

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.history import Event
-from contactqp.analysis.large.active_kkt import Mask, by_signs
+from contactqp.analysis.large.active_kkt import by_signs
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint
 from contactqp.analysis.large.deformation_steps import large_solution
 from contactqp.analysis.large.load_control import forces_of
@@ -23,6 +23,7 @@ from contactqp.analysis.large.path_equations import (
     Unknown,
 )
 from contactqp.errors import NotConverged
+from contactqp.model.arrays import Mask
 
 # Halvings of a step that fails.
 HALVINGS = 12

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from contactqp.analysis.large.constrained_newton import Balance
-from contactqp.analysis.large.loaded_body import Array, LoadedBody
-from contactqp.elements.deformable import ContactGeometry, ContactState, Vector
+from contactqp.analysis.large.loaded_body import LoadedBody
+from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.errors import NotConverged
+from contactqp.model.arrays import Array, Vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event
 from contactqp.analysis.motion.schemes.scheme import State
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 if TYPE_CHECKING:
     from contactqp.analysis.motion.history import Motion

@@ -16,7 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.schemes.scheme import State
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Enough to part the slowest vibration from others where the step is long.
 LANCZOS_STEPS = 24

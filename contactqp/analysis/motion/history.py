@@ -19,7 +19,8 @@ from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate.certificate import certify, contact_status
 from contactqp.errors import Unsupported
 from contactqp.linalg.intrinsic_size import stiffness_sizes
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 

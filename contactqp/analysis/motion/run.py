@@ -30,7 +30,7 @@ from contactqp.errors import (
     TimeStepWarning,
 )
 from contactqp.linalg.stages import CERTIFY, METHOD, stage
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.solution import Work
 
 # Steps certified at once.

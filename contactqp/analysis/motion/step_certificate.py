@@ -19,8 +19,9 @@ from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate.violations import beyond, ratio
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES
 from contactqp.linalg.row_sizes import row_sizes
+from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.problem import ContactProblem
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 

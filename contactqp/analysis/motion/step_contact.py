@@ -20,8 +20,9 @@ from contactqp.analysis.motion.step_forces import normal_forces
 from contactqp.analysis.motion.step_friction import OPEN, correction, frictional_forces, states_of
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import Array, DenseCholesky
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.linalg.factorization import DenseCholesky
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Ties whose compliance on each other, scaled to a diagonal of one, has a pivot below this are dependent.
 DEPENDENT = 1e-10

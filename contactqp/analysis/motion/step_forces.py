@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
 
 # Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem import Vector
 from contactqp.solving.solve import solve
 
 OPEN, STICK, SLIP_ON, SLIP_BACK = 0, 1, 2, 3

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.distributed.asking import asked
 from contactqp.distributed.ranks import Ranks
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 # Each rank shows so many of its codes, for the ranges of codes to become about equal.
 SAMPLES = 128
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from contactqp.distributed.pieces.nodes import Nodes
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Index:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.distributed.partition import partition
 from contactqp.distributed.pieces.asking import numbered
@@ -15,8 +14,7 @@ from contactqp.distributed.pieces.mesh_piece import MeshPiece
 from contactqp.distributed.pieces.sources import OUTSIDE, Share, Source
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.geometry import Block
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.distributed.asking import asked
 from contactqp.distributed.pieces.sources import OUTSIDE, Share
@@ -14,8 +13,8 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.elements.boundary import facet_keys, groups
 from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 # An odd number with bits all over (the golden ratio's): it spreads facets evenly over the ranks.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.errors import InvalidProblem
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 @dataclass(frozen=True, eq=False)

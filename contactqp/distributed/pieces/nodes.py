@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.asking import asked
 from contactqp.distributed.pieces.dealing import DealtMesh
 from contactqp.distributed.ranks import Ranks
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import Unsupported
+from contactqp.model.arrays import Index
 
-Index = NDArray[np.int64]
 # Bit 0 of a facet's marks: it lies on the boundary of the whole mesh. Bit 1 + i: it belongs to side i.
 OUTSIDE = 1
 # What a 64-bit number has room for beside bit 0 and its sign.

@@ -16,8 +16,7 @@ from contactqp.elements.assembly import pattern
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Part
-
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Index
 
 
 def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:

@@ -25,10 +25,8 @@ from contactqp.elements.free_contacts import FreeContacts
 from contactqp.elements.loads import Load
 from contactqp.elements.structure import EVERYTHING_HELD, Structure, Support
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import Units
-
-Vector = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,7 @@ from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import Structure
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from contactqp.model.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from contactqp.elements.structure import Part, Structure
 from contactqp.elements.structure import Support as Held
 from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
 from contactqp.scene.bodies import sum_of
 from contactqp.scene.contact_entries import ContactEntries
@@ -34,8 +35,6 @@ from contactqp.scene.meshing import near_enough, nearest_to
 if TYPE_CHECKING:
     from contactqp.distributed.solution import DistributedSolution
     from contactqp.scene.schema import Scene
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Anchors, Mask, State, step_to
+from contactqp.analysis.anchoring import Anchors, State, step_to
 from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, SolvedStep
 from contactqp.analysis.friction_steps import kinds
 from contactqp.analysis.history import Energies, Event
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Vector
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.distributed.violations import row_sizes
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Mask, Vector
 
 
 def follow_rubbing(

@@ -24,7 +24,8 @@ from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
 from contactqp.errors import Unsupported
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
 from contactqp.scene.schema import Scene

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import NAMED

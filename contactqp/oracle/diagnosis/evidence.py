@@ -18,7 +18,8 @@ from contactqp.certificate.certificate import Certificate
 from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import unknown_scale
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer

@@ -16,7 +16,8 @@ from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.linalg.iteration import iterated
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding

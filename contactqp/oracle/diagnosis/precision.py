@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation, digits
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judging import judge

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactqp.linalg.condensation import unknown_scale
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.named_factors import CLOSE, NamedFactor, named_factor

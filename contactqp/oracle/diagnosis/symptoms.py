@@ -8,7 +8,8 @@ import numpy as np
 
 from contactqp.certificate.certificate import Certificate
 from contactqp.certificate.violations import Answer, Violations
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judged_contacts import slips
 

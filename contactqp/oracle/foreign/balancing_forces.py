@@ -8,8 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Array, Vector
 
 # Rows of unit length that are closer to dependent than this are dependent.
 DEPENDENT = 1e-12

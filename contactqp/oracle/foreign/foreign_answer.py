@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.violations import Answer
 from contactqp.errors import InvalidProblem
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}

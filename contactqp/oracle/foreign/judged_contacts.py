@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.certificate import Certificate
 from contactqp.certificate.violations import Answer, lengths_that_meet
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Solution
 

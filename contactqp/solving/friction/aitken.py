@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 
 # The factor stays between these: a full step, and one small enough for mu = 20 mu_c.
 RELAXATION = (0.05, 1.0)

@@ -16,9 +16,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
-from contactqp.model.problem_data import Vector
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import BlockSystem, LocalForm
 

@@ -21,8 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 # 4^8 systems take seconds.

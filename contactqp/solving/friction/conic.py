@@ -15,8 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.quadratic_program import collected_words
 

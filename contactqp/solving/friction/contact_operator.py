@@ -14,9 +14,9 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.frictional_rows import FrictionalRows, compliance_of
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 
 # Tie rows of unit length that leave more than this of their values open conflict.
 CONFLICT = 1e-9

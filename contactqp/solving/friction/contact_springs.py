@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.certificate.certificate import certify
 from contactqp.errors import InvalidProblem
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
 from contactqp.solving.methods.textbook_algebra import contact_stiffness
 

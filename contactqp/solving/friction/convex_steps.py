@@ -18,9 +18,9 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.scaling import nondimensional
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.iterate import Deadline

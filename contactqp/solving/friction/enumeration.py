@@ -22,7 +22,8 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import Status, answer_in, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.combinations import Combinations, refuse_many
 
 # Of the largest displacement that the loads make without contacts, what rounding may leave of another.

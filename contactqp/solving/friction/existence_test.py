@@ -12,9 +12,8 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, NoEquilibrium
 from contactqp.linalg.existence import around, unresisted
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.saddle import BALANCED
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.conic import ConicProgram, diagonal_rows, solve_conic
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings

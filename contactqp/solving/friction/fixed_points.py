@@ -11,9 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths, onto_discs
-from contactqp.model.problem_data import Vector
 from contactqp.solving.friction.aitken import RELAXATION, aitken
 from contactqp.solving.friction.convex_steps import ConvexSteps
 from contactqp.solving.friction.iterate import Iterate

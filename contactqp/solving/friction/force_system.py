@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.violations import Answer
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, Status
 from contactqp.linalg.frictional_rows import FrictionalRows
-from contactqp.model.problem import ContactProblem, Vector
-
-Mask = NDArray[np.bool_]
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
 
 # Of the rows, this part may differ from those factorised before it is cheaper to factorise again.
 CHANGED_ROWS = 0.15

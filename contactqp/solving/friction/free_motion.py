@@ -9,10 +9,10 @@ import scipy.sparse as sp
 
 from contactqp.certificate.violations import Answer, force_measure, forces_that_meet, rounded_slips
 from contactqp.linalg.condensation import UNRESISTED, Condensation
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.row_sizes import row_sizes
+from contactqp.model.arrays import Array
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
 

@@ -16,9 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import de_saxce, lengths, onto_cone
-from contactqp.model.problem_data import Vector
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.linalg.factorization import Array
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.solving.friction.local_form import LocalForm
 
 

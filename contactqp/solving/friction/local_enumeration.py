@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from contactqp.errors import Unsupported
-from contactqp.model.problem_data import Vector
+from contactqp.model.arrays import Vector
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.combinations import Combinations, refuse_many
 from contactqp.solving.friction.iterate import Iterate

@@ -17,10 +17,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.factorization import Array
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import natural_map
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem_data import Vector
 
 # Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
 DENSE_SIZE = 1200

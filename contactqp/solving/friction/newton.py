@@ -21,7 +21,8 @@ from contactqp.certificate.violations import Answer, lengths_that_meet, ratio
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 

@@ -10,9 +10,9 @@ import numpy as np
 from contactqp.certificate.violations import Answer
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.factorization import Array
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.combinations import MOST_CONTACTS
 from contactqp.solving.friction.contact_form import ContactForm

@@ -22,11 +22,12 @@ from contactqp.certificate.violations import Answer
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import refuse_driven_motion
-from contactqp.linalg.factorization import Array, RigidMotions
+from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.scaling import nondimensional
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.aitken import RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 

@@ -19,7 +19,8 @@ from contactqp.linalg.delassus import OPERATOR_ROUNDING, Delassus, delassus
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, saddle_point
 from contactqp.linalg.scaling import nondimensional
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Method, Settings
 

@@ -11,7 +11,8 @@ import scipy.sparse as sp
 
 from contactqp.certificate.violations import lengths_that_meet, ratio
 from contactqp.errors import InvalidProblem
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
@@ -27,15 +28,7 @@ from contactqp.solving.methods.stick_and_slip import (
     spring_stiffnesses,
     status_rows,
 )
-from contactqp.solving.methods.textbook_algebra import (
-    Indices,
-    Mask,
-    binding_rows,
-    contact_stiffness,
-    solve_bordered,
-    spread,
-    springs,
-)
+from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered, spread, springs
 from contactqp.solving.methods.textbook_ending import Budget
 from contactqp.solving.methods.textbook_loop import active_set_loop
 

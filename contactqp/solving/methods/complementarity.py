@@ -19,14 +19,9 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.factorization import null_space
-from contactqp.model.problem import ContactProblem, Vector
-from contactqp.solving.methods.textbook_algebra import (
-    Indices,
-    independent_rows,
-    refuse_contradiction,
-    solve_linear,
-    spread,
-)
+from contactqp.model.arrays import Indices, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.solving.methods.textbook_algebra import independent_rows, refuse_contradiction, solve_linear, spread
 
 # A unit motion that approaches every contact by less than this is felt by none: an arm shorter than rounding makes.
 RESISTED = 1e-10

@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods.floating_bodies import NEGLIGIBLE, FloatingBodies
-from contactqp.solving.methods.textbook_algebra import Indices, Mask, SingularSystem, spread
+from contactqp.solving.methods.textbook_algebra import SingularSystem, spread
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.factorization import null_space
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 
 # Parts of a dependent row of unit length, and what such rows feel of unit motions, below this are rounding.
 NEGLIGIBLE = 1e-10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from contactqp.model.arrays import Indices, Mask
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import Status
@@ -11,7 +12,7 @@ from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
-from contactqp.solving.methods.textbook_algebra import Indices, Mask, binding_rows, solve_bordered
+from contactqp.solving.methods.textbook_algebra import binding_rows, solve_bordered
 from contactqp.solving.methods.textbook_loop import active_set_loop
 
 NAME = "lagrange-multiplier"

@@ -7,7 +7,8 @@ import time
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.complementarity import (
     Complementarity,
@@ -17,7 +18,7 @@ from contactqp.solving.methods.complementarity import (
     expand,
 )
 from contactqp.solving.methods.method import Method, Settings
-from contactqp.solving.methods.textbook_algebra import TEXTBOOK_ROUNDING, Indices, Mask
+from contactqp.solving.methods.textbook_algebra import TEXTBOOK_ROUNDING
 
 
 def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:

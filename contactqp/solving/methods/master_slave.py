@@ -7,21 +7,15 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
-from contactqp.solving.methods.textbook_algebra import (
-    Indices,
-    Mask,
-    SingularSystem,
-    binding_rows,
-    independent_rows,
-    solve_linear,
-)
+from contactqp.solving.methods.textbook_algebra import SingularSystem, binding_rows, independent_rows, solve_linear
 from contactqp.solving.methods.textbook_loop import active_set_loop
 
 NAME = "master-slave"

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.backends import BACKENDS, backend_options
 from contactqp.solving.methods.method import Method, Settings

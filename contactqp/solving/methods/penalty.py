@@ -6,7 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
@@ -19,15 +20,7 @@ from contactqp.solving.methods.stick_and_slip import (
     spring_stiffnesses,
     status_rows,
 )
-from contactqp.solving.methods.textbook_algebra import (
-    Indices,
-    Mask,
-    binding_rows,
-    contact_stiffness,
-    solve_bordered,
-    spread,
-    springs,
-)
+from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered, spread, springs
 from contactqp.solving.methods.textbook_loop import active_set_loop
 
 NAME = "penalty"

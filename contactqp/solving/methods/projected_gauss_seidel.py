@@ -7,7 +7,8 @@ import time
 import numpy as np
 
 from contactqp.errors import Unsupported
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.complementarity import Complementarity, complementarity_problem, compliance, expand
 from contactqp.solving.methods.method import Method, Settings

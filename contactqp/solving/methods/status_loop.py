@@ -17,7 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, status_names
 from contactqp.solving.methods.floating_bodies import FloatingBodies
@@ -29,7 +30,7 @@ from contactqp.solving.methods.stick_and_slip import (
     origins,
     status_rows,
 )
-from contactqp.solving.methods.textbook_algebra import Indices, Mask, SingularSystem
+from contactqp.solving.methods.textbook_algebra import SingularSystem
 from contactqp.solving.methods.textbook_ending import Budget, last_candidate
 from contactqp.solving.methods.textbook_rounding import Sizes
 

@@ -17,16 +17,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Indices, Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.statuses import OPEN, STICK, Status
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.textbook_algebra import (
-    Indices,
-    contact_stiffness,
-    independent_rows,
-    refuse_contradiction,
-    spread,
-)
+from contactqp.solving.methods.textbook_algebra import contact_stiffness, independent_rows, refuse_contradiction, spread
 
 
 @dataclass(frozen=True, eq=False)

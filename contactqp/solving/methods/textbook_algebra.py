@@ -10,11 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
-
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 # What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
 TEXTBOOK_ROUNDING = 1e3 * float(np.finfo(float).eps)

@@ -12,11 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.errors import NotConverged
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.criss_cross import Enforcement, Sets, Step
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.textbook_algebra import Mask, SingularSystem
+from contactqp.solving.methods.textbook_algebra import SingularSystem
 from contactqp.solving.methods.textbook_ending import Budget, last_candidate
 from contactqp.solving.methods.textbook_rounding import Sizes
 

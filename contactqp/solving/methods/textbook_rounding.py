@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from contactqp.linalg.row_sizes import row_sizes
-from contactqp.model.problem import ContactProblem, Matrix, Vector
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.solving.methods.floating_bodies import FloatingBodies
-from contactqp.solving.methods.textbook_algebra import TEXTBOOK_ROUNDING, Mask
+from contactqp.solving.methods.textbook_algebra import TEXTBOOK_ROUNDING
 
 # Rows (r, n), their limits (r,), and a mask of those that are equations, E_i u = g_i.
 Hold = tuple[Any, Vector, Mask]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 from contactqp.scene.schema import Scene
 from contactqp.study.attempt import Timing
 from contactqp.study.case_study import CaseStudy

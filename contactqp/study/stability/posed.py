@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.study.stability.exact_answer import ExactAnswer, answer_with_closed, refuse_wrong
 from contactqp.study.truth import Errors, Truth
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 
 class ContactStabilised(Scheme):

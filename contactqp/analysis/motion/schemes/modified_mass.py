@@ -20,7 +20,7 @@ from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
 from contactqp.linalg.factorization import Factorization, factorise
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 
 class ModifiedMassCentral(TwoStep):

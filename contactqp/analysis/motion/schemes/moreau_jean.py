@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 # A rebound of this part of what the forces of a step change is lost in their rounding.
 NO_REBOUND = 1e-6

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 
 class Trapezoidal(Scheme):

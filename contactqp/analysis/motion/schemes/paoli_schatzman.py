@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, State, TwoStep
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.model.problem import Vector
+from contactqp.model.arrays import Vector
 
 
 class _Central(TwoStep):

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from contactqp.analysis.motion.mass import massless
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.errors import Unsupported
-from contactqp.model.problem import ContactProblem, Vector
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.solving.solve import solve
 
