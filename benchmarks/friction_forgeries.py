@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 
 import contactqp as cq
 from benchmarks.processes import reports_of
-from contactqp.certificate.violations import FIGURES
+from contactqp.model.verdicts import FIGURES
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,8 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.analysis.motion.history import MotionHistory as MotionHistory
     from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
-    from contactqp.certificate.certificate import Certificate as Certificate
     from contactqp.certificate.critical_coefficients import CriticalFriction as CriticalFriction
     from contactqp.certificate.critical_coefficients import critical_friction as critical_friction
-    from contactqp.certificate.local_certificate import LocalCertificate as LocalCertificate
     from contactqp.certificate.local_certificate import certify_local as certify_local
     from contactqp.certificate.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
     from contactqp.certificate.published_errors import fclib_merit_1 as fclib_merit_1
@@ -78,6 +76,8 @@ if TYPE_CHECKING:
     from contactqp.model.problem import ContactProblem as ContactProblem
     from contactqp.model.problem import Units as Units
     from contactqp.model.solution import Solution as Solution
+    from contactqp.model.verdicts import Certificate as Certificate
+    from contactqp.model.verdicts import LocalCertificate as LocalCertificate
     from contactqp.oracle.diagnosis.finding import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
@@ -106,7 +106,7 @@ _HOME = {
     "BackendFailed": "errors",
     "BackendMissing": "errors",
     "Cable": "elements.energies.springs",
-    "Certificate": "certificate.certificate",
+    "Certificate": "model.verdicts",
     "Circle": "elements.round_obstacle",
     "ConstrainedEnergy": "elements.energies.constrained_energy",
     "ConstrainedMinimum": "elements.energies.constrained_energy",
@@ -123,7 +123,7 @@ _HOME = {
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "JudgedAnswer": "oracle.foreign.judged_answer",
-    "LocalCertificate": "certificate.local_certificate",
+    "LocalCertificate": "model.verdicts",
     "LocalProblem": "model.local_problem",
     "LocalSolution": "model.local_solution",
     "MotionHistory": "analysis.motion.history",

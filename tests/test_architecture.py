@@ -21,6 +21,7 @@ LAYERS = (
     "linalg.forking",
     "model.printed_stiffness",
     "model.problem_data",
+    "model.verdicts",
     "model.problem",
     "model.statuses",
     "model.solution",

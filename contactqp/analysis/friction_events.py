@@ -14,13 +14,13 @@ import numpy as np
 
 from contactqp.analysis.friction_rates import Standing, continuation
 from contactqp.analysis.history import Event
-from contactqp.certificate.violations import Answer
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status, answer_in, holds
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Answer
 from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction.newton import combination_of, without_idle_friction
 

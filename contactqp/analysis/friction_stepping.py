@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.analysis.anchoring import State
 from contactqp.certificate.balance import balance
 from contactqp.certificate.candidates import first_candidates
-from contactqp.certificate.violations import Answer, own_compliance
+from contactqp.certificate.violations import own_compliance
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.condensation import condense
@@ -21,6 +21,7 @@ from contactqp.linalg.stages import METHOD, POLISH, stage
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Answer
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search
 from contactqp.solving.friction_attempt import attempt_on

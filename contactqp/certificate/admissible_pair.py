@@ -20,7 +20,7 @@ from contactqp.certificate.energy_norm import (
     residual_noise,
     response,
 )
-from contactqp.certificate.violations import Answer, Residuals, lengths_that_meet
+from contactqp.certificate.violations import Residuals, lengths_that_meet
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import Extended, extend, extended_rows
@@ -31,6 +31,7 @@ from contactqp.linalg.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_c
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50

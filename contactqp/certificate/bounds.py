@@ -56,7 +56,7 @@ from contactqp.certificate.energy_norm import (
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
-from contactqp.certificate.violations import Answer, Residuals, lengths_that_meet, own_compliance
+from contactqp.certificate.violations import Residuals, lengths_that_meet, own_compliance
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.extended import Extended, extend, extended_rows
@@ -66,6 +66,7 @@ from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
-from contactqp.certificate.violations import Answer, Residuals, lay_out, lengths_that_meet, own_compliance
+from contactqp.certificate.violations import Residuals, lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000

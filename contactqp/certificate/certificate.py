@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,19 +21,9 @@ from contactqp.certificate.failures import (
     said_of_dependent_ties,
 )
 from contactqp.certificate.idle_rows import acting_rows
-from contactqp.certificate.state_answer import FIGURES_ALONE, STATE, StateVerdict, basis_without_friction, state_verdict
+from contactqp.certificate.state_answer import StateVerdict, basis_without_friction, state_verdict
 from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
-from contactqp.certificate.violations import (
-    FIGURES,
-    Answer,
-    Residuals,
-    Violations,
-    own_compliance,
-    plain_residuals,
-    ratio,
-    residuals,
-    violations,
-)
+from contactqp.certificate.violations import Residuals, own_compliance, plain_residuals, ratio, residuals, violations
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.factorization import RigidMotions
@@ -43,73 +33,12 @@ from contactqp.linalg.stages import CERTIFY, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, is_number, read_array
+from contactqp.model.problem_data import is_number, read_array
+from contactqp.model.verdicts import FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
 ROUNDING_OF_ANSWERS = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Certificate(ReadOnly):
-    """What is violated (dimensionless, the worst contact or unknown), and how far the answer is from the truth.
-
-    `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
-    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
-    and not only estimated, as those of bodies too large to factorise.
-
-    With friction, `natural_map` measures Signorini's and Coulomb's law as one equation. It enters the verdict with four
-    times the tolerance, up to which the other figures imply it: it refuses nothing that they pass.
-    `uniqueness` is empty where this is found to be the only answer, and enters no verdict: an answer among several is
-    right. "several answers": others exist at this load; "several answers possible": none of the tests excludes them
-    (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
-    unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
-    factor by which Tresca's fixed point changes the error of its bounds around this answer.
-
-    `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
-    the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
-    alone, because neither could be had; `notes` or `reasons` say why.
-    """
-
-    equilibrium: float  # componentwise backward error
-    balance: float  # of the forces on every rigid motion of the bodies
-    penetration: float
-    tension: float
-    complementarity: float
-    cone: float
-    slip_direction: float
-    tie: float
-    natural_map: (
-        float | None
-    )  # contact and friction as one equation (`contactqp.certificate.coulomb_residual`); None without friction
-    energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
-    force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
-    force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]
-    reasons: tuple[str, ...]  # why a bound is None
-    grazing: tuple[int, ...]  # contacts whose gap and force both vanish
-    failures: tuple[str, ...]  # what failed, where, by how much
-    notes: tuple[str, ...]
-    uniqueness: tuple[str, ...]  # with friction, what speaks against this being the only answer
-    contraction: float | None  # from 1 on, Tresca's fixed point cycles without damping; None beyond 100 closed contacts
-    tolerance: float
-    error_tolerance: float
-    passed: bool
-    proven: bool
-    basis: str  # "bounds", "state" or "figures"
-    distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
-    violations: Violations | None = field(
-        repr=False, default=None
-    )  # contact by contact; None where the answer is not finite
-
-    def __str__(self) -> str:
-        verdict = "passed" if self.passed else "REFUSED"
-        lines = [f"{verdict}{', proven' if self.proven else ', not proven'}"]
-        if self.basis == STATE and self.distance is not None:
-            lines.append(f"  {self.distance:.3g} away from the answer of its own combination of open, stick and slip")
-        lines += [f"  {failure}" for failure in self.failures]
-        lines += [f"  no bound: {reason}" for reason in self.reasons]
-        lines += [f"  note: {note}" for note in self.notes]
-        return "\n".join(lines)
 
 
 @own_floating_point

@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer, Violations, beyond, ratio, slips
+from contactqp.certificate.violations import beyond, ratio, slips
 from contactqp.linalg.row_sizes import ContactEntries, contact_entries
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import Vectors, natural_map
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer, Violations
 
 # The other figures imply this one up to this factor.
 IMPLIED = 4.0

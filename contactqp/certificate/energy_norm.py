@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate.violations import Answer, forces_that_meet
+from contactqp.certificate.violations import forces_that_meet
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
@@ -20,6 +20,7 @@ from contactqp.linalg.range_space import REGULAR
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer, Violations, force_measure, forces_that_meet, vector_measure
+from contactqp.certificate.violations import force_measure, forces_that_meet, vector_measure
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.existence import Conflict
-from contactqp.linalg.intrinsic_size import Nothing
 from contactqp.linalg.row_sizes import contact_entries
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer, Nothing, Violations
 
 # What `Violations` has for every contact.
 _OF_CONTACTS = (

@@ -12,7 +12,7 @@ not, and have no part in the verdict.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,46 +25,13 @@ from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths, natural_map
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.problem_data import ReadOnly, is_number, read_array
+from contactqp.model.problem_data import is_number, read_array
+from contactqp.model.verdicts import LocalCertificate
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
 NOTHING = 1e-12
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
-
-
-@dataclass(frozen=True, eq=False)
-class LocalCertificate(ReadOnly):
-    """What forces violate, the worst contact, and the published errors; `passed` if none is beyond `tolerance`."""
-
-    natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
-    siconos_error: float  # `published_errors.siconos_local_error`, W and q as given; no part of the verdict
-    penetration: float  # (-u_N)+ as a velocity
-    tension: float  # (-r_N)+ as a force
-    complementarity: float  # min(u_N, r_N), each in its own measure
-    cone: float  # (|r_T| - mu r_N)+ as a force
-    slip_direction: float  # min(|u_T|, |r_T + mu r_N u_T/|u_T||), each in its own measure
-    joints: float  # |V'r + R l + s| / (|V|'|r| + |R||l| + |s|)
-    failures: tuple[str, ...]
-    uniqueness: tuple[
-        str, ...
-    ]  # with friction, what speaks against these being the only forces; no part of the verdict
-    notes: tuple[str, ...]
-    tolerance: float
-    passed: bool
-    slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
-    force_measure: Vector = field(repr=False)  # (m,) r_N as a force
-
-    @property
-    def basis(self) -> str:
-        """What the verdict rests on: the figures alone."""
-        return "figures"
-
-    def __str__(self) -> str:
-        lines = ["passed" if self.passed else "REFUSED", f"  natural map {self.natural_map:.3g}"]
-        return "\n".join(
-            [*lines, *(f"  {text}" for text in self.failures), *(f"  note: {text}" for text in self.notes)]
-        )
 
 
 @own_floating_point

@@ -28,7 +28,7 @@ import numpy as np
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.certificate.failures import failed_errors
-from contactqp.certificate.violations import Answer, Violations, residuals
+from contactqp.certificate.violations import residuals
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows
@@ -41,12 +41,11 @@ from contactqp.model.coulomb_cone import directions as directions_of
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.verdicts import BOUNDS, FIGURES_ALONE, STATE, Answer, Violations
 
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
 
-# What a verdict rests on.
-BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
 
 # Combinations that are looked at: the answer's own, and those that its failing signs lead to.
 COMBINATIONS = 10

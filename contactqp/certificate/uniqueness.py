@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.answer_count import MOST_COUNTED, several_answers
 from contactqp.certificate.critical_coefficients import CriticalFriction, critical, too_many
-from contactqp.certificate.violations import Answer, Violations
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer, Violations
 
 SEVERAL = "several answers"  # others were found at this load
 POSSIBLE = "several answers possible"  # others are not excluded

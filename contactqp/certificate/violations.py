@@ -21,7 +21,6 @@ from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_r
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import (
     HELD_BY_DOUBLES,
-    Nothing,
     bodies,
     intrinsic_size,
     nothing,
@@ -32,50 +31,10 @@ from contactqp.linalg.row_sizes import ContactEntries, contact_entries, row_size
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly
-
-FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+from contactqp.model.verdicts import Answer, Nothing, Violations
 
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
-
-
-@dataclass(frozen=True, eq=False)
-class Answer(ReadOnly):
-    """Somebody's displacement and forces, of the right shapes."""
-
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: NDArray[np.float64] | None  # (m, d-1)
-    tie_force: Vector  # (k,)
-
-    def finite(self) -> bool:
-        parts = (self.displacement, self.normal_force, self.tie_force, self.friction_force)
-        return all(part is None or bool(np.all(np.isfinite(part))) for part in parts)
-
-
-@dataclass(frozen=True, eq=False)
-class Violations(ReadOnly):
-    """Every figure for every unknown, contact, tie, so that the worst can be named; all at least 0."""
-
-    equilibrium: Vector  # (n,) |residual_j| / F_j (Oettli and Prager 1964)
-    residual: Vector  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu [force]
-    penetration: Vector  # (m,) (E_N u - g)+ as a gap
-    tension: Vector  # (m,) (-l_N)+ as a force
-    complementarity: Vector  # (m,) min(gap, l_N), each in its own measure
-    cone: Vector  # (m,) (|l_T| - mu l_N)+ as a force
-    slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
-    tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
-    slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
-    turned: Vector  # (m,) by how much rounding a displacement to doubles turns friction that opposes its slip [force]
-    lengths: Vector  # (m,) L of the normal rows [length]
-    tangential_lengths: Vector  # (m,) that of the tangential rows
-    gap: Vector  # (m,) g - E_N u [length]
-    gap_measure: Vector  # (m,) |gap| / L, 0 where the gap is nothing
-    force_measure: Vector  # (m,) |l_N| as a force
-    meeting: Vector  # (n,) F [force]
-    intrinsic_size: float  # S of problem and answer [square root of energy]
-    nothing: Nothing  # forces and lengths up to which there are none
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
-from contactqp.certificate.certificate import (
-    ROUNDING_OF_ANSWERS,
-    Certificate,
-    grazes,
-    not_finite,
-    refuse_not_positive,
-    status_words,
-)
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, refuse_not_positive, status_words
 from contactqp.certificate.coulomb_residual import IMPLIED
 from contactqp.certificate.failures import (
     MOST_NAMED,
@@ -33,7 +26,6 @@ from contactqp.certificate.failures import (
 )
 from contactqp.certificate.state_answer import basis_without_friction
 from contactqp.certificate.uniqueness import UNKNOWN
-from contactqp.certificate.violations import FIGURES, Violations
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.balance import balance
 from contactqp.distributed.bodies import Bodies
@@ -42,6 +34,7 @@ from contactqp.distributed.violations import coulomb_residual, row_sizes, violat
 from contactqp.distributed.worst import said_of_first, said_of_worst, worst
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
+from contactqp.model.verdicts import FIGURES, Certificate, Violations
 
 NOT_ASKED = "no solver was given that could bound it"
 NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.problem import Numbers
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.whole import certificate_of
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Work
+from contactqp.model.verdicts import Certificate
 
 
 @dataclass(frozen=True, eq=False)

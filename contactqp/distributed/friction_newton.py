@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
-from contactqp.certificate.violations import FIGURES, ratio
+from contactqp.certificate.violations import ratio
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.friction_rows import FrictionRows
@@ -18,6 +18,7 @@ from contactqp.distributed.friction_system import CombinationSystem
 from contactqp.distributed.violations import violations
 from contactqp.distributed.worst import worst
 from contactqp.model.arrays import Vector
+from contactqp.model.verdicts import FIGURES
 
 # Combinations tried from one start.
 MOST = 25

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import Certificate
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Work
+from contactqp.model.verdicts import Certificate
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,15 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.certificate.coulomb_residual import law_residual, least_force, normal_force, tangential_force
-from contactqp.certificate.violations import (
-    Rubbing,
-    Sizes,
-    Violations,
-    figures,
-    force_measure,
-    rounded_slips,
-    vector_measure,
-)
+from contactqp.certificate.violations import Rubbing, Sizes, figures, force_measure, rounded_slips, vector_measure
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
@@ -26,10 +18,11 @@ from contactqp.distributed.rigid_motions import without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, Nothing, imposed
+from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, imposed
 from contactqp.linalg.row_sizes import RowSizes, entries_of, sizes_of
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
+from contactqp.model.verdicts import Nothing, Violations
 
 
 def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies, rounding: float) -> Violations:

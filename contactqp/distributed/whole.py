@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.violations import Violations
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedProblem, Numbers
@@ -20,9 +18,9 @@ from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.existence import describe_motion
-from contactqp.linalg.intrinsic_size import Nothing
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
+from contactqp.model.verdicts import Certificate, Nothing, Violations
 
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.certificate.balance import balance
-from contactqp.certificate.violations import FIGURES, Answer, imbalance, residuals, residuals_of, violations
+from contactqp.certificate.violations import imbalance, residuals, residuals_of, violations
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
 from contactqp.linalg.frictional_rows import FrictionalRows
@@ -33,6 +33,7 @@ from contactqp.model.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.model.statuses import SLIP_ON as SLIP_ON
 from contactqp.model.statuses import STICK as STICK
 from contactqp.model.statuses import Status as Status
+from contactqp.model.verdicts import FIGURES, Answer
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12

@@ -21,7 +21,6 @@ What is excused is in the residuals that the bounds are made of, so it hides no 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_
 from contactqp.linalg.row_sizes import row_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.verdicts import Nothing
 
 # A gap that an answer leaves smaller than this part of its lengths is one that it closes.
 CLOSED = 1e-6
@@ -46,16 +45,6 @@ HELD_BY_DOUBLES = float(np.finfo(float).eps)
 # A load on an unknown that neither stiffness nor a row touches is rounding up to this part of the largest load: such as
 # the component of a force across a bar, F sin(pi).
 ROUNDING_OF_LOADS = 64 * float(np.finfo(float).eps)
-
-
-@dataclass(frozen=True, eq=False)
-class Nothing(ReadOnly):
-    """The forces and lengths up to which an answer has none at an unknown or in a row."""
-
-    force: Vector  # (n,) at unknowns [force]
-    normal: Vector  # (m,) in the normal rows [length]
-    tangent: Vector  # (m (d-1),) in the tangential rows [length]
-    tie: Vector  # (k,) in the ties [length]
 
 
 def without_rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.violations import (
-    Answer,
     Residuals,
     force_measure,
     forces_that_meet,
@@ -28,6 +27,7 @@ from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.local_certificate import LocalCertificate
 from contactqp.model.arrays import Vector
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem_data import ReadOnly
+from contactqp.model.verdicts import LocalCertificate
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import computes
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-
-if TYPE_CHECKING:
-    from contactqp.certificate.certificate import Certificate
+from contactqp.model.verdicts import Certificate
 
 
 @dataclass(frozen=True, eq=False)

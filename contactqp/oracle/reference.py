@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.oracle.foreign.right_answer import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 

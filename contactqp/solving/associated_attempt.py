@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from contactqp.certificate.certificate import certify
-from contactqp.certificate.violations import Answer
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.solving.condensed_attempt import CondensedAttempt
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.methods import Method, Settings

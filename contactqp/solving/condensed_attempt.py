@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer, lay_out
+from contactqp.certificate.violations import lay_out
 from contactqp.errors import BackendFailed, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.condensation import condense as condensation_of
@@ -22,6 +22,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, FreeMotion, Work
+from contactqp.model.verdicts import Answer
 from contactqp.solving.metering import Meter, MeteredAttempt
 from contactqp.solving.methods import Method, Settings
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from contactqp.certificate.violations import Answer
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import iterated
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final
+from contactqp.model.verdicts import Answer
 from contactqp.solving.associated_attempt import solve_associated
 from contactqp.solving.condensed_attempt import described
 from contactqp.solving.friction.combinations import MOST_CONTACTS

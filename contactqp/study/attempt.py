@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.violations import FIGURES
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -21,6 +19,7 @@ from contactqp.errors import (
 )
 from contactqp.model.problem import MEASURED, ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import FIGURES, Certificate
 from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row

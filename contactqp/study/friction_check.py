@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.local_certificate import LocalCertificate, certify_local, contact_figures
+from contactqp.certificate.local_certificate import certify_local, contact_figures
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.exchange.candidate_forces import read_candidate_forces
 from contactqp.exchange.fclib import StoredAnswer
@@ -18,6 +18,7 @@ from contactqp.exchange.problem_files import read_problem_with_ledger
 from contactqp.exchange.refusal import naming, wrong
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.local_solution import LocalSolution
+from contactqp.model.verdicts import LocalCertificate
 from contactqp.solving.solve import solve
 from contactqp.study.check_options import CheckOptions, read_areas
 from contactqp.study.friction_files import finite

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.local_certificate import LocalCertificate
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
@@ -20,6 +18,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.local_solution import LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Certificate, LocalCertificate
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:

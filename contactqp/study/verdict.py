@@ -9,12 +9,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.local_certificate import LocalCertificate
 from contactqp.exchange.ledger import Ledger
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.local_solution import LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import LocalCertificate
 from contactqp.oracle.foreign.judged_answer import JudgedAnswer
 from contactqp.study.check_options import as_options
 from contactqp.study.friction_files import figures, finite

@@ -8,9 +8,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 import contactqp as cq
-from contactqp.certificate.violations import Answer
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import intrinsic_size, nothing, without_rigid_part
+from contactqp.model.verdicts import Answer
 
 FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
 

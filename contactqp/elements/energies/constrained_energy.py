@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.certificate import Certificate
 from contactqp.elements.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
@@ -21,6 +20,7 @@ from contactqp.model.floating_point import computes
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Certificate
 from contactqp.solving.solve import solve
 
 # Below this a dense matrix costs nothing and is easier to look at.

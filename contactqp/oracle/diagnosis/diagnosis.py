@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from contactqp.certificate.certificate import Certificate
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
-from contactqp.certificate.violations import Answer
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Answer, Certificate
 from contactqp.oracle.diagnosis.duplicates import duplicates
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding

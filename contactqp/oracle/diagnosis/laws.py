@@ -13,10 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Violations
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.verdicts import Violations
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import unit_of

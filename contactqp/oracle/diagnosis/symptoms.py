@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.violations import Answer, Violations
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer, Certificate, Violations
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judged_contacts import slips
 

@@ -12,14 +12,13 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Answer, Certificate
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.certificate import Certificate
-from contactqp.certificate.violations import Answer, lengths_that_meet
+from contactqp.certificate.violations import lengths_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Solution
+from contactqp.model.verdicts import Answer, Certificate
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 # Without bounds, forces and gaps that differ by less than this part of the largest are the same.

@@ -11,11 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer, lengths_that_meet, tangential_lengths
+from contactqp.certificate.violations import lengths_that_meet, tangential_lengths
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.judged_contacts import slips
 

@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer, lengths_that_meet
+from contactqp.certificate.violations import lengths_that_meet
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
@@ -34,6 +34,7 @@ from contactqp.linalg.polishing import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.lawful_share import lawful_share

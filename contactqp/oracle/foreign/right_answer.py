@@ -7,10 +7,10 @@ from contextlib import suppress
 import numpy as np
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
-from contactqp.certificate.violations import Answer
 from contactqp.errors import ContactQPError
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution
+from contactqp.model.verdicts import Answer
 from contactqp.solving.multiplicity import equilibria
 from contactqp.solving.solve import begin, solve
 

@@ -21,12 +21,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths, onto_cone
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # What the conic solver is asked for, on data of size one; Newton's method does the rest.
 TOLERANCE = 1e-11

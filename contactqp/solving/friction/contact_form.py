@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate.violations import Answer
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
 from contactqp.linalg.frictional_rows import FrictionalRows
@@ -21,6 +20,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.solving.friction.contact_operator import contact_operator
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import Answer
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import Status, answer_in, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.solving.friction.combinations import Combinations, refuse_many
 
 # Of the largest displacement that the loads make without contacts, what rounding may leave of another.

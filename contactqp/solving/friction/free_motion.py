@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.violations import Answer, force_measure, forces_that_meet, rounded_slips
+from contactqp.certificate.violations import force_measure, forces_that_meet, rounded_slips
 from contactqp.linalg.condensation import UNRESISTED, Condensation
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
 from contactqp.linalg.frictional_rows import FrictionalRows
@@ -15,6 +15,7 @@ from contactqp.linalg.row_sizes import row_sizes
 from contactqp.model.arrays import Array
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 
 # A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
 NOISE = 1e-15

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.certificate.violations import Answer
 from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import refuse_driven_motion
@@ -28,6 +27,7 @@ from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.verdicts import Answer
 from contactqp.solving.friction.aitken import RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 

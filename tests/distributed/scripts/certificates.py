@@ -11,11 +11,11 @@ import numpy as np
 
 import contactqp as cq
 from contactqp.certificate.certificate import contact_status as status_of_one
-from contactqp.certificate.violations import FIGURES, Answer
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
+from contactqp.model.verdicts import FIGURES, Answer
 from contactqp.scene.models import build
 
 CASES = Path(__file__).parents[3] / "cases"
