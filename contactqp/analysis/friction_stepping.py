@@ -11,12 +11,12 @@ import numpy as np
 from contactqp.analysis.anchoring import State
 from contactqp.certificate.balance import balance
 from contactqp.certificate.candidates import first_candidates
-from contactqp.certificate.violations import own_compliance
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.measures import own_compliance
 from contactqp.linalg.stages import METHOD, POLISH, stage
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem

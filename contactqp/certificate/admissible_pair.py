@@ -20,12 +20,12 @@ from contactqp.certificate.energy_norm import (
     residual_noise,
     response,
 )
-from contactqp.certificate.violations import Residuals, lengths_that_meet
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.intrinsic_size import stiffness_sizes
 from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
+from contactqp.linalg.measures import Residuals, lengths_that_meet
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point

@@ -8,10 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import outer_forces
 from contactqp.linalg.extended import extend, extended_rows, images
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import bodies
+from contactqp.linalg.measures import outer_forces
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.verdicts import Answer

@@ -56,12 +56,12 @@ from contactqp.certificate.energy_norm import (
     without_part_along,
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
-from contactqp.certificate.violations import Residuals, lengths_that_meet, own_compliance
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.intrinsic_size import rigid_part
 from contactqp.linalg.iteration import Iteration
+from contactqp.linalg.measures import Residuals, lengths_that_meet, own_compliance
 from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector

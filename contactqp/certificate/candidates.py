@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
-from contactqp.certificate.violations import Residuals, lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.factorization import RigidMotions
+from contactqp.linalg.measures import Residuals, lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

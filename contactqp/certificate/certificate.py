@@ -20,14 +20,15 @@ from contactqp.certificate.failures import (
     notes,
     said_of_dependent_ties,
 )
+from contactqp.certificate.figures import violations
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.state_answer import StateVerdict, basis_without_friction, state_verdict
 from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
-from contactqp.certificate.violations import Residuals, own_compliance, plain_residuals, ratio, residuals, violations
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
+from contactqp.linalg.measures import Residuals, own_compliance, plain_residuals, ratio, residuals
 from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.stages import CERTIFY, stage
 from contactqp.model.arrays import Vector

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import beyond, ratio, slips
+from contactqp.certificate.figures import slips
+from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.row_sizes import ContactEntries, contact_entries
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import Vectors, natural_map

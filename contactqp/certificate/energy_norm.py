@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate.violations import forces_that_meet
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
 from contactqp.linalg.intrinsic_size import rigid_part, stiffness_sizes
+from contactqp.linalg.measures import forces_that_meet
 from contactqp.linalg.polishing import CAUTION, LEAST_CONTRACTION, correction
 from contactqp.linalg.range_space import REGULAR
 from contactqp.linalg.saddle import free_motions, saddle_point

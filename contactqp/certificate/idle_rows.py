@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import force_measure, forces_that_meet, vector_measure
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.existence import Conflict
+from contactqp.linalg.measures import force_measure, forces_that_meet, vector_measure
 from contactqp.linalg.row_sizes import contact_entries
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

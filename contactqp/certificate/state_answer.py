@@ -28,12 +28,12 @@ import numpy as np
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.certificate.failures import failed_errors
-from contactqp.certificate.violations import residuals
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
+from contactqp.linalg.measures import residuals
 from contactqp.linalg.row_sizes import row_sizes
 from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Vector

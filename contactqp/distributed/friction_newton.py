@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS
-from contactqp.certificate.violations import ratio
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.friction_rows import FrictionRows
@@ -17,6 +16,7 @@ from contactqp.distributed.friction_states import Iterate, States
 from contactqp.distributed.friction_system import CombinationSystem
 from contactqp.distributed.violations import violations
 from contactqp.distributed.worst import worst
+from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Vector
 from contactqp.model.verdicts import FIGURES
 

@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import ratio
 from contactqp.distributed.floating import Floating
 from contactqp.distributed.held_rows import DistributedHeldRows, gram_of, meets
 from contactqp.distributed.preconditioner import Preconditioner
@@ -19,6 +18,7 @@ from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.distributed.stored_rows import chosen_rows
 from contactqp.linalg.conjugate_gradients import ConjugateGradients, Projections
 from contactqp.linalg.contact_iteration import ContactIteration, Flags, HeldRows, Limits
+from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Vector
 
 

@@ -1,7 +1,7 @@
-"""What an answer violates, each rank its own part: the figures of `contactqp.certificate.violations`, in the same
+"""What an answer violates, each rank its own part: the figures of `contactqp.certificate.figures`, in the same
 measures.
 
-Residuals are formed in double precision, as `contactqp.certificate.violations.plain_residuals` forms them: a figure is
+Residuals are formed in double precision, as `contactqp.linalg.measures.plain_residuals` forms them: a figure is
 known to a few dozen roundings, 1e-14 or so, and what is smaller than that says nothing but that it is.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.certificate.coulomb_residual import law_residual, least_force, normal_force, tangential_force
-from contactqp.certificate.violations import Rubbing, Sizes, figures, force_measure, rounded_slips, vector_measure
+from contactqp.certificate.figures import Rubbing, Sizes, figures, rounded_slips
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
@@ -19,6 +19,7 @@ from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, imposed
+from contactqp.linalg.measures import force_measure, vector_measure
 from contactqp.linalg.row_sizes import RowSizes, entries_of, sizes_of
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
@@ -27,7 +28,7 @@ from contactqp.model.verdicts import Nothing, Violations
 
 def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies, rounding: float) -> Violations:
     """Every figure of this rank's unknowns, contacts and ties; `rounding` as in
-    `contactqp.certificate.violations.violations`.
+    `contactqp.certificate.figures.violations`.
 
     Collective."""
     u = answer.displacement

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.certificate.balance import balance
-from contactqp.certificate.violations import imbalance, residuals, residuals_of, violations
+from contactqp.certificate.figures import violations
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
 from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.measures import imbalance, residuals, residuals_of
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import force_measure
 from contactqp.errors import Unsupported
 from contactqp.linalg import contact_iteration
 from contactqp.linalg.conjugate_gradients import ConjugateGradients
@@ -16,6 +15,7 @@ from contactqp.linalg.contact_iteration import ContactIteration, Flags
 from contactqp.linalg.elimination import CHOICE
 from contactqp.linalg.held_rows import HeldRows
 from contactqp.linalg.intrinsic_size import stiffness_sizes
+from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import Hierarchy, available
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Vector

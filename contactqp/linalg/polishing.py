@@ -12,7 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import (
+from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
+from contactqp.linalg.delassus import delassus
+from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.measures import (
     Residuals,
     force_measure,
     forces_that_meet,
@@ -20,9 +23,6 @@ from contactqp.certificate.violations import (
     lengths_that_meet,
     residuals_of,
 )
-from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
-from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import lay_out
 from contactqp.errors import BackendFailed, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.condensation import condense as condensation_of
 from contactqp.linalg.elimination import LARGE
 from contactqp.linalg.existence import describe_motion, refuse_conflict, refuse_driven_motion
+from contactqp.linalg.measures import lay_out
 from contactqp.linalg.polishing import closed_contacts, least_displacement, polish, shift_to_least_norm, without_noise
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional

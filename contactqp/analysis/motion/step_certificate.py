@@ -1,7 +1,7 @@
 """Many steps of a motion judged at once, by the figures of the certificate.
 
 All steps of a scheme share stiffness and rows: the figures of a block of them are those of
-`contactqp.certificate.violations`, formed by products with a whole block. Residuals are in double precision: each entry
+`contactqp.certificate.figures`, formed by products with a whole block. Residuals are in double precision: each entry
 is known to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. It judges what was
 posed; who answered does not matter.
 """
@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.certificate.violations import beyond, ratio
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES
+from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.row_sizes import row_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import lengths_that_meet, tangential_lengths
 from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem

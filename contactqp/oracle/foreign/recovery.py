@@ -25,11 +25,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.certificate.violations import lengths_that_meet
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.polishing import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.violations import lengths_that_meet, ratio
 from contactqp.errors import InvalidProblem
+from contactqp.linalg.measures import lengths_that_meet, ratio
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
-from contactqp.certificate.violations import beyond, ratio
 from contactqp.linalg.conjugate_gradients import ConjugateGradients
 from contactqp.linalg.contact_iteration import ContactIteration, HeldRows, Limits
+from contactqp.linalg.measures import beyond, ratio
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import Settings

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from contactqp.certificate.violations import bodies
 from contactqp.distributed.collecting import collected
 from contactqp.distributed.distributing import distribute, part_of, share_of_first
 from contactqp.distributed.portion import whole_portion
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
+from contactqp.linalg.intrinsic_size import bodies
 
 ranks = Ranks()
 # Of products with rows of some hundred entries; and what answers may differ by.
