@@ -28,6 +28,7 @@ LAYERS = (
     "linalg.blas_threads",
     "linalg.extended",
     "model.local_problem",
+    "linalg.extended_rows",
     "model.coulomb_cone",
     "certificate.published_errors",
     "linalg.factorization",

@@ -22,7 +22,8 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.extended import Extended, extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.intrinsic_size import stiffness_sizes
 from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
 from contactqp.linalg.measures import Residuals, lengths_that_meet

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import extend, extended_rows, images
+from contactqp.linalg.extended import extend, images
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import bodies
 from contactqp.linalg.measures import outer_forces

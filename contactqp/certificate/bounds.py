@@ -58,7 +58,8 @@ from contactqp.certificate.energy_norm import (
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.extended import Extended, extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.intrinsic_size import rigid_part
 from contactqp.linalg.iteration import Iteration
 from contactqp.linalg.measures import Residuals, lengths_that_meet, own_compliance

@@ -11,7 +11,8 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
+from contactqp.linalg.extended import EPS, Extended, extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
 from contactqp.linalg.intrinsic_size import rigid_part, stiffness_sizes
 from contactqp.linalg.measures import forces_that_meet

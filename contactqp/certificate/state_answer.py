@@ -30,7 +30,8 @@ from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force
 from contactqp.certificate.failures import failed_errors
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.contact_compliance import contact_compliance
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
 from contactqp.linalg.measures import residuals

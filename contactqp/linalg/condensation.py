@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.elimination import LARGE, eliminate
-from contactqp.linalg.extended import ExtendedRows
+from contactqp.linalg.extended_rows import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
     DenseCholesky,

@@ -21,7 +21,8 @@ import numpy as np
 from contactqp.certificate.balance import balance
 from contactqp.certificate.figures import violations
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
+from contactqp.linalg.extended import Extended, extend, two_product
+from contactqp.linalg.extended_rows import ExtendedRows, extended_rows
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.measures import imbalance, residuals, residuals_of
 from contactqp.linalg.saddle import BALANCED, independent_rows

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.extended import Extended, extend
+from contactqp.linalg.extended_rows import ExtendedRows, extended_rows
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import bodies, stiffness_sizes
 from contactqp.linalg.row_sizes import ContactEntries, row_sizes

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.extended import Extended, extend
+from contactqp.linalg.extended_rows import ExtendedRows, extended_rows
 from contactqp.linalg.measures import (
     Residuals,
     force_measure,

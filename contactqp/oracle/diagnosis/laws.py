@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.verdicts import Violations

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extend
+from contactqp.linalg.extended_rows import extended_rows
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.polishing import answer_on, shift_to_least_norm
