@@ -14,9 +14,10 @@ import numpy as np
 
 from contactqp.analysis.friction_rates import Standing, continuation
 from contactqp.analysis.history import Event
+from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import OPEN, STICK, Status, answer_in, holds
+from contactqp.linalg.friction_states import OPEN, STICK, Status, answer_in
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

@@ -14,9 +14,10 @@ from contactqp.analysis.friction_steps import FrictionSteps
 from contactqp.analysis.history import Event, History
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.step_jumps import step_notes
+from contactqp.certificate.figures import holds
 from contactqp.errors import Unsupported
 from contactqp.linalg.blas_threads import one_blas_thread
-from contactqp.linalg.friction_states import STICK, holds
+from contactqp.linalg.friction_states import STICK
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

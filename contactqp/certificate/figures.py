@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.certificate.balance import balance
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.intrinsic_size import (
     HELD_BY_DOUBLES,
@@ -31,13 +33,20 @@ from contactqp.linalg.measures import (
     force_measure,
     outer_forces,
     ratio,
+    residuals,
     vector_measure,
 )
 from contactqp.linalg.row_sizes import contact_entries, row_sizes
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer, Nothing, Violations
+from contactqp.model.verdicts import FIGURES, Answer, Nothing, Violations
+
+# Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
+HOLDS = 1e-10
+
+# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
+NOTHING = 1e-13
 
 
 def violations(
@@ -182,3 +191,15 @@ def slips(slip: Array, none: Nothing) -> Array:
     """Slips (m, d-1), zero at contacts where they are nothing."""
     slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
     return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))
+
+
+def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
+    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
+    the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
+    if not answer.finite():
+        return False
+    rigid = condense(problem).rigid
+    found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
+    if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
+        return False
+    return balance(problem, answer, rigid) <= tolerance

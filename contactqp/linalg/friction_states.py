@@ -18,13 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactqp.certificate.balance import balance
-from contactqp.certificate.figures import violations
-from contactqp.linalg.condensation import UNRESISTED, Condensation, condense, unknown_scale
+from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.linalg.extended import Extended, extend, two_product
 from contactqp.linalg.extended_rows import ExtendedRows, extended_rows
 from contactqp.linalg.frictional_rows import FrictionalRows
-from contactqp.linalg.measures import imbalance, residuals, residuals_of
+from contactqp.linalg.measures import imbalance, residuals_of
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
@@ -35,7 +33,7 @@ from contactqp.model.statuses import SLIP_BACK as SLIP_BACK
 from contactqp.model.statuses import SLIP_ON as SLIP_ON
 from contactqp.model.statuses import STICK as STICK
 from contactqp.model.statuses import Status as Status
-from contactqp.model.verdicts import FIGURES, Answer
+from contactqp.model.verdicts import Answer
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12
@@ -57,10 +55,6 @@ INVISIBLE = 1e-22
 NEGLIGIBLE = 1e-20
 # Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
 SINGULAR = 1e-12
-# Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
-HOLDS = 1e-10
-# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
-NOTHING = 1e-13
 
 
 class StateSystem:
@@ -308,18 +302,6 @@ def _without_noise(problem: ContactProblem, rows: FrictionalRows, answer: Answer
         np.where(abs(friction) * rows.tangent_length[:, None] <= far, 0.0, friction),
         np.where(abs(answer.tie_force) * rows.tie_length <= far, 0.0, answer.tie_force),
     )
-
-
-def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> bool:
-    """Whether an answer satisfies equilibrium, contact and Coulomb's law, each figure by the certificate's measure:
-    the rigid part of the displacement left out, and what is nothing beside the intrinsic size excused."""
-    if not answer.finite():
-        return False
-    rigid = condense(problem).rigid
-    found = violations(problem, answer, residuals(problem, answer), NOTHING, rigid)
-    if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
-        return False
-    return balance(problem, answer, rigid) <= tolerance
 
 
 def _bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:

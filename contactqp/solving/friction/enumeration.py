@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.figures import holds
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import Status, answer_in, holds
+from contactqp.linalg.friction_states import Status, answer_in
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.figures import rounded_slips
+from contactqp.certificate.figures import holds, rounded_slips
 from contactqp.linalg.condensation import UNRESISTED, Condensation
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in, holds
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.linalg.measures import force_measure, forces_that_meet
 from contactqp.linalg.row_sizes import row_sizes

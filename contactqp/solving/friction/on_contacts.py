@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, holds
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.linalg.frictional_rows import FrictionalRows
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
