@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.certificate.local_uniqueness import local_uniqueness
 from contactqp.certificate.published_errors import siconos_local_error
 from contactqp.errors import InvalidProblem, refuse_other
+from contactqp.linalg.extended_rows import velocity_of
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths, natural_map
 from contactqp.model.floating_point import own_floating_point
@@ -110,7 +111,7 @@ def scaled_natural_map(problem: LocalProblem, force: NDArray[np.float64], joint_
     unit changes them. With no offset and no load at all it is relative to the velocities that meet.
     """
     scale, shape = problem.contact_scale[:, None], (problem.contacts, problem.dimension)
-    residual = natural_map(force / scale, scale * problem.velocity(force, joint_force), problem.friction)
+    residual = natural_map(force / scale, scale * velocity_of(problem, force, joint_force), problem.friction)
     drive = (scale * problem.offset.reshape(shape), problem.bilateral_offset * problem.joint_scale)
     size = max(float(np.max(abs(part), initial=0.0)) for part in drive)
     size = size or float(np.max(scale * _meeting(problem, force, joint_force).reshape(shape), initial=0.0)) or 1.0
@@ -135,7 +136,7 @@ class _Measured:
     def __init__(self, problem: LocalProblem, r: NDArray[np.float64], joint: Vector) -> None:
         self._problem = problem
         shape = (problem.contacts, problem.dimension)
-        u = problem.velocity(r, joint)
+        u = velocity_of(problem, r, joint)
         self._velocity = u
         met = _meeting(problem, r, joint).reshape(shape)
         self._along, self._across = met[:, 0], np.max(met[:, 1:], axis=1, initial=0.0)

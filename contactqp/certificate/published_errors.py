@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.extended_rows import velocity_of
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import natural_map
 from contactqp.model.floating_point import own_floating_point
@@ -137,7 +138,7 @@ def _local(
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
     """r, |n| and u."""
     r = _shaped("force", force, (problem.contacts, problem.dimension))
-    velocity = problem.velocity(r, _joints(problem, joint_force))
+    velocity = velocity_of(problem, r, _joints(problem, joint_force))
     return r, float(np.linalg.norm(natural_map(r, velocity, problem.friction))), velocity
 
 

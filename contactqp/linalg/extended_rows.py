@@ -8,8 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import ClearedRows, Extended, SparseRows
-from contactqp.model.arrays import Array
+from contactqp.linalg.extended import ClearedRows, Extended, SparseRows, extend
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
 
@@ -64,3 +65,14 @@ def extended_rows(problem: ContactProblem) -> ExtendedRows:
         shared["extended"] = ExtendedRows(problem)
     rows: ExtendedRows = shared["extended"]
     return rows
+
+
+def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
+    """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
+
+    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+    """
+    u = SparseRows(problem.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
+    if joint_force is not None and problem.joints:
+        u = u + SparseRows(problem.bilateral) @ extend(joint_force)
+    return np.asarray(u.double().reshape(problem.contacts, problem.dimension))

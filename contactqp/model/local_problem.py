@@ -20,7 +20,6 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import Vector
 from contactqp.model.floating_point import computes, own_floating_point
 from contactqp.model.problem_data import (
@@ -226,16 +225,6 @@ class LocalProblem(ReadOnly):
 
     def contact_name(self, i: int) -> str:
         return self.contact_names[i] if self.contact_names else f"contact {i}"
-
-    def velocity(self, force: NDArray[np.float64], joint_force: Vector | None = None) -> NDArray[np.float64]:
-        """u = W r + q + V l, (m, d), of forces (m, d) and (p,), in twice double precision.
-
-        Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
-        """
-        u = SparseRows(self.delassus) @ extend(read_array("force", force).ravel()) + extend(self.offset)
-        if joint_force is not None and self.joints:
-            u = u + SparseRows(self.bilateral) @ extend(joint_force)
-        return np.asarray(u.double().reshape(self.contacts, self.dimension))
 
     def __repr__(self) -> str:
         joints = f", {self.joints} joints" if self.joints else ""

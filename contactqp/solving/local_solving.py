@@ -10,6 +10,7 @@ import numpy as np
 from contactqp.certificate.local_certificate import certify_local, judged
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.blas_threads import THREADS_PAY, on_one_thread
+from contactqp.linalg.extended_rows import velocity_of
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.local_solution import LocalSolution, local_status
@@ -174,7 +175,7 @@ def _solution(
     return LocalSolution(
         problem=problem,
         force=force,
-        velocity=problem.velocity(force, joint),
+        velocity=velocity_of(problem, force, joint),
         joint_force=joint,
         contact_status=local_status(problem, certificate),
         certificate=certificate,

@@ -16,6 +16,7 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import read_problem_with_ledger
 from contactqp.exchange.refusal import naming, wrong
+from contactqp.linalg.extended_rows import velocity_of
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.local_solution import LocalSolution
 from contactqp.model.verdicts import LocalCertificate
@@ -135,7 +136,7 @@ def _worst(
     largest = np.max(table, axis=0, initial=0.0)
     beyond = np.flatnonzero(largest > certificate.tolerance)
     order = beyond[np.argsort(-largest[beyond], kind="stable")]
-    velocity = problem.velocity(given.force, given.joint_force)
+    velocity = velocity_of(problem, given.force, given.joint_force)
     return tuple(
         _contact(problem, int(i), names[int(np.argmax(table[:, i]))], largest[i], given.force, velocity, right)
         for i in order
@@ -168,7 +169,7 @@ def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
     if not np.any(given.force) and problem.contacts:
         notes.append("all forces in the file are zero")
     if given.velocity is not None and given.finite:
-        velocity = problem.velocity(given.force, given.joint_force)
+        velocity = velocity_of(problem, given.force, given.joint_force)
         size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(problem.offset)))
         apart = float(np.linalg.norm(velocity - given.velocity))
         if not apart <= OTHER_VELOCITY * size:

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.local_form import SingularMatrix, body_motion
+from contactqp.linalg.extended_rows import velocity_of
 from tests.exchange.files import MU, OFFSET, B, F, G, H, M
 
 
@@ -31,7 +32,7 @@ def test_the_local_form_moves_as_the_bodies_do(unsymmetric):
     r = np.random.default_rng(2).random((2, 3))
     v = body_motion(problem, r, np.zeros(0))
     assert problem.matrix @ v == pytest.approx(problem.directions @ r.ravel() + problem.load, rel=1e-9)
-    assert local.velocity(r).ravel() == pytest.approx(problem.directions.T @ v + problem.offset, rel=1e-9)
+    assert velocity_of(local, r).ravel() == pytest.approx(problem.directions.T @ v + problem.offset, rel=1e-9)
     assert (local.asymmetry == 0) == (unsymmetric == 0)
     assert (local.asymmetry > 1e-3) == (unsymmetric > 0)
 
@@ -42,7 +43,7 @@ def test_joints_of_the_local_form_are_those_of_the_bodies():
     random = np.random.default_rng(4)
     r, joint = random.random((2, 3)), random.random(2)
     v = body_motion(problem, r, joint)
-    assert local.velocity(r, joint).ravel() == pytest.approx(problem.directions.T @ v + problem.offset, rel=1e-9)
+    assert velocity_of(local, r, joint).ravel() == pytest.approx(problem.directions.T @ v + problem.offset, rel=1e-9)
     told = local.bilateral.T @ r.ravel() + local.bilateral_delassus @ joint + local.bilateral_offset
     assert told == pytest.approx(problem.joints.T @ v + problem.joint_offset, rel=1e-9)
 

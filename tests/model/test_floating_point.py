@@ -13,6 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg.extended_rows import velocity_of
 from tests.blocks_in_space import on_paraboloid
 from tests.examples import truss
 from tests.public_objects import solid
@@ -197,7 +198,7 @@ def shapes(size: float) -> dict[str, Callable[[], Any]]:
         "contact": lambda: cq.ObstacleContact([[0.0, 2.0]], round_ones[0]).state(u[:2]),
         **{f"gap of {type(one).__name__}": lambda one=one: one.distance(points) for one in round_ones},
         **{f"normal of {type(one).__name__}": lambda one=one: one.normals(points) for one in round_ones},
-        "velocity": lambda: cq.LocalProblem(np.eye(2), [0.0, 0.0], 0.3, 2).velocity(np.full((1, 2), size)),
+        "velocity": lambda: velocity_of(cq.LocalProblem(np.eye(2), [0.0, 0.0], 0.3, 2), np.full((1, 2), size)),
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.linalg.extended_rows import velocity_of
 from contactqp.study.check_options import CheckOptions
 from contactqp.study.friction_check import check_forces
 from tests.cli.test_cli import CASES, run
@@ -75,7 +76,7 @@ def test_the_worst_contact_is_named_with_right_values_beside(capsys, tmp_path, p
     assert worst["contact"] == f"contact {touching}"
     assert worst["figure"] in ("cone", "slip direction")
     assert worst["force"] == wrong[touching].tolist()
-    assert worst["velocity"] == pytest.approx(local.velocity(wrong)[touching].tolist())
+    assert worst["velocity"] == pytest.approx(velocity_of(local, wrong)[touching].tolist())
     assert worst["right_force"] == pytest.approx(solution.force[touching].tolist(), rel=1e-9)
     assert any("cone" in failure for failure in data["failures"])
     printed = run(capsys, "check", file, tmp_path / "wrong.npy")[1]
