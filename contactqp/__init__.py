@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from contactqp.analysis.history import History as History
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
@@ -96,8 +97,6 @@ if TYPE_CHECKING:
     from contactqp.solving.solvability import existence_margin as existence_margin
     from contactqp.solving.solve import solve as solve
     from contactqp.study.comparison import compare as compare
-
-__version__ = "0.1.0"
 
 _HOME = {
     "AssociatedDifference": "solving.relaxation",
@@ -192,6 +191,8 @@ __all__ = ["__version__", *sorted(_HOME)]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("contactqp")
     if name not in _HOME:
         raise AttributeError(f"module 'contactqp' has no attribute {name!r}")
     return getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)

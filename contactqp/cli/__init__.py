@@ -12,7 +12,6 @@ from typing import NoReturn
 
 import click
 
-import contactqp
 from contactqp.cli.judging import check_command, explain_command, oracle_command
 from contactqp.cli.output import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET
 from contactqp.cli.ranks import Ending, explained, leave_to_the_first, speakers
@@ -25,7 +24,7 @@ ONCE_MORE = 0.05
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(contactqp.__version__, prog_name="contactqp")
+@click.version_option(package_name="contactqp", prog_name="contactqp")
 def command() -> None:
     """Contact problems as energy minimisation with inequality constraints, every answer certified."""
 

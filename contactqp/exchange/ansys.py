@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import contactqp
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, places
 from contactqp.exchange.ledger import Ledger
@@ -104,7 +103,7 @@ def _read(path: Path, kind: int) -> dict[str, NDArray[Any]]:
     """What the process that reads it has found."""
     size = _check_head(path, kind)
     _refuse_missing()
-    home = os.path.dirname(os.path.dirname(os.path.abspath(str(contactqp.__file__))))
+    home = str(FilePath(__file__).absolute().parents[2])
     paths = os.pathsep.join([home, *filter(None, [os.environ.get("PYTHONPATH")])])
     name = NAMES[kind].rpartition(".")[2]
     with tempfile.TemporaryDirectory() as folder:

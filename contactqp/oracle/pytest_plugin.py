@@ -28,45 +28,45 @@ class ContactOracle:
 
     def problem(self, name: str) -> GalleryProblem:
         """The problem of the gallery with this name."""
-        from contactqp import testing
+        from contactqp.oracle.gallery.gallery import problem
 
-        return testing.problem(name)
+        return problem(name)
 
     def problems(
         self, kind: str | None = None, difficulty: str | None = None, count: int | None = None, seed: int = 0
     ) -> list[GalleryProblem]:
         """Problems of the gallery."""
-        from contactqp import testing
+        from contactqp.oracle.gallery.gallery import problems
 
-        return testing.problems(kind, difficulty, count, seed)
+        return problems(kind, difficulty, count, seed)
 
     def certify(self, problem: Any, *answer: Any, **options: Any) -> JudgedAnswer:
         """`contactqp.certify`, of problems of the gallery too."""
-        import contactqp
+        from contactqp.oracle.foreign.judged_answer import certify
 
-        return contactqp.certify(getattr(problem, "problem", problem), *answer, **options)
+        return certify(getattr(problem, "problem", problem), *answer, **options)
 
     def assert_contact_solution(self, problem: Any, *answer: Any, **options: Any) -> None:
         """`contactqp.testing.assert_contact_solution`."""
         __tracebackhide__ = True
-        from contactqp import testing
+        from contactqp.oracle.assertions import assert_contact_solution
 
-        testing.assert_contact_solution(problem, *answer, **options)
+        assert_contact_solution(problem, *answer, **options)
 
     def assert_multipliers(self, problem: Any, *forces: Any, **options: Any) -> None:
         """`contactqp.testing.assert_multipliers`."""
         __tracebackhide__ = True
-        from contactqp import testing
+        from contactqp.oracle.assertions import assert_multipliers
 
-        testing.assert_multipliers(problem, *forces, **options)
+        assert_multipliers(problem, *forces, **options)
 
     def check_solver(
         self, solver: Callable[[Any], Any], problems: Iterable[GalleryProblem] | None = None, **options: Any
     ) -> SolverReport:
         """`contactqp.testing.check_solver`."""
-        from contactqp import testing
+        from contactqp.oracle.solver_check import check_solver
 
-        return testing.check_solver(solver, problems, **options)
+        return check_solver(solver, problems, **options)
 
 
 def pytest_configure(config: pytest.Config) -> None:

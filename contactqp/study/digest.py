@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-import contactqp
 from contactqp.model.problem import ContactProblem
 
 # Bytes: two cases of one report never have the same by chance.
@@ -31,7 +30,7 @@ def digest(file: bytes, problem: ContactProblem) -> str:
 def source_digest() -> str:
     """Of the package's own source: results of code that was changed since are not mixed with new ones."""
     found = hashlib.blake2b(digest_size=SIZE)
-    for file in sorted(Path(str(contactqp.__file__)).parent.rglob("*.py")):
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(file.read_bytes())
     return found.hexdigest()
 

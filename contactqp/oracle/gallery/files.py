@@ -11,10 +11,10 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import contactqp
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.problem_folder import write_problem
 from contactqp.oracle.gallery.problem import GalleryProblem
@@ -58,7 +58,7 @@ def write_gallery(
         index = {
             "format": FORMAT,
             "version": VERSION,
-            "contactqp": contactqp.__version__,
+            "contactqp": version("contactqp"),
             "problems": [summary(known) for known in problems],
         }
         (beside / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
