@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.solving.solve import solve
 
 RADIUS, MODULUS, POISSON = 10.0, 21e3, 0.3  # mm, MPa

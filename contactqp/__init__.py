@@ -87,7 +87,7 @@ if TYPE_CHECKING:
     from contactqp.pictures.history_drawing import draw_history as draw_history
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
-    from contactqp.scene.schema import Scene as Scene
+    from contactqp.scene.scene import Scene as Scene
     from contactqp.solving.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
     from contactqp.solving.friction.exact_enumeration import exact_equilibria as exact_equilibria
     from contactqp.solving.methods import methods as methods
@@ -138,7 +138,7 @@ _HOME = {
     "PartState": "elements.energies.part",
     "Plane": "elements.obstacle",
     "PlasticHinge": "elements.energies.plastic_hinge",
-    "Scene": "scene.schema",
+    "Scene": "scene.scene",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
     "SignedDistance": "elements.signed_distance",

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import contactqp as cq
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 # Its height over its width.
 HEIGHT = 0.7

@@ -16,7 +16,7 @@ from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
     from contactqp.scene.judging import Failure, Judgement
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.scene import Scene
     from contactqp.study.answer_files import AnswerFiles
     from contactqp.study.friction_files import FileOutcome
 

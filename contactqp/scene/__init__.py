@@ -1,6 +1,6 @@
 r"""The case file: schema, units, loading, the ContactProblem it stands for, and what it expects of the answer.
 
-A case is TOML, and its keys are the fields of `schema.Scene`; every number with a dimension carries its unit::
+A case is TOML, and its keys are the fields of `schema.SceneData`; every number with a dimension carries its unit::
 
     title = "A bar and a rigid wall"
     units = { length = "m", force = "kN" }      # what answers are given in; SI without it

@@ -23,7 +23,7 @@ from contactqp.scene.exact_numbers import point
 from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Answer:
     instant: Instant
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> SceneData:
         return self.model.scene
 
     @property

@@ -17,7 +17,7 @@ from contactqp.scene.claims import Claim
 from contactqp.scene.contact_entries import PairedContact
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.units import vector
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class BodyAnswer:
     """A solution of a scene of bodies at one instant, and its load path if it has one."""
 
-    scene: Scene
+    scene: SceneData
     model: BodyModel | DistributedBodyModel
     solution: Any  # a Solution, or a DistributedSolution: then every question is collective
     instant: Instant

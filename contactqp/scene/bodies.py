@@ -38,7 +38,7 @@ from contactqp.scene.obstacles import height_of, obstacle
 from contactqp.scene.units import number
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_bodies import Body
     from contactqp.scene.schema_contacts import Contact
 
@@ -56,7 +56,7 @@ class Surfaces(Protocol):
 class BodyModel(ContactEntries):
     """What a scene of bodies is made into, all numbers in the scene's units."""
 
-    scene: Scene
+    scene: SceneData
     structure: Structure
     system: System
     supports: tuple[Held, ...]
@@ -157,7 +157,7 @@ class BodyModel(ContactEntries):
         return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
 
 
-def body_model(scene: Scene) -> BodyModel:
+def body_model(scene: SceneData) -> BodyModel:
     """Meshes, structure, supports, loads and pairs of a scene.
 
     Raises
@@ -199,7 +199,7 @@ def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
     return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
-def solid_body(scene: Scene, body: Body, mesh: Mesh) -> solid.Body:
+def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
     """An elastic body of the scene on its mesh."""
     density = 0.0 if body.density is None else number(scene.system, body.density)
     material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
@@ -212,7 +212,7 @@ def sides_of(contact: Contact) -> list[tuple[str, str]]:
     return [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
 
 
-def paired_contact(scene: Scene, whole: Surfaces, contact: Contact) -> PairedContact:
+def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> PairedContact:
     """An entry of the scene's contacts between sides of bodies, or one side and an obstacle."""
     ends = sides_of(contact)
     surfaces = [whole.surface(*end) for end in ends]
@@ -243,7 +243,7 @@ def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float 
         )
 
 
-def _membrane_contact(scene: Scene, whole: Structure, contact: Contact, name: str) -> PairedContact:
+def _membrane_contact(scene: SceneData, whole: Structure, contact: Contact, name: str) -> PairedContact:
     """All free nodes of a membrane over an obstacle; where the obstacle has no height there is no contact."""
     membrane = whole.body(name)
     if not isinstance(membrane, Membrane) or contact.obstacle is None:

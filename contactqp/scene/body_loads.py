@@ -17,7 +17,7 @@ from contactqp.scene.meshing import nearest_node
 from contactqp.scene.units import number, vector
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_bodies import PointLoad, Support
 
 # From a body, a point and what a message calls the body to the number of the node there.
@@ -33,14 +33,14 @@ def at_key(where: str) -> Iterator[None]:
         raise SceneError(f"{where}: {error}") from None
 
 
-def _nodes(scene: Scene, whole: Structure, place: Support | PointLoad, node_at: NodeAt) -> str | int:
+def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_at: NodeAt) -> str | int:
     if place.near is None:
         whole.body(place.body).mesh.nodes(place.nodes)
         return place.nodes
     return node_at(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
 
 
-def supports_of(scene: Scene, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
+def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
     for i, support in enumerate(scene.supports):
         with at_key(f"supports[{i}] ({support.name!r})"):
             nodes = _nodes(scene, whole, support, node_at)
@@ -48,7 +48,7 @@ def supports_of(scene: Scene, whole: Structure, node_at: NodeAt = nearest_node) 
         yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
 
 
-def loads_of(scene: Scene, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
+def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
     """Every load with its name; what bodies weigh is called gravity."""
     for i, traction in enumerate(scene.tractions):
         with at_key(f"tractions[{i}] ({traction.name!r})"):

@@ -28,7 +28,7 @@ from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Bar, Beam, Scene, Spring
+    from contactqp.scene.schema import Bar, Beam, SceneData, Spring
     from contactqp.scene.schema_contacts import Contact
 
 # By the unknowns' names; what is zero is left out.
@@ -91,7 +91,7 @@ class ExactProblem:
             yield from tie.row.values()
 
 
-def exact_problem(scene: Scene) -> ExactProblem:
+def exact_problem(scene: SceneData) -> ExactProblem:
     """Assemble the scene in exact numbers, in its own units."""
     loads = exact_loads(scene)
     return ExactProblem(
@@ -111,7 +111,7 @@ def exact_problem(scene: Scene) -> ExactProblem:
 class NodeModel:
     """What a scene of nodes is made into."""
 
-    scene: Scene
+    scene: SceneData
     exact: ExactProblem
 
     @cached_property
@@ -143,7 +143,7 @@ class NodeModel:
         return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])
 
 
-def _rounded(scene: Scene, exact: ExactProblem) -> ContactProblem:
+def _rounded(scene: SceneData, exact: ExactProblem) -> ContactProblem:
     free = exact.unknowns.free
     place = {name: i for i, name in enumerate(free)}
     n = len(free)
@@ -179,7 +179,7 @@ def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
     return _matrix(entries, (len(rows), len(place)))
 
 
-def spring_direction(scene: Scene, item: Spring) -> Numbers:
+def spring_direction(scene: SceneData, item: Spring) -> Numbers:
     """As stated, or from the first node to the second; along the axis of a scene that has only one."""
     if item.direction is not None:
         return np.array(item.direction)
@@ -188,7 +188,7 @@ def spring_direction(scene: Scene, item: Spring) -> Numbers:
     return point(scene, item.nodes[1]) - point(scene, item.nodes[0])
 
 
-def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
     """The unknowns and the stiffness of every element."""
     for bar in scene.bars:
         for segment in bar.segments:
@@ -209,11 +209,11 @@ def _element_matrices(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]
         yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
 
 
-def _bar_stiffness(scene: Scene, item: Bar, segment: Iterable[str]) -> Numbers:
+def _bar_stiffness(scene: SceneData, item: Bar, segment: Iterable[str]) -> Numbers:
     return truss.stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
 
 
-def _beam_stiffness(scene: Scene, item: Beam) -> Numbers:
+def _beam_stiffness(scene: SceneData, item: Beam) -> Numbers:
     modulus, area, inertia = (value(scene, q) for q in (item.modulus, item.area, item.inertia))
     return beam.stiffness(modulus, area, inertia, *ends(scene, item.nodes))
 
@@ -229,7 +229,7 @@ def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[s
     return dict(total)
 
 
-def _contact_form(scene: Scene, contact: Contact) -> ContactForm:
+def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
     if contact.node is not None and contact.obstacle is not None:
         rows = _against(scene, point(scene, contact.node), contact.obstacle)
     else:
@@ -253,7 +253,7 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
     return {name: value for name, value in zip(names, values, strict=True) if value}
 
 
-def _against(scene: Scene, where: Numbers, name: str) -> node_contact.ContactRows:
+def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
     """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
     item = scene.obstacle(name)
     if item.kind == "plane":

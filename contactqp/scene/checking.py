@@ -17,7 +17,7 @@ from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, o
 from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene, Tie
+    from contactqp.scene.schema import SceneData, Tie
 
 _LISTS = (
     "nodes", "bars", "springs", "beams", "strings", "masses", "matrices", "ties", "obstacles", "contacts", "bodies",
@@ -36,7 +36,7 @@ _VECTORS = {
 }
 
 
-def check(scene: Scene) -> None:
+def check(scene: SceneData) -> None:
     """Raise SceneError at the first part that does not fit the others."""
     _names_are_distinct(scene)
     _dimensions_fit(scene)
@@ -61,7 +61,7 @@ def check(scene: Scene) -> None:
         part(scene, unknowns)
 
 
-def _names_are_distinct(scene: Scene) -> None:
+def _names_are_distinct(scene: SceneData) -> None:
     for key in _LISTS:
         seen: dict[str, int] = {}
         for i, item in enumerate(getattr(scene, key)):
@@ -72,7 +72,7 @@ def _names_are_distinct(scene: Scene) -> None:
             seen[item.name] = i
 
 
-def _dimensions_fit(scene: Scene) -> None:
+def _dimensions_fit(scene: SceneData) -> None:
     d = len(scene.axes)
     for i, bar in enumerate(scene.bars):
         if bar.divisions > 1 and d > 1 and not scene.large:
@@ -93,7 +93,7 @@ def _dimensions_fit(scene: Scene) -> None:
             )
 
 
-def _vectors(scene: Scene) -> Iterator[tuple[str, tuple[object, ...]]]:
+def _vectors(scene: SceneData) -> Iterator[tuple[str, tuple[object, ...]]]:
     yield from ((f"nodes[{i}].at ({node.name!r})", node.at) for i, node in enumerate(scene.nodes))
     for key, names in _VECTORS.items():
         for i, item in enumerate(getattr(scene, key)):
@@ -104,7 +104,7 @@ def _vectors(scene: Scene) -> Iterator[tuple[str, tuple[object, ...]]]:
         yield "gravity", scene.gravity
 
 
-def _node_uses(scene: Scene) -> Iterator[tuple[str, str]]:
+def _node_uses(scene: SceneData) -> Iterator[tuple[str, str]]:
     """Every place that names a node, and the name."""
     for key in ("bars", "springs", "beams", "strings", "contacts"):
         for i, item in enumerate(getattr(scene, key)):
@@ -116,7 +116,7 @@ def _node_uses(scene: Scene) -> Iterator[tuple[str, str]]:
                 yield f"{key}[{i}].node ({item.name!r})", item.node
 
 
-def _nodes_exist(scene: Scene) -> None:
+def _nodes_exist(scene: SceneData) -> None:
     stated = [node.name for node in scene.nodes]
     for i, bar in enumerate(scene.bars):
         for j, name in enumerate(bar.nodes):
@@ -132,7 +132,7 @@ def _nodes_exist(scene: Scene) -> None:
             raise SceneError(f"{key}: {unknown(name, stated, 'node')}")
 
 
-def _lengths_are_positive(scene: Scene) -> None:
+def _lengths_are_positive(scene: SceneData) -> None:
     for key in ("bars", "beams", "springs", "contacts"):
         for i, item in enumerate(getattr(scene, key)):
             where = f"{key}[{i}]"
@@ -148,7 +148,7 @@ def _lengths_are_positive(scene: Scene) -> None:
             raise SceneError(f"gravity: expected, since masses[{i}] ({mass.name!r}) weighs, and missing")
 
 
-def _strings_are_straight(scene: Scene) -> None:
+def _strings_are_straight(scene: SceneData) -> None:
     """A tension that turns at a node would push it aside with no load at all."""
     for i, string in enumerate(scene.strings):
         where = f"strings[{i}].nodes ({string.name!r})"
@@ -164,12 +164,12 @@ def _strings_are_straight(scene: Scene) -> None:
                 )
 
 
-def _way(scene: Scene, nodes: tuple[str, ...]) -> list[Fraction]:
+def _way(scene: SceneData, nodes: tuple[str, ...]) -> list[Fraction]:
     start, end = (scene.node(name).at for name in nodes)
     return [b.si - a.si for a, b in zip(start, end, strict=True)]
 
 
-def _obstacles_have_directions(scene: Scene) -> None:
+def _obstacles_have_directions(scene: SceneData) -> None:
     for i, obstacle in enumerate(scene.obstacles):
         for key in ("normal", "axis"):
             vector = getattr(obstacle, key)
@@ -177,7 +177,7 @@ def _obstacles_have_directions(scene: Scene) -> None:
                 raise SceneError(f"obstacles[{i}].{key} ({obstacle.name!r}): expected a direction, got the zero vector")
 
 
-def _apart(scene: Scene, where: str, nodes: tuple[str, ...]) -> None:
+def _apart(scene: SceneData, where: str, nodes: tuple[str, ...]) -> None:
     first, second = (scene.node(name) for name in nodes)
     if first.name == second.name:
         raise SceneError(f"{where}: expected two different nodes, got {first.name!r} twice")
@@ -187,7 +187,7 @@ def _apart(scene: Scene, where: str, nodes: tuple[str, ...]) -> None:
         )
 
 
-def _known_unknown(key: str, name: str, scene: Scene, unknowns: Unknowns) -> None:
+def _known_unknown(key: str, name: str, scene: SceneData, unknowns: Unknowns) -> None:
     if name in unknowns.names:
         return
     node, _, axis = name.rpartition(".")
@@ -196,7 +196,7 @@ def _known_unknown(key: str, name: str, scene: Scene, unknowns: Unknowns) -> Non
     raise SceneError(f"{key}: {unknown(name, unknowns.names, 'unknown')}")
 
 
-def _fixed_exist(scene: Scene, unknowns: Unknowns) -> None:
+def _fixed_exist(scene: SceneData, unknowns: Unknowns) -> None:
     nodes = scene.every_node
     seen: set[str] = set()
     for i, name in enumerate(scene.fixed):
@@ -209,7 +209,7 @@ def _fixed_exist(scene: Scene, unknowns: Unknowns) -> None:
         raise SceneError("fixed: expected at least one free unknown, got every one fixed")
 
 
-def _matrices_fit(scene: Scene, unknowns: Unknowns) -> None:
+def _matrices_fit(scene: SceneData, unknowns: Unknowns) -> None:
     for i, matrix in enumerate(scene.matrices):
         for j, name in enumerate(matrix.unknowns):
             key = f"matrices[{i}].unknowns[{j}] ({matrix.name!r})"
@@ -226,7 +226,7 @@ def _distinct(key: str, names: Iterable[str]) -> None:
             raise SceneError(f"{key}: expected distinct unknowns, got {name!r} twice")
 
 
-def _ties_fit(scene: Scene, unknowns: Unknowns) -> None:
+def _ties_fit(scene: SceneData, unknowns: Unknowns) -> None:
     for i, tie in enumerate(scene.ties):
         where = f"ties[{i}]"
         for j, term in enumerate(tie.terms):
@@ -256,7 +256,7 @@ def _tie_dimensions(where: str, tie: Tie) -> None:
         raise SceneError(f'{where}.value ({tie.name!r}): expected a length such as "0 m", got {tie.value}')
 
 
-def _contacts_fit(scene: Scene, unknowns: Unknowns) -> None:
+def _contacts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     known = [obstacle.name for obstacle in scene.obstacles]
     for i, contact in enumerate(scene.contacts):
         if contact.obstacle is not None and contact.obstacle not in known:
@@ -272,7 +272,7 @@ def _contacts_fit(scene: Scene, unknowns: Unknowns) -> None:
             )
 
 
-def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
+def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
     for i, load in enumerate(scene.loads):
         key = f"loads[{i}].unknown"
         _known_unknown(key, load.unknown, scene, unknowns)
@@ -297,7 +297,7 @@ def _loads_fit(scene: Scene, unknowns: Unknowns) -> None:
         raise SceneError("path: expected loads that grow along it, got none")
 
 
-def _nothing_hangs(scene: Scene, unknowns: Unknowns) -> None:
+def _nothing_hangs(scene: SceneData, unknowns: Unknowns) -> None:
     """A free node that nothing holds or touches is a slip of the pen."""
     attached = {name for _, name in _node_uses(scene)}
     attached |= {name.rpartition(".")[0] for matrix in scene.matrices for name in matrix.unknowns}

@@ -9,7 +9,7 @@ from contactqp.errors import SceneError
 from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 # What only scenes of nodes have, and what takes its place.
 _OF_NODES = {
@@ -30,7 +30,7 @@ _OF_BODIES = ("supports", "tractions", "pressures", "point_loads")
 _DIMENSIONS = {"plane": (2, 3), "circle": (2,), "sphere": (3,), "cylinder": (3,), "paraboloid": (2, 3)}
 
 
-def check_no_bodies(scene: Scene) -> None:
+def check_no_bodies(scene: SceneData) -> None:
     """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
     for key in _OF_BODIES:
         if getattr(scene, key):
@@ -47,7 +47,7 @@ def check_no_bodies(scene: Scene) -> None:
             raise SceneError(f"contacts[{i}] ({contact.name!r}): expected 'node' or 'nodes' in a scene without bodies")
 
 
-def check_bodies(scene: Scene) -> None:
+def check_bodies(scene: SceneData) -> None:
     """Raise SceneError at the first part that does not fit the others."""
     for key, instead in _OF_NODES.items():
         if getattr(scene, key):
@@ -72,7 +72,7 @@ def check_bodies(scene: Scene) -> None:
         raise SceneError("path: expected loads that grow along it, got none")
 
 
-def _membranes_fit(scene: Scene) -> None:
+def _membranes_fit(scene: SceneData) -> None:
     """A membrane lies in the plane z = 0 of a scene in space, alone or with other membranes."""
     if scene.bodies:
         raise SceneError("membranes: expected none beside bodies, which are not offered together")
@@ -94,7 +94,7 @@ def _membranes_fit(scene: Scene) -> None:
         raise SceneError("gravity: expected none, membranes have no mass")
 
 
-def _models_fit(scene: Scene) -> None:
+def _models_fit(scene: SceneData) -> None:
     round_ones = [body.model == "axisymmetric" for body in scene.bodies]
     for i, body in enumerate(scene.bodies):
         where = f"bodies[{i}].model ({body.name!r})"
@@ -106,7 +106,7 @@ def _models_fit(scene: Scene) -> None:
             raise SceneError(f"bodies[{i}].density ({body.name!r}): expected, since there is gravity, and missing")
 
 
-def _places(scene: Scene) -> Iterator[tuple[str, str]]:
+def _places(scene: SceneData) -> Iterator[tuple[str, str]]:
     """Every place that names an elastic body, and the body."""
     for key, name in (("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
         for i, item in enumerate(getattr(scene, key)):
@@ -117,7 +117,7 @@ def _places(scene: Scene) -> Iterator[tuple[str, str]]:
             yield f"{key} ({contact.name!r})", side.partition(".")[0]
 
 
-def _bodies_exist(scene: Scene) -> None:
+def _bodies_exist(scene: SceneData) -> None:
     known = [body.name for body in scene.bodies]
     for key, name in _places(scene):
         if name not in known:
@@ -135,7 +135,7 @@ def _bodies_exist(scene: Scene) -> None:
                 )
 
 
-def obstacles_exist_in(scene: Scene) -> None:
+def obstacles_exist_in(scene: SceneData) -> None:
     """Refuse obstacles that the scene has not enough dimensions for, or too many."""
     d = len(scene.axes)
     for i, obstacle in enumerate(scene.obstacles):
@@ -145,7 +145,7 @@ def obstacles_exist_in(scene: Scene) -> None:
             )
 
 
-def _obstacles_exist(scene: Scene) -> None:
+def _obstacles_exist(scene: SceneData) -> None:
     known = [obstacle.name for obstacle in scene.obstacles]
     obstacles_exist_in(scene)
     for i, contact in enumerate(scene.contacts):
@@ -158,7 +158,7 @@ def _obstacles_exist(scene: Scene) -> None:
             _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
 
 
-def _pairs_fit(scene: Scene, where: str, sides: tuple[str, ...], pairing: str | None) -> None:
+def _pairs_fit(scene: SceneData, where: str, sides: tuple[str, ...], pairing: str | None) -> None:
     first, second = (scene.body(side.partition(".")[0]) for side in sides)
     thicknesses = [None if body.thickness is None else body.thickness.si for body in (first, second)]
     if thicknesses[0] != thicknesses[1]:

@@ -17,10 +17,10 @@ from contactqp.scene.wording import unknown
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def claims_fit(scene: Scene, unknowns: Unknowns) -> None:
+def claims_fit(scene: SceneData, unknowns: Unknowns) -> None:
     """Raise SceneError at the first claim, study or method that does not fit the scene."""
     places = _places(scene, unknowns)
     for key in ("expect", "published"):
@@ -55,7 +55,7 @@ def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
                 raise SceneError(f"{where}.{knob}: expected positive values, got {float(size):g}")
 
 
-def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
+def _places(scene: SceneData, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
     """What ``at`` can name, for each thing a quantity can be asked of."""
     named: Callable[[str], tuple[str, ...]] = lambda key: tuple(item.name for item in getattr(scene, key))  # noqa: E731
     return {
@@ -72,7 +72,7 @@ def _places(scene: Scene, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _claim_fits(where: str, claim: Claim, scene: Scene, places: dict[str, tuple[str, ...]]) -> None:
+def _claim_fits(where: str, claim: Claim, scene: SceneData, places: dict[str, tuple[str, ...]]) -> None:
     measure, kind = claim.measure, "bodies" if scene.meshed else "nodes"
     if measure.of not in (kind, "both"):
         own = ", ".join(repr(name) for name, other in QUANTITIES.items() if other.of in (kind, "both"))

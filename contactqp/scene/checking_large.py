@@ -11,13 +11,13 @@ from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
     from contactqp.scene.claims import Claim
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 # What has no form at large displacements here.
 _SMALL_ONLY = ("bodies", "membranes", "springs", "beams", "strings", "matrices", "ties")
 
 
-def large_fits(scene: Scene) -> None:
+def large_fits(scene: SceneData) -> None:
     """Raise SceneError at the first part that does not fit large deformations, or that only they have."""
     if not scene.large:
         _no_large_keys(scene)
@@ -41,7 +41,7 @@ def large_fits(scene: Scene) -> None:
     _contacts_fit(scene)
 
 
-def _no_large_keys(scene: Scene) -> None:
+def _no_large_keys(scene: SceneData) -> None:
     for i, bar in enumerate(scene.bars):
         if bar.law is not None:
             raise SceneError(f"bars[{i}].law ({bar.name!r}): expected with deformation = 'large' only, got {bar.law!r}")
@@ -49,7 +49,7 @@ def _no_large_keys(scene: Scene) -> None:
         raise SceneError(f"path.control: expected with deformation = 'large' only, got {scene.path.control!r}")
 
 
-def _contacts_fit(scene: Scene) -> None:
+def _contacts_fit(scene: SceneData) -> None:
     obstacles_exist_in(scene)
     for i, obstacle in enumerate(scene.obstacles):
         if obstacle.kind == "paraboloid" and obstacle.measure != "normal":
@@ -64,7 +64,7 @@ def _contacts_fit(scene: Scene) -> None:
             )
 
 
-def control_fits(scene: Scene, unknowns: Unknowns) -> None:
+def control_fits(scene: SceneData, unknowns: Unknowns) -> None:
     """Raise SceneError if the path's control does not fit the scene."""
     path = scene.path
     if path is None or path.control in (None, "load"):
@@ -82,7 +82,7 @@ def control_fits(scene: Scene, unknowns: Unknowns) -> None:
         raise SceneError(f"path.controlled: {unknown(path.controlled, unknowns.free, 'unknown')}{fixed}")
 
 
-def large_claim_fits(where: str, claim: Claim, scene: Scene) -> None:
+def large_claim_fits(where: str, claim: Claim, scene: SceneData) -> None:
     """Raise SceneError if the claim means nothing at large deformations, or, without them, needs them."""
     measure = claim.measure
     control = "load" if scene.path is None or scene.path.control is None else scene.path.control

@@ -12,10 +12,10 @@ from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
     from contactqp.scene.claims import Claim
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def motion_fits(scene: Scene, unknowns: Unknowns) -> None:
+def motion_fits(scene: SceneData, unknowns: Unknowns) -> None:
     """Raise SceneError at the first part that does not fit the motion."""
     if scene.motion is None:
         return
@@ -38,7 +38,7 @@ def motion_fits(scene: Scene, unknowns: Unknowns) -> None:
     _starts_fit(scene, unknowns)
 
 
-def _has_mass(scene: Scene) -> None:
+def _has_mass(scene: SceneData) -> None:
     if scene.membranes:
         raise SceneError("membranes: expected none in a motion, they have no mass")
     for key in ("bars", "bodies"):
@@ -52,7 +52,7 @@ def _has_mass(scene: Scene) -> None:
         raise SceneError("motion: expected a bar, body or point mass that has mass, got none")
 
 
-def _starts_fit(scene: Scene, unknowns: Unknowns) -> None:
+def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     assert scene.motion is not None
     for key in ("displacements", "velocities"):
         seen: dict[str, str] = {}
@@ -74,7 +74,7 @@ def _starts_fit(scene: Scene, unknowns: Unknowns) -> None:
                     raise SceneError(f"{where} ({item.of!r}): expected 0 for {name!r}, which is fixed")
 
 
-def _one_thing(scene: Scene, where: str, name: str, unknowns: Unknowns) -> None:
+def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> None:
     if scene.meshed:
         known = {"body": [body.name for body in scene.bodies]}
     else:
@@ -88,7 +88,7 @@ def _one_thing(scene: Scene, where: str, name: str, unknowns: Unknowns) -> None:
         raise SceneError(f"{where}: expected a name of one thing, got {name!r}, a {' and a '.join(kinds)}")
 
 
-def motion_claim_fits(where: str, claim: Claim, scene: Scene) -> None:
+def motion_claim_fits(where: str, claim: Claim, scene: SceneData) -> None:
     """Raise SceneError if the claim means nothing in a motion, or, without one, needs it."""
     measure, motion = claim.measure, scene.motion
     in_time = any(any(number.dimension) for number in claim.stated)

@@ -11,10 +11,10 @@ from contactqp.scene.corners import end_time, has_corners, load_names
 from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def path_fits(scene: Scene) -> None:
+def path_fits(scene: SceneData) -> None:
     """Raise SceneError at the first corner that does not fit the loads, or load that no corner names."""
     if scene.path is None:
         return
@@ -41,7 +41,7 @@ def path_fits(scene: Scene) -> None:
             )
 
 
-def time_fits(where: str, claim: Claim, scene: Scene) -> None:
+def time_fits(where: str, claim: Claim, scene: SceneData) -> None:
     """Raise SceneError if the claim is asked of an instant that the scene has not."""
     if scene.motion is not None:
         return

@@ -9,7 +9,7 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 # What masses and bodies weigh goes by this name.
 GRAVITY = "gravity"
@@ -27,17 +27,17 @@ class Factors:
         return self.others if name is None else self.named.get(name, self.others)
 
 
-def has_corners(scene: Scene) -> bool:
+def has_corners(scene: SceneData) -> bool:
     """Whether loads come one by one and not all together."""
     return scene.path is not None and scene.path.corners is not None
 
 
-def end_time(scene: Scene) -> Fraction:
+def end_time(scene: SceneData) -> Fraction:
     """Where the path ends: 1 for each way from corner to corner."""
     return Fraction(len(scene.path.corners) if scene.path and scene.path.corners else 1)
 
 
-def factors_at(scene: Scene, time: Fraction) -> Factors:
+def factors_at(scene: SceneData, time: Fraction) -> Factors:
     """At a pseudo-time of the path; without corners, all loads times `time`."""
     if scene.path is None or scene.path.corners is None:
         return Factors(others=time)
@@ -53,7 +53,7 @@ def factors_at(scene: Scene, time: Fraction) -> Factors:
     )
 
 
-def load_names(scene: Scene) -> Iterator[tuple[str, str | None]]:
+def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
     """The key of every load, and what corners call it."""
     for key in ("loads", "line_loads", "tractions", "pressures", "point_loads"):
         yield from ((f"{key}[{i}]", load.name) for i, load in enumerate(getattr(scene, key)))

@@ -16,13 +16,13 @@ from contactqp.scene.exact_numbers import displacements, ends, value
 from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 # A linear form of the unknowns by their names; what is zero is left out.
 Row = Mapping[str, Number]
 
 
-def exact_loads(scene: Scene) -> Mapping[str | None, Row]:
+def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
     """The loads at their full values by their names; what has mass weighs by the name of gravity."""
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
@@ -38,7 +38,7 @@ def exact_loads(scene: Scene) -> Mapping[str | None, Row]:
     return {name: dict(row) for name, row in total.items()}
 
 
-def _weights(scene: Scene) -> Iterator[tuple[str, Number]]:
+def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
     """What weighs at each unknown; half of a bar at each end, which is M g of either mass matrix."""
     if scene.gravity is None:
         return

@@ -13,21 +13,21 @@ from contactqp.scene.units import Quantity
 from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def value(scene: Scene, quantity: Quantity) -> Fraction:
+def value(scene: SceneData, quantity: Quantity) -> Fraction:
     return scene.system.value(quantity)
 
 
-def point(scene: Scene, node: str) -> Numbers:
+def point(scene: SceneData, node: str) -> Numbers:
     """Where a node stands, exactly, in the scene's unit of length."""
     return np.array([value(scene, x) for x in scene.node(node).at])
 
 
-def displacements(scene: Scene, nodes: Iterable[str]) -> tuple[str, ...]:
+def displacements(scene: SceneData, nodes: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for node in nodes for name in of_node(scene, node))
 
 
-def ends(scene: Scene, nodes: Iterable[str]) -> Iterator[Numbers]:
+def ends(scene: SceneData, nodes: Iterable[str]) -> Iterator[Numbers]:
     return (point(scene, node) for node in nodes)

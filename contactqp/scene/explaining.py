@@ -20,7 +20,7 @@ from contactqp.scene.explanation import (
     report_blocks,
 )
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import is_rotation
 
 MOST_NAMES = 12
@@ -35,7 +35,7 @@ _ELEMENTS = (
 )
 
 
-def explain(scene: Scene) -> Explanation:
+def explain(scene: SceneData) -> Explanation:
     """Read off the scene itself; nothing is solved.
 
     Raises
@@ -50,7 +50,7 @@ def explain(scene: Scene) -> Explanation:
         raise type(error)(f"{where}{error}") from None
 
 
-def _explained(scene: Scene) -> Explanation:
+def _explained(scene: SceneData) -> Explanation:
     model = build(scene)
     if not isinstance(model, NodeModel):
         from contactqp.scene.explaining_bodies import explain_bodies
@@ -72,7 +72,7 @@ def _explained(scene: Scene) -> Explanation:
     )
 
 
-def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
+def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
     for key, name in _ELEMENTS:
         count = len(getattr(scene, key))
         yield BuildingBlock(name, count > 0, f"{count} in the scene" if count else "none in the scene")
@@ -91,7 +91,7 @@ def _blocks(scene: Scene, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield from report_blocks(scene)
 
 
-def _masses(scene: Scene) -> str:
+def _masses(scene: SceneData) -> str:
     bars, masses = sum(bar.density is not None for bar in scene.bars), len(scene.masses)
     if scene.motion is None:
         return "masses only weigh" if bars or masses else "the scene has no masses"

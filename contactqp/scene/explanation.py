@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from contactqp.scene.corners import load_names
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_path import LoadPath
 
 
@@ -36,7 +36,7 @@ class Explanation:
     blocks: tuple[BuildingBlock, ...]
 
 
-def path_block(scene: Scene) -> BuildingBlock:
+def path_block(scene: SceneData) -> BuildingBlock:
     """Whether loads grow, and how changes are found."""
     if scene.path is None:
         constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
@@ -68,7 +68,7 @@ def _large_path(path: LoadPath) -> str:
     return f"{control} control: {way} in {steps}; the load factor follows, through limit points"
 
 
-def newton_block(scene: Scene, kinds: str) -> BuildingBlock:
+def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
     """Whether tangents change, and with what; `kinds` are the elements of the scene."""
     if not scene.large:
         return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
@@ -81,7 +81,7 @@ def newton_block(scene: Scene, kinds: str) -> BuildingBlock:
     )
 
 
-def motion_blocks(scene: Scene, masses: str) -> Iterator[BuildingBlock]:
+def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
     """The mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
     motion = scene.motion
     if motion is None:
@@ -104,13 +104,13 @@ def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock
     return BuildingBlock(name, True, f"{some}{others}, {each} each; what sticks or slips depends on the load's way")
 
 
-def report_blocks(scene: Scene) -> Iterator[BuildingBlock]:
+def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
     """Which methods a report tries on the case, where not all of them."""
     if report_note(scene):
         yield BuildingBlock("all methods in a report", False, report_note(scene))
 
 
-def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
+def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
     """The methods that a report is limited to, and why; None where it tries all."""
     if scene.report is not None:
         return scene.report.methods, scene.report.why
@@ -124,7 +124,7 @@ def report_methods(scene: Scene) -> tuple[tuple[str, ...], str] | None:
     return None
 
 
-def report_note(scene: Scene) -> str:
+def report_note(scene: SceneData) -> str:
     """The same in words; empty where all are tried."""
     limit = report_methods(scene)
     return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""

@@ -18,15 +18,15 @@ from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def exact_mass(scene: Scene) -> Mapping[tuple[str, str], Number]:
+def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:
     """M on all unknowns by their names, in the scene's units; what is zero is left out."""
     return assembled(_element_masses(scene))
 
 
-def _element_masses(scene: Scene) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+def _element_masses(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
     lumped = scene.motion is not None and scene.motion.mass == "lumped"
     for bar in scene.bars:
         if bar.density is not None:

@@ -30,7 +30,7 @@ from contactqp.scene.corners import end_time, has_corners
 from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
 from contactqp.scene.instant import Instant
 from contactqp.scene.running import built, run_model
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import find
 from contactqp.solving.solve import solve
@@ -55,7 +55,7 @@ class Trial:
     engine: str = SERIAL
     checkpoint: str | None = None  # the folder for the steps of a load path, of engines that keep them
 
-    def options(self, scene: Scene) -> dict[str, Any]:
+    def options(self, scene: SceneData) -> dict[str, Any]:
         """The knobs as numbers in the scene's units."""
         return {
             name: float(scene.system.value(knob)) if isinstance(knob, Quantity) else knob
@@ -78,7 +78,7 @@ class Trial:
 class Judgement:
     """One trial of one scene."""
 
-    scene: Scene
+    scene: SceneData
     model: Model
     trial: Trial
     history: History
@@ -100,7 +100,7 @@ class Judgement:
 class Failure:
     """A trial without an answer; `history` is that until then, of a path or a motion that was cut short."""
 
-    scene: Scene
+    scene: SceneData
     trial: Trial
     message: str
     history: History | None = None
@@ -108,7 +108,7 @@ class Failure:
 
 
 def judge_all(
-    scene: Scene,
+    scene: SceneData,
     methods: Sequence[str] = (),
     knobs: Mapping[str, Knob] | None = None,
     engine: str = SERIAL,
@@ -133,7 +133,7 @@ def judge_all(
         raise type(error)(f"{where}{error}") from None
 
 
-def _outcome(scene: Scene, trial: Trial, where: str) -> Judgement | Failure:
+def _outcome(scene: SceneData, trial: Trial, where: str) -> Judgement | Failure:
     try:
         return judge(scene, trial)
     except (NoEquilibrium, NotConverged, NotCertified, BackendFailed) as error:
@@ -142,7 +142,7 @@ def _outcome(scene: Scene, trial: Trial, where: str) -> Judgement | Failure:
         return Failure(scene, trial, f"{where}{trial}: {error}", so_far)
 
 
-def trials(scene: Scene, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
+def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
     """What a case is run with.
 
     Without `method`: active-set, and every method that the case itself says something about. With `method`, but
@@ -184,7 +184,7 @@ def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
     return tuple(found)
 
 
-def judge(scene: Scene, trial: Trial) -> Judgement:
+def judge(scene: SceneData, trial: Trial) -> Judgement:
     """Solve a scene by one method and compare with all that the case says of that method.
 
     Methods that are approximate by design are asked along a load path only where the way matters, with friction.

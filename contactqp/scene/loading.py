@@ -10,7 +10,7 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.linalg.stages import READ, stage
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 # Bytes; the parser takes about a second for each of a million.
 LARGEST = 2**25

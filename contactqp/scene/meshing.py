@@ -19,7 +19,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.scene.units import number, read_unit, vector
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
 
 # How far a point may be from the node that it stands for, in diagonals of the node's smallest element: coordinates in
@@ -37,7 +37,7 @@ class Nearest:
     smallest: float
 
 
-def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
+def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
     """The mesh of a body in the scene's unit of length.
 
     Raises
@@ -54,7 +54,7 @@ def body_mesh(scene: Scene, body: Body | Membrane) -> Mesh:
     raise InvalidProblem("expected 'shape' or 'mesh', got neither")
 
 
-def mesh_of_file(scene: Scene, source: MeshFile) -> Mesh:
+def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
     """The mesh in the file, in the scene's unit of length."""
     folder = Path() if scene.file is None else scene.file.parent
     mesh = read_mesh(folder / source.file, part=source.part, drop_unconnected=source.drop_unconnected)
@@ -62,7 +62,7 @@ def mesh_of_file(scene: Scene, source: MeshFile) -> Mesh:
     return mesh if scale == 1 else mesh.mapped(lambda points: scale * points)
 
 
-def lattice_of_shape(scene: Scene, shape: Shape) -> Lattice:
+def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
     """The mesh of a shape before it is made, in the scene's unit of length."""
     options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
     for key, name in (("corner", "corner"), ("centre", "center")):

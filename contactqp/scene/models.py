@@ -9,12 +9,12 @@ from contactqp.scene.building import NodeModel, exact_problem
 
 if TYPE_CHECKING:
     from contactqp.scene.bodies import BodyModel
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
     Model = NodeModel | BodyModel
 
 
-def build(scene: Scene) -> Model:
+def build(scene: SceneData) -> Model:
     """Nodes with bars and springs in exact numbers, or elastic bodies and membranes in floats.
 
     Raises

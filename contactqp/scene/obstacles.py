@@ -14,10 +14,10 @@ from contactqp.errors import InvalidProblem
 from contactqp.scene.units import number, vector
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
-def obstacle(scene: Scene, name: str) -> Obstacle:
+def obstacle(scene: SceneData, name: str) -> Obstacle:
     """The rigid obstacle of that name."""
     item = scene.obstacle(name)
     where = {key: vector(scene.system, getattr(item, key) or ()) for key in ("point", "centre", "apex")}

@@ -11,7 +11,7 @@ from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.scene.corners import has_corners
 from contactqp.scene.judging import Failure
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.tables import print_table, written
 
 
@@ -45,7 +45,7 @@ def print_notes(console: Console, history: History) -> None:
         console.print(f"[yellow]{escape(note)}[/yellow]")
 
 
-def when(scene: Scene) -> str:
+def when(scene: SceneData) -> str:
     """What the time of an event is."""
     if scene.motion is not None:
         return "time [s]"

@@ -14,7 +14,8 @@ from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def run(
     return run_model(built(scene, engine), method, engine, checkpoint, **options)
 
 
-def built(scene: Scene, engine: str = SERIAL) -> Any:
+def built(scene: SceneData, engine: str = SERIAL) -> Any:
     """The scene's model, for an engine."""
     refuse_unknown_engine(engine)
     if engine == SERIAL:

@@ -6,23 +6,18 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
-from contactqp.errors import SceneError
-from contactqp.model.problem import ContactProblem
 from contactqp.scene import fields
-from contactqp.scene.checking import check
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
-from contactqp.scene.models import build
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 from contactqp.scene.schema_contacts import Contact, Obstacle
 from contactqp.scene.schema_motion import Motion
 from contactqp.scene.schema_path import LoadPath
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
-from contactqp.scene.wording import first_error
 
 
 class UnitNames(Block):
@@ -179,14 +174,8 @@ def _axes(value: tuple[str, ...]) -> tuple[str, ...]:
     return value
 
 
-class Scene(Block):
-    """A case: bodies, supports, ties, contacts, loads, and what is known of the answer. Frozen and checked when made.
-
-    Raises
-    ------
-    SceneError
-        A key is unknown, missing or wrong, or the parts do not fit each other; one line with the key's path.
-    """
+class SceneData(Block):
+    """What a case file says, before anybody has looked whether its parts fit each other: frozen data."""
 
     title: Name
     source: str = ""
@@ -223,13 +212,6 @@ class Scene(Block):
     report: Report | None = None
     _file: Path | None = PrivateAttr(default=None)
 
-    def __init__(self, /, **keys: Any) -> None:
-        try:
-            super().__init__(**keys)
-        except ValidationError as error:
-            raise SceneError(first_error(error, type(self), keys)) from None
-        check(self)
-
     @property
     def system(self) -> UnitSystem:
         """The units of every number that leaves the scene."""
@@ -249,18 +231,6 @@ class Scene(Block):
     def meshed(self) -> tuple[Body | Membrane, ...]:
         """All that has a mesh."""
         return (*self.bodies, *self.membranes)
-
-    def problem(self) -> ContactProblem:
-        """The contact problem on the free unknowns, in the scene's units.
-
-        Raises
-        ------
-        InvalidProblem, SceneError
-            The numbers are no contact problem; of bodies: a mesh, a side or a pair that is no good, and which.
-        BackendMissing
-            A mesh file that needs meshio, which is not installed.
-        """
-        return build(self).problem
 
     @cached_property
     def every_node(self) -> Mapping[str, Node]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_motion import StartDisplacement, StartVelocity
 
 
-def started(scene: Scene, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
+def started(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
     """Every unknown that the entry speaks of, with its number in the scene's units; of a body ``body.axis``."""
     value = [scene.system.value(component) for component in item.value]
     bar = next((bar for bar in scene.bars if bar.name == item.of), None)

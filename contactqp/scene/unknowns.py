@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 ROTATION = "theta"
 
@@ -31,12 +31,12 @@ def is_rotation(unknown: str) -> bool:
     return unknown.endswith("." + ROTATION)
 
 
-def of_node(scene: Scene, node: str) -> tuple[str, ...]:
+def of_node(scene: SceneData, node: str) -> tuple[str, ...]:
     """The displacements of a node, one for each axis."""
     return tuple(f"{node}.{axis}" for axis in scene.axes)
 
 
-def of_scene(scene: Scene) -> Unknowns:
+def of_scene(scene: SceneData) -> Unknowns:
     """Displacements of all nodes, and a rotation where a beam ends."""
     turning = {node for beam in scene.beams for node in beam.nodes}
     by_node = {

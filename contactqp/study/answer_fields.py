@@ -16,14 +16,14 @@ from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.pictures.membrane_drawing import MembraneFields
 from contactqp.scene.building import exact_problem
 from contactqp.scene.obstacles import obstacle
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import ROTATION, of_node
 
 # Points along a beam: its cubic looks smooth.
 BEAM_POINTS = 25
 
 
-def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
+def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFields:
     """The fields of a scene's solution, in the scene's units.
 
     The one place that decides what kind of picture a scene gets. Bars, springs, beams, strings and matrices give
@@ -57,7 +57,7 @@ def fields_of(scene: Scene, solution: Solution) -> ContactFields | FrameFields:
     )
 
 
-def fields_of_membranes(scene: Scene, solution: Solution) -> MembraneFields:
+def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
     """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
     from contactqp.scene.bodies import body_model
 
@@ -78,7 +78,7 @@ def fields_of_membranes(scene: Scene, solution: Solution) -> MembraneFields:
     )
 
 
-def _fields_of_bodies(scene: Scene, solution: Solution) -> ContactFields:
+def _fields_of_bodies(scene: SceneData, solution: Solution) -> ContactFields:
     from contactqp.scene.bodies import body_model
 
     model = body_model(scene)
@@ -86,7 +86,7 @@ def _fields_of_bodies(scene: Scene, solution: Solution) -> ContactFields:
     return contact_fields(model.system, pairings, solution, names=names)
 
 
-def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:
+def _members(scene: SceneData, value: Mapping[str, float]) -> Iterator[Member]:
     place = _places(scene)
 
     def straight(kind: str, names: Sequence[str]) -> Member:
@@ -111,7 +111,7 @@ def _members(scene: Scene, value: Mapping[str, float]) -> Iterator[Member]:
         yield straight("matrix", list(dict.fromkeys(name.rpartition(".")[0] for name in matrix.unknowns)))
 
 
-def _contacts(scene: Scene, solution: Solution) -> Iterator[FrameContact]:
+def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
     place, gaps = _places(scene), solution.gap
     for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
         push = [[-float(form.normal.get(name, 0)) for name in of_node(scene, node)] for node in contact.touched]
@@ -133,9 +133,9 @@ def _contacts(scene: Scene, solution: Solution) -> Iterator[FrameContact]:
         )
 
 
-def _places(scene: Scene) -> dict[str, int]:
+def _places(scene: SceneData) -> dict[str, int]:
     return {node: i for i, node in enumerate(scene.every_node)}
 
 
-def _point(scene: Scene, name: str) -> Array:
+def _point(scene: SceneData, name: str) -> Array:
     return np.array([float(scene.system.value(x)) for x in scene.node(name).at])

@@ -13,7 +13,7 @@ from contactqp.pictures.history_drawing import draw_history
 from contactqp.pictures.style import check_picture, save
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.judging import Failure, Judgement, Trial
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.study.answer_fields import fields_of
 from contactqp.study.answer_pictures import TIME_UNIT, answer_figure
 
@@ -79,7 +79,7 @@ class AnswerFiles:
         return [file]
 
 
-def answer_files(scenes: Sequence[Scene], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
+def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
     """What the command line asks for, checked before anything is solved.
 
     Raises
@@ -106,7 +106,7 @@ def answer_files(scenes: Sequence[Scene], plot: str | None, vtu: str | None, *, 
     )
 
 
-def _stem(scene: Scene) -> str:
+def _stem(scene: SceneData) -> str:
     return scene.file.stem if scene.file is not None else scene.title
 
 

@@ -16,7 +16,7 @@ from contactqp.pictures.history_drawing import history_figure
 from contactqp.pictures.membrane_drawing import membrane_figure
 from contactqp.pictures.small_png import small_png
 from contactqp.scene.judging import Failure, Judgement
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 from contactqp.study.answer_fields import fields_of, fields_of_membranes
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ TIME_UNIT = "s"
 DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
-def answer_figure(scene: Scene, solution: Solution, *, title: str = "") -> Figure:
+def answer_figure(scene: SceneData, solution: Solution, *, title: str = "") -> Figure:
     """Geometry, deformed shape and contact forces; magnified, large displacements would be others."""
     if scene.membranes:
         return membrane_figure(fields_of_membranes(scene, solution), title=title)

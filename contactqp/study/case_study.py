@@ -20,7 +20,7 @@ from contactqp.scene.explanation import report_methods, report_note
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import walk
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
 from contactqp.study.attempt import Timing, Walk, answer, timing

@@ -12,7 +12,7 @@ import pytest
 import contactqp as cq
 from contactqp.oracle.exact.ball import root
 from contactqp.scene.claims import Expectation
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from tests.shipped_cases import SCENES
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"

@@ -14,7 +14,7 @@ from contactqp.elements.structure import Structure, Support
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 BLOCK = dict(
     name="block",

@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.scene.building import exact_problem
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 CASES = Path(__file__).parents[2] / "cases"
 WALL = dict(

@@ -7,7 +7,7 @@ import pytest
 import contactqp as cq
 from contactqp.scene.judging import Trial, judge, trials
 from contactqp.scene.quantities import QUANTITIES
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 from .test_building import WALL
 

@@ -10,7 +10,7 @@ from contactqp.scene.corners import factors_at
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 from .test_bodies import PRESSED
 

@@ -8,7 +8,7 @@ import pytest
 import contactqp as cq
 from contactqp.scene.building import exact_problem
 from contactqp.scene.judging import Trial, judge
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.study.answer_fields import fields_of
 
 WALL = dict(

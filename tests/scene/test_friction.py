@@ -11,7 +11,7 @@ from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Failure, Trial, judge, judge_all, trials
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data, print_judgement
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 from .test_bodies import BLOCK, PRESSED
 

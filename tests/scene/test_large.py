@@ -18,7 +18,7 @@ from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.study.answer_fields import fields_of
 from tests.analysis.arches import arch_limit, arch_load
 

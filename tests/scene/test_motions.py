@@ -11,7 +11,7 @@ from contactqp.scene.explaining import explain
 from contactqp.scene.inertia import exact_mass, mass_on_all
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 CASES = Path(__file__).parents[2] / "cases"
 # Two kg that fly at 3 m/s to a wall 1 m ahead and come back with half of the speed: touch at 1/3 s.

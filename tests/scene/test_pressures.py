@@ -7,7 +7,7 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.scene.judging import Trial, judge
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 KINDS = ["tri3", "quad4", "tri6", "quad8", "quad9"]
 

@@ -34,7 +34,7 @@ from contactqp.scene.meshing import near_enough, nearest_to
 
 if TYPE_CHECKING:
     from contactqp.distributed.solution import DistributedSolution
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class DistributedBodyModel(ContactEntries):
         Each by itself, where they come one by one.
     """
 
-    scene: Scene
+    scene: SceneData
     ranks: Ranks
     system: PieceSystem
     touching: Touching

@@ -24,11 +24,11 @@ from contactqp.scene.corners import end_time, factors_at, has_corners
 from contactqp.scene.meshing import lattice_of_shape, mesh_of_file
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.schema import SceneData
     from contactqp.scene.schema_bodies import Body
 
 
-def distributed_model(scene: Scene, ranks: Ranks) -> DistributedBodyModel:
+def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     """Pieces of meshes, supports, loads and pairs of a scene of bodies. Collective.
 
     Shapes are made slab by slab. A mesh file is read by rank 0, which for that time has all of it.
@@ -50,7 +50,7 @@ def distributed_model(scene: Scene, ranks: Ranks) -> DistributedBodyModel:
         return _model(scene, ranks)
 
 
-def _model(scene: Scene, ranks: Ranks) -> DistributedBodyModel:
+def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     sources: list[Source] = []
     for i, body in enumerate(scene.bodies):
         with at_key(f"bodies[{i}] ({body.name!r})"):
@@ -92,7 +92,7 @@ def _model(scene: Scene, ranks: Ranks) -> DistributedBodyModel:
     )
 
 
-def _source(scene: Scene, ranks: Ranks, body: Body) -> Source:
+def _source(scene: SceneData, ranks: Ranks, body: Body) -> Source:
     if body.shape is not None:
         return LatticeSource(ranks, lattice_of_shape(scene, body.shape))
     assert body.mesh is not None  # a body has one of both

@@ -28,7 +28,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build
-from contactqp.scene.schema import Scene
+from contactqp.scene.schema import SceneData
 
 if TYPE_CHECKING:
     from contactqp.scene.models import Model
@@ -125,7 +125,7 @@ def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) 
     return solve_whole(model.problem.replace(load=model.load_at(time)), method, **options)
 
 
-def model_on_ranks(scene: Scene) -> ModelOnRanks:
+def model_on_ranks(scene: SceneData) -> ModelOnRanks:
     """The scene's model: elastic bodies in pieces; all else is small, and every rank has it. Collective.
 
     Raises
@@ -140,7 +140,7 @@ def model_on_ranks(scene: Scene) -> ModelOnRanks:
         return build(scene)
 
 
-def digest_of(scene: Scene) -> str:
+def digest_of(scene: SceneData) -> str:
     """Another text for a scene with another answer: of all that it says, and of the mesh files that it names."""
     said = scene.model_copy(update=dict.fromkeys(_WORDS))
     found = hashlib.blake2b(repr(said).encode(), digest_size=_SIZE)

@@ -26,7 +26,7 @@ from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, propo
 from contactqp.scene.building import ExactProblem, exact_problem
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.scene import Scene
 
 # Bits; the second where signs are not decided, or cancellation has eaten the first.
 PRECISIONS = (256, 1024, 4096)

@@ -17,7 +17,7 @@ from contactqp.oracle.exact.exact_solution import ExactSolution
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
     from contactqp.scene.building import NodeModel
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.scene import Scene
 
 FLOATS = "the problem's floats as they stand"
 CASE = "the case's own numbers"
@@ -100,7 +100,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
         return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
     if isinstance(problem, LocalProblem):
         raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")
-    from contactqp.scene.schema import Scene
+    from contactqp.scene.scene import Scene
 
     if not isinstance(problem, Scene):
         raise InvalidProblem(f"exact: expected a ContactProblem or a Scene, got {type(problem).__name__}")

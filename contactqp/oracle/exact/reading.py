@@ -7,7 +7,7 @@ from typing import Any
 
 from contactqp.exchange.problem_files import read_problem
 from contactqp.scene.loading import load_scene
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 
 
 def read_case(path: str) -> Any:

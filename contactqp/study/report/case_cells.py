@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from contactqp.model.arrays import Vector
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.study.attempt import Timing
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.footprint.footprint import Footprint

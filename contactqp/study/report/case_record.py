@@ -14,7 +14,7 @@ from contactqp.scene.explaining import explain
 from contactqp.scene.explanation import Explanation
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.printing import judgement_data
-from contactqp.scene.schema import Scene
+from contactqp.scene.scene import Scene
 from contactqp.study.answer_pictures import AnswerPictures, answer_pictures
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.footprint.footprint import Footprint
