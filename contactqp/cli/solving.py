@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from contactqp.scene.judging import Failure, Judgement
     from contactqp.scene.scene import Scene
     from contactqp.study.answer_files import AnswerFiles
-    from contactqp.study.friction_files import FileOutcome
+    from contactqp.study.file_outcome import FileOutcome
 
 
 @click.command("run")

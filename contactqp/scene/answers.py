@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -12,50 +11,22 @@ import numpy as np
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import spring, truss
 from contactqp.elements.exact import Number
-from contactqp.model.solution import Solution
 from contactqp.scene import elimination
 from contactqp.scene.answers_of_large import OF_LARGE
 from contactqp.scene.answers_of_motions import OF_MOTIONS
-from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
+from contactqp.scene.answers_of_nodes import Answer
+from contactqp.scene.building import NodeModel, spring_direction
 from contactqp.scene.claims import Claim
 from contactqp.scene.corners import end_time
 from contactqp.scene.exact_numbers import point
 from contactqp.scene.friction_axes import friction_along_axes
 from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
-from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import of_node
 
 if TYPE_CHECKING:
     from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
     from contactqp.scene.answers_of_bodies import BodyAnswer
     from contactqp.scene.bodies import BodyModel
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A scene's solution at one instant, and its load path if it has one."""
-
-    model: NodeModel
-    solution: Solution
-    instant: Instant
-
-    @property
-    def scene(self) -> SceneData:
-        return self.model.scene
-
-    @property
-    def exact(self) -> ExactProblem:
-        return self.model.exact
-
-    def displacement(self, unknown: str) -> float:
-        """Of any unknown, fixed ones included."""
-        if unknown in self.exact.unknowns.fixed:
-            return 0.0
-        return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
-
-    def of_node(self, node: str) -> np.ndarray[Any, Any]:
-        return np.array([self.displacement(name) for name in of_node(self.scene, node)])
 
 
 def answer_of(

@@ -11,7 +11,7 @@ from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 
 if TYPE_CHECKING:
-    from contactqp.scene.answers import Answer
+    from contactqp.scene.answers_of_nodes import Answer
 
 Point = TypeVar("Point", LimitPoint, Snap)
 

@@ -9,7 +9,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from contactqp.elements.exact import Number
-from contactqp.scene.answers import Answer, value_of
+from contactqp.scene.answers import value_of
+from contactqp.scene.answers_of_nodes import Answer
 from contactqp.scene.claims import Claim, Expectation, Published
 from contactqp.scene.units import Quantity, UnitSystem
 

@@ -24,7 +24,8 @@ from contactqp.errors import (
 )
 from contactqp.model.engines import SERIAL
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import Answer, answer_of
+from contactqp.scene.answers import answer_of
+from contactqp.scene.answers_of_nodes import Answer
 from contactqp.scene.claims import KNOBS, Claim
 from contactqp.scene.corners import end_time, has_corners
 from contactqp.scene.expectations import Comparison, compare_expectation, compare_published

@@ -19,7 +19,7 @@ from contactqp.distributed.whole import options_on_ranks
 from contactqp.errors import BackendFailed, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.exchange.refusal import naming
 from contactqp.model.problem import ContactProblem
-from contactqp.study.friction_files import FileOutcome, Outline, outline_of, solvable_form
+from contactqp.study.file_outcome import FileOutcome, Outline, outline_of, solvable_form
 
 
 def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> FileOutcome:

@@ -13,7 +13,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.study.friction_files import SHARED_FIGURES, FileOutcome, figures
+from contactqp.study.file_outcome import FileOutcome
+from contactqp.study.friction_files import SHARED_FIGURES, figures
 
 # Contacts on a screen; --json has all.
 MOST_CONTACTS = 10

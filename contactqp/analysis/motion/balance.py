@@ -1,20 +1,22 @@
-"""What happened in a motion: energies at every state, and changes of contact."""
+"""The states of a motion, and what happened in it: energies at every state, and changes of contact."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event
-from contactqp.analysis.motion.schemes.scheme import State
+from contactqp.analysis.motion.schemes.scheme import Scheme, State
+from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.model.arrays import Vector
-
-if TYPE_CHECKING:
-    from contactqp.analysis.motion.history import Motion
+from contactqp.model.problem_data import ReadOnly
 
 # Steps whose energies are found at once.
 BLOCK = 256
@@ -117,3 +119,42 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
     if problem.frictional:
         rubbed = along(np.array([s.friction_force for s in block]), scheme.body.tangent)
     return np.array([work, taken, rubbed])
+
+
+@dataclass(frozen=True, eq=False)
+class Known(ReadOnly):
+    """A load at the instants of a motion."""
+
+    times: tuple[float, ...]
+    loads: NDArray[np.float64]
+
+    def __call__(self, instant: float) -> Vector:
+        return np.asarray(self.loads[self.times.index(instant)])
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The states of a motion, and the scheme that made them."""
+
+    scheme: Scheme
+    states: list[State]
+    load: Callable[[float], Vector]
+    start: float  # time of the first state
+    method: str
+    seconds: list[float]  # of all steps, one number
+    work: Callable[[], Any]  # Work so far
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or pickled: the states, and of the load its values at their times."""
+        times = [self.time(k) for k in range(len(self.states))]
+        known = Known(tuple(times), np.array([self.load(instant) for instant in times]))
+        return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
+
+    def time(self, k: int) -> float:
+        return self.start + k * self.scheme.body.step
+
+    def posed(self, k: int) -> tuple[Posed, Answered]:
+        """What the scheme posed last for step k, the step that ends at state k, and its answer."""
+        before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
+        *earlier, found = self.scheme.answered(before, self.states[k])
+        return self.scheme.pose(before, load, next_load, tuple(earlier)), found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,15 +12,15 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.history import History
 from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.analysis.motion.balance import energies, events
-from contactqp.analysis.motion.schemes.scheme import Scheme, State
+from contactqp.analysis.motion.balance import Motion, energies, events
+from contactqp.analysis.motion.schemes.scheme import State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate.certificate import certify, contact_status
 from contactqp.errors import Unsupported
 from contactqp.linalg.intrinsic_size import stiffness_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.problem_data import read_only
 from contactqp.model.solution import Solution
 
 
@@ -116,45 +115,6 @@ class MotionHistory(History):
 
 def _refuse_to_go_on(*_: Any) -> Any:
     raise Unsupported("a motion that was pickled cannot be resumed: its load and factors are where it was made")
-
-
-@dataclass(frozen=True, eq=False)
-class Known(ReadOnly):
-    """A load at the instants of a motion."""
-
-    times: tuple[float, ...]
-    loads: NDArray[np.float64]
-
-    def __call__(self, instant: float) -> Vector:
-        return np.asarray(self.loads[self.times.index(instant)])
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """The states of a motion, and the scheme that made them."""
-
-    scheme: Scheme
-    states: list[State]
-    load: Callable[[float], Vector]
-    start: float  # time of the first state
-    method: str
-    seconds: list[float]  # of all steps, one number
-    work: Callable[[], Any]  # Work so far
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: the states, and of the load its values at their times."""
-        times = [self.time(k) for k in range(len(self.states))]
-        known = Known(tuple(times), np.array([self.load(instant) for instant in times]))
-        return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
-
-    def time(self, k: int) -> float:
-        return self.start + k * self.scheme.body.step
-
-    def posed(self, k: int) -> tuple[Posed, Answered]:
-        """What the scheme posed last for step k, the step that ends at state k, and its answer."""
-        before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
-        *earlier, found = self.scheme.answered(before, self.states[k])
-        return self.scheme.pose(before, load, next_load, tuple(earlier)), found
 
 
 @dataclass(frozen=True, eq=False)

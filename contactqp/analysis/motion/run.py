@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis.motion.balance import Motion
 from contactqp.analysis.motion.contact_time import ImpactsMinded, meeting, slowest_frequency
 from contactqp.analysis.motion.critical_step import critical_step
-from contactqp.analysis.motion.history import Motion, MotionHistory
+from contactqp.analysis.motion.history import MotionHistory
 from contactqp.analysis.motion.mass import touched
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge

@@ -9,7 +9,7 @@ from typing import Any
 
 from flint import arb
 
-from contactqp.oracle.exact.exact_solution import rounded_up
+from contactqp.oracle.exact.decimals import rounded_up
 from contactqp.oracle.exact.rational import fraction, from_fraction
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import FreeMotion
+from contactqp.oracle.exact.decimals import ROUNDING_UP, SHOWN_DIGITS, cut, decimal, nearest, ratio, widened
 
 # Object arrays of Fractions.
 Fractions = NDArray[Any]
@@ -91,24 +92,43 @@ class ExactSolution(ReadOnly):
         )
 
     def __str__(self) -> str:
-        from contactqp.oracle.exact.printing import text
-
         return text(self)
-
-
-def nearest(x: Fraction) -> float:
-    """The nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
-    try:
-        return x.numerator / x.denominator
-    except OverflowError:
-        return math.inf if x > 0 else -math.inf
-
-
-def rounded_up(x: Fraction) -> float:
-    """The least double that is not smaller."""
-    near = nearest(x)
-    return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
 
 
 def _floats(values: Fractions) -> Floats:
     return np.array([nearest(x) for x in values.ravel().tolist()], dtype=float).reshape(values.shape)
+
+
+def text(answer: ExactSolution) -> str:
+    """A few lines: what is exact, the contacts, and what was proven."""
+    problem = answer.problem
+    kind = "exact" if answer.rational else "enclosed"
+    lines = [f"{kind}, of {answer.data}: {problem.dimension} unknowns, {problem.contacts} contacts"]
+    for i, word in enumerate(answer.contact_status):
+        if word != "open":
+            shown = shown_at(answer, "normal_force", i)
+            lines.append(f"  {problem.contact_name(i)}: {word}, normal force {shown} {problem.units.force}".rstrip())
+    lines += [f"  proven: {line}" for line in answer.proof] + [f"  {line}" for line in remarks(answer)]
+    return "\n".join(lines)
+
+
+def remarks(answer: ExactSolution) -> Iterator[str]:
+    """What else there is to say of it."""
+    if not answer.unique_forces:
+        yield "contact forces are not unique: those of least norm, with the range of each"
+    if answer.equilibria is not None and answer.equilibria > 1:
+        yield f"{answer.equilibria} equilibria at this load: one of them"
+    elif answer.uniqueness:
+        yield f"uniqueness: {'; '.join(answer.uniqueness)}"
+    for motion in answer.free_motions:
+        yield f"free motion, least displacement given: {motion}"
+    yield from answer.notes
+
+
+def shown_at(answer: ExactSolution, name: str, *place: int) -> str:
+    """Return one number as tables show it: a fraction, or a midpoint with its radius."""
+    x: Fraction = getattr(answer, name)[place]
+    if answer.radius is None:
+        return cut(ratio(x))
+    off = widened(x, float(getattr(answer.radius, name)[place]), SHOWN_DIGITS)
+    return f"{decimal(x, SHOWN_DIGITS)} +- {ROUNDING_UP * off:.1e}" if off else "0"

@@ -2,75 +2,28 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, nearest, rounded_up
+from contactqp.oracle.exact.decimals import (
+    cut,
+    nearest,
+    number_data,
+    ratio,
+)
+from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, remarks, shown_at
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-# Digits of a midpoint in data and in tables; radii are widened by what is cut off.
-DIGITS, SHOWN_DIGITS = 50, 20
-# Two digits of a radius, shown this much larger, are not less than it.
-ROUNDING_UP = 1.06
 # A table of more unknowns is read by nobody.
 MOST_SHOWN = 200
-# Longer fractions are cut out of tables, not out of data.
-WIDEST = 44
 SIGNS = (
     "K u + E_N'l_N + E_T'l_T + A'nu = f; normal_force l_N is positive in compression; gap = g - E_N u is positive when "
     "open; slip = E_T u - slip_origin, and friction_force l_T is what the body does to the obstacle, along its slip; "
     "tie_force is nu"
 )
-
-
-def ratio(x: Fraction) -> str:
-    """ "p/q", of any length; Python alone refuses to print more than 4300 digits.
-
-    >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
-    ('-7/3', '4')
-    """
-    from contactqp.oracle.exact.rational import from_fraction
-
-    return str(from_fraction(x))
-
-
-def decimal(x: Fraction, digits: int = DIGITS) -> str:
-    """A number rounded to so many significant digits.
-
-    >>> decimal(Fraction(2, 3), 5), decimal(Fraction(-1, 800), 5), decimal(Fraction(99999, 10000), 3)
-    ('6.6667e-1', '-1.2500e-3', '1.00e1')
-    """
-    if not x:
-        return "0"
-    size = abs(x)
-    exponent = round((size.numerator.bit_length() - size.denominator.bit_length()) * 0.30103)
-    while size >= Fraction(10) ** (exponent + 1):
-        exponent += 1
-    while size < Fraction(10) ** exponent:
-        exponent -= 1
-    shown = str(round(size * Fraction(10) ** (digits - 1 - exponent)))
-    if len(shown) > digits:
-        exponent += 1
-    return f"{'-' if x < 0 else ''}{shown[0]}.{shown[1:digits]}e{exponent}"
-
-
-def widened(x: Fraction, radius: float, digits: int) -> float:
-    """The radius around the number as it is printed, rounded up."""
-    exact = Fraction(radius) + abs(x) * Fraction(1, 10 ** (digits - 1))
-    return rounded_up(exact)
-
-
-def number_data(x: Fraction, radius: float | None) -> dict[str, Any]:
-    """{"exact", "double"} of a rational number, {"mid", "radius", "double"} of an interval."""
-    double = nearest(x)
-    known: dict[str, Any] = {"double": double if math.isfinite(double) else None}
-    if radius is None:
-        return {"exact": ratio(x)} | known
-    return {"mid": decimal(x), "radius": widened(x, radius, DIGITS)} | known
 
 
 def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> dict[str, Any]:
@@ -126,32 +79,6 @@ def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> 
     }
 
 
-def text(answer: ExactSolution) -> str:
-    """A few lines: what is exact, the contacts, and what was proven."""
-    problem = answer.problem
-    kind = "exact" if answer.rational else "enclosed"
-    lines = [f"{kind}, of {answer.data}: {problem.dimension} unknowns, {problem.contacts} contacts"]
-    for i, word in enumerate(answer.contact_status):
-        if word != "open":
-            shown = _shown(answer, "normal_force", i)
-            lines.append(f"  {problem.contact_name(i)}: {word}, normal force {shown} {problem.units.force}".rstrip())
-    lines += [f"  proven: {line}" for line in answer.proof] + [f"  {line}" for line in remarks(answer)]
-    return "\n".join(lines)
-
-
-def remarks(answer: ExactSolution) -> Iterator[str]:
-    """What else there is to say of it."""
-    if not answer.unique_forces:
-        yield "contact forces are not unique: those of least norm, with the range of each"
-    if answer.equilibria is not None and answer.equilibria > 1:
-        yield f"{answer.equilibria} equilibria at this load: one of them"
-    elif answer.uniqueness:
-        yield f"uniqueness: {'; '.join(answer.uniqueness)}"
-    for motion in answer.free_motions:
-        yield f"free motion, least displacement given: {motion}"
-    yield from answer.notes
-
-
 def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], title: str) -> None:
     """Tables of unknowns, contacts, ties and events."""
     from rich.table import Table
@@ -180,18 +107,20 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
     heads += [] if answer.unique_forces else ["range"]
     rows = []
     for i, word in enumerate(answer.contact_status):
-        row = [problem.contact_name(i), word, *_pair(answer, "normal_force", i), _shown(answer, "gap", i)]
+        row = [problem.contact_name(i), word, *_pair(answer, "normal_force", i), shown_at(answer, "gap", i)]
         if answer.friction_force is not None:
-            row.append(", ".join(_shown(answer, "friction_force", i, w) for w in range(answer.friction_force.shape[1])))
+            row.append(
+                ", ".join(shown_at(answer, "friction_force", i, w) for w in range(answer.friction_force.shape[1]))
+            )
         if not answer.unique_forces:
-            row.append(" to ".join("unbounded" if x is None else _cut(ratio(x)) for x in answer.force_range[i]))
+            row.append(" to ".join("unbounded" if x is None else cut(ratio(x)) for x in answer.force_range[i]))
         rows.append(row)
     show(heads, rows)
     show(
         ["tie", f"force{_in(force)}", number],
         [[name, *_pair(answer, "tie_force", k)] for k, name in enumerate(ties)],
     )
-    show(["event", "contact", "time"], [[event.kind, event.name, _cut(ratio(event.time))] for event in answer.events])
+    show(["event", "contact", "time"], [[event.kind, event.name, cut(ratio(event.time))] for event in answer.events])
     for line in answer.proof:
         console.print(f"proven: {line}", markup=False)
     for line in remarks(answer):
@@ -204,16 +133,4 @@ def _in(unit: str) -> str:
 
 def _pair(answer: ExactSolution, name: str, *place: int) -> tuple[str, str]:
     x: Fraction = getattr(answer, name)[place]
-    return f"{nearest(x):.17g}", _shown(answer, name, *place)
-
-
-def _shown(answer: ExactSolution, name: str, *place: int) -> str:
-    x: Fraction = getattr(answer, name)[place]
-    if answer.radius is None:
-        return _cut(ratio(x))
-    off = widened(x, float(getattr(answer.radius, name)[place]), SHOWN_DIGITS)
-    return f"{decimal(x, SHOWN_DIGITS)} +- {ROUNDING_UP * off:.1e}" if off else "0"
-
-
-def _cut(shown: str) -> str:
-    return shown if len(shown) <= WIDEST else f"{shown[:12]}... ({len(shown)} digits)"
+    return f"{nearest(x):.17g}", shown_at(answer, name, *place)
