@@ -82,8 +82,8 @@ if TYPE_CHECKING:
     from contactqp.oracle.diagnosis.finding import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
-    from contactqp.oracle.foreign.judged_answer import JudgedAnswer as JudgedAnswer
-    from contactqp.oracle.foreign.judged_answer import certify as certify
+    from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
+    from contactqp.oracle.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
@@ -121,7 +121,7 @@ _HOME = {
     "GlobalProblem": "model.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",
-    "JudgedAnswer": "oracle.foreign.judged_answer",
+    "JudgedAnswer": "oracle.judged_answer",
     "LocalCertificate": "model.verdicts",
     "LocalProblem": "model.local_problem",
     "LocalSolution": "model.local_solution",
@@ -154,7 +154,7 @@ _HOME = {
     "UpdatedTruss": "elements.updated_truss",
     "acary_bremond_huber_error": "certificate.published_errors",
     "associated_difference": "solving.relaxation",
-    "certify": "oracle.foreign.judged_answer",
+    "certify": "oracle.judged_answer",
     "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
     "critical_friction": "certificate.critical_coefficients",

@@ -63,7 +63,7 @@ def report_command(
 
     running, code = Running(jobs, dask, fresh, time_limit, shown=True), 0
     if cases or not stability:
-        from contactqp.study.report.report import report
+        from contactqp.study.reporting import report
 
         code = report(cases, output, running)
     if stability and code < OF_SIGNAL:  # one Ctrl-C stops both

@@ -13,8 +13,8 @@ from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.model.problem import ContactProblem
 from contactqp.oracle.deviations import Deviation, deviations_table, displacement_deviations, force_deviations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
-from contactqp.oracle.foreign.judged_answer import JudgedAnswer, certify
 from contactqp.oracle.gallery.problem import GalleryProblem
+from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.oracle.reference import Reference, known_reference, name_of, plain_problem, solved_reference
 
 # Longest line of a diagnosis.

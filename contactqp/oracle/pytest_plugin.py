@@ -12,8 +12,8 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from contactqp.oracle.foreign.judged_answer import JudgedAnswer
     from contactqp.oracle.gallery.problem import GalleryProblem
+    from contactqp.oracle.judged_answer import JudgedAnswer
     from contactqp.oracle.solver_check import SolverReport
 
 MARK = (
@@ -42,7 +42,7 @@ class ContactOracle:
 
     def certify(self, problem: Any, *answer: Any, **options: Any) -> JudgedAnswer:
         """`contactqp.certify`, of problems of the gallery too."""
-        from contactqp.oracle.foreign.judged_answer import certify
+        from contactqp.oracle.judged_answer import certify
 
         return certify(getattr(problem, "problem", problem), *answer, **options)
 

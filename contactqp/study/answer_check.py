@@ -12,7 +12,7 @@ from contactqp.exchange.answer_reader import AnswerFile, names_of
 from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import naming, wrong
 from contactqp.model.problem import ContactProblem
-from contactqp.oracle.foreign.judged_answer import JudgedAnswer, certify
+from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.study.check_options import CheckOptions, Order, read_areas, read_order

@@ -15,7 +15,7 @@ from contactqp.model.local_solution import LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.model.verdicts import LocalCertificate
-from contactqp.oracle.foreign.judged_answer import JudgedAnswer
+from contactqp.oracle.judged_answer import JudgedAnswer
 from contactqp.study.check_options import as_options
 from contactqp.study.friction_files import figures, finite
 

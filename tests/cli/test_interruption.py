@@ -52,7 +52,7 @@ def test_ctrl_c_is_one_line(place, arguments, monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize("code", [0, 1, 130, 143])
 def test_a_report_that_was_stopped_begins_no_study_of_stability(code, monkeypatch):
     begun = []
-    monkeypatch.setattr("contactqp.study.report.report.report", lambda *_: code)
+    monkeypatch.setattr("contactqp.study.reporting.report", lambda *_: code)
     monkeypatch.setattr("contactqp.study.stability.report.report_stability", lambda *_: begun.append("study") or 0)
     with pytest.raises(SystemExit) as exit_:
         main(["report", "--stability", WALL])

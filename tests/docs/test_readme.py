@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import contactqp as cq
-from contactqp.study.report.report import write_report
+from contactqp.study.reporting import write_report
 from contactqp.study.running.running import Running
 
 ROOT = pathlib.Path(__file__).parent.parent.parent

@@ -116,7 +116,7 @@ def test_what_is_left_out_of_large_problems_is_said(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_wrong_sign_is_named_where_no_right_answer_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    import contactqp.oracle.foreign.judged_answer as module
+    import contactqp.oracle.judged_answer as module
 
     def gives_up(*_: object) -> None:
         raise cq.NotConverged("gave up")

@@ -186,7 +186,7 @@ def test_of_several_equilibria_the_nearest_is_set_beside() -> None:
 
 
 def test_nothing_is_solved_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    import contactqp.oracle.foreign.judged_answer as module
+    import contactqp.oracle.judged_answer as module
 
     def refuse(*_: object) -> None:
         raise AssertionError("solved")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactqp as cq
-from contactqp.oracle.foreign.judged_answer import JudgedAnswer
+from contactqp.oracle.judged_answer import JudgedAnswer
 
 
 def chain() -> tuple[cq.ContactProblem, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from contactqp.study.report.report import ReportResult, write_report
+from contactqp.study.reporting import ReportResult, write_report
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"), re.DOTALL)

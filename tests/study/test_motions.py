@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from contactqp.study.report.report import write_report
+from contactqp.study.reporting import write_report
 from contactqp.study.running.running import Running
 
 CASES = Path(__file__).parents[2] / "cases"

@@ -18,9 +18,9 @@ import contactqp as cq
 from contactqp.model.solution import Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
+from contactqp.study import reporting as report
 from contactqp.study import rows
 from contactqp.study.case_study import CaseStudy, load_studies
-from contactqp.study.report import report
 from contactqp.study.rows import Row
 from contactqp.study.rungs import Rung, chosen_methods
 from contactqp.study.running.running import Running

@@ -17,10 +17,11 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.errors import SceneError
+from contactqp.study import reporting as report
 from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.footprint.footprint import Footprint
-from contactqp.study.report import case_cells, case_record, report
+from contactqp.study.report import case_cells, case_record
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.running import Running

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from contactqp.study import reporting as report
 from contactqp.study import rows
 from contactqp.study.case_study import load_studies
-from contactqp.study.report import report
 from contactqp.study.rungs import chosen_methods
 from contactqp.study.running.running import Running
 from contactqp.study.truth import Truth

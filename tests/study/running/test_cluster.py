@@ -77,7 +77,7 @@ def test_what_is_timed_runs_alone_in_one_process_of_a_worker(workers: Cluster, t
 def test_a_report_from_there_is_the_same_table(address: str, tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from contactqp.study.report.report import write_report
+    from contactqp.study.reporting import write_report
 
     tables = []
     for i, running in enumerate((Running(jobs=1), Running(dask=address))):
