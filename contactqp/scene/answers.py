@@ -24,14 +24,11 @@ from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
 
 if TYPE_CHECKING:
-    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
     from contactqp.scene.answers_of_bodies import BodyAnswer
     from contactqp.scene.bodies import BodyModel
 
 
-def answer_of(
-    model: NodeModel | BodyModel | DistributedBodyModel, solution: Any, instant: Instant | None = None
-) -> Answer | BodyAnswer:
+def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
     """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
     instant = instant or Instant(end_time(model.scene))
     if isinstance(model, NodeModel):

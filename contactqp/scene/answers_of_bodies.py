@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,13 @@ from contactqp.scene.quantities import COMPONENTS, uniqueness_in_words
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import vector
 
-if TYPE_CHECKING:
-    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
-
 
 @dataclass(frozen=True, eq=False)
 class BodyAnswer:
     """A solution of a scene of bodies at one instant, and its load path if it has one."""
 
     scene: SceneData
-    model: BodyModel | DistributedBodyModel
+    model: BodyModel  # or what another engine builds, which answers the same questions
     solution: Any  # a Solution, or a DistributedSolution: then every question is collective
     instant: Instant
 

@@ -22,7 +22,7 @@ from contactqp.errors import (
     TimeStepWarning,
     Unsupported,
 )
-from contactqp.model.engines import SERIAL
+from contactqp.model.engines import SERIAL, engine_named
 from contactqp.model.solution import Solution
 from contactqp.scene.answers import answer_of
 from contactqp.scene.answers_of_nodes import Answer
@@ -286,8 +286,7 @@ class _Answers:
             )
         trial, options = self._trial, self._trial.options(self._model.scene)
         if trial.engine != SERIAL:
-            from contactqp.distributed.scenes.running_on_ranks import answer_at
-
+            answer_at = engine_named(trial.engine).function("answer_at")
             return answer_of(
                 self._model, answer_at(self._model, time, trial.method, **options), Instant(time, self._history)
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from contactqp.analysis.history import History
 from contactqp.errors import Unsupported
 from contactqp.linalg.stages import STEPS, stage
-from contactqp.model.engines import SERIAL, refuse_unknown_engine
+from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
@@ -69,9 +69,7 @@ def built(scene: SceneData, engine: str = SERIAL) -> Any:
     refuse_unknown_engine(engine)
     if engine == SERIAL:
         return build(scene)
-    from contactqp.distributed.scenes.running_on_ranks import model_on_ranks
-
-    return model_on_ranks(scene)
+    return engine_named(engine).function("build")(scene)
 
 
 def run_model(
@@ -79,9 +77,8 @@ def run_model(
 ) -> History:
     """As `run`, of a scene that is built already."""
     if engine != SERIAL:
-        from contactqp.distributed.scenes.running_on_ranks import run_on_ranks
-
-        return run_on_ranks(model, method, checkpoint, **options)
+        found: History = engine_named(engine).function("run")(model, method, checkpoint, **options)
+        return found
     if checkpoint is not None:
         raise Unsupported("checkpoint: only engine='petsc' keeps the steps of a load path")
     return walk(model, model.problem, method, **options)

@@ -12,7 +12,6 @@ from contactqp.analysis.kinds import is_moving
 from contactqp.scene.units import KINDS
 
 if TYPE_CHECKING:
-    from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
     from contactqp.scene.bodies import BodyModel
 
 # Directions of motions have 1 as their largest component and are known to rounding.
@@ -20,7 +19,7 @@ SMALL = 1e-6
 Table = tuple[list[str], list[list[str | float]]]
 
 
-def summaries(model: BodyModel | DistributedBodyModel, solution: Any) -> Iterator[Table]:
+def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
     """For each body how far it moves and how fast, for each contact of the scene its force, peak pressure and gap."""
     system = model.scene.system
     length, force = system.length, system.force
@@ -43,7 +42,7 @@ def summaries(model: BodyModel | DistributedBodyModel, solution: Any) -> Iterato
     yield header, [list(row.values()) for row in _contacts(model, solution)]
 
 
-def motions_in_words(model: BodyModel | DistributedBodyModel, solution: Any) -> list[str]:
+def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
     """Each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
 
     The motions of a solution are any basis; here each is told with a body that the others leave where it is.
@@ -53,7 +52,7 @@ def motions_in_words(model: BodyModel | DistributedBodyModel, solution: Any) -> 
     return [_motion_in_words(model, motion) for motion in _reduced(model, model.free_motions(solution))]
 
 
-def _reduced(model: BodyModel | DistributedBodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """The reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
     rows = rows.copy()
     places = []
@@ -67,7 +66,7 @@ def _reduced(model: BodyModel | DistributedBodyModel, rows: NDArray[np.float64])
     return reduced
 
 
-def _motion_in_words(model: BodyModel | DistributedBodyModel, motion: NDArray[np.float64]) -> str:
+def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
     said = []
     for body in model.structure.bodies:
         low, high = model.ranges(body.name, motion).T
@@ -79,7 +78,7 @@ def _motion_in_words(model: BodyModel | DistributedBodyModel, motion: NDArray[np
     return ", ".join(said)
 
 
-def summary_data(model: BodyModel | DistributedBodyModel, solution: Any) -> dict[str, Any]:
+def summary_data(model: BodyModel, solution: Any) -> dict[str, Any]:
     """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
     return {
         "contacts": _contacts(model, solution),
@@ -88,7 +87,7 @@ def summary_data(model: BodyModel | DistributedBodyModel, solution: Any) -> dict
     }
 
 
-def _contacts(model: BodyModel | DistributedBodyModel, solution: Any) -> list[dict[str, str | float]]:
+def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)

@@ -25,7 +25,7 @@ from contactqp.linalg.iteration import iterated
 from contactqp.linalg.polishing import WITHIN_ROUNDING
 from contactqp.linalg.row_sizes import row_sizes
 from contactqp.linalg.stages import METHOD, POLISH, stage
-from contactqp.model.engines import SERIAL, refuse_unknown_engine
+from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -153,9 +153,9 @@ def solve(
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = warm_candidate(problem, warm_start)
     if engine != SERIAL:
-        from contactqp.distributed.whole import solve_whole
-
-        return solve_whole(problem, method, warm_start=warm_start, **same)
+        elsewhere = engine_named(engine).function("solve")
+        found: Solution = elsewhere(problem, method, warm_start=warm_start, **same)
+        return found
     if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
         with problem.lock, stage(METHOD):
             return solve_among(
