@@ -43,7 +43,7 @@ ROUNDING_OF_ANSWERS = 1e-3
 
 
 @own_floating_point
-def certify(
+def compute_certificate(
     problem: ContactProblem,
     displacement: ArrayLike,
     normal_force: ArrayLike,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from contactqp.certificate.certificate import certify
+from contactqp.certificate.certificate import compute_certificate
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
@@ -41,7 +41,7 @@ def solve_associated(problem: ContactProblem, method: Method, settings: Settings
     # A start has one force a contact, and the program two.
     found = CondensedAttempt(relaxed, method, replace(settings, warm_start=None), "auto").final(polished=True)
     parts = (found.displacement, found.normal_force, found.tie_force)
-    certificate = certify(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
+    certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
     if not certificate.passed:
         raise NotConverged(f"associated with {method.name}: {'; '.join(certificate.failures)}")
     return recovered(problem, *parts), f"associated with {method.name} (not Coulomb)"

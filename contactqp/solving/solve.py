@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 import numpy as np
 
 from contactqp.certificate.candidates import first_candidates
-from contactqp.certificate.certificate import certify, contact_status
+from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import (
     BackendFailed,
@@ -344,7 +344,9 @@ class Begun:
             if friction is None and problem.slip_origin is not None:
                 friction = np.zeros_like(problem.slip_origin)
             answered = time.perf_counter()
-            certificate = certify(problem, final.displacement, final.normal_force, friction, final.tie_force)
+            certificate = compute_certificate(
+                problem, final.displacement, final.normal_force, friction, final.tie_force
+            )
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
             raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
@@ -371,5 +373,5 @@ class Begun:
     def _raw(self, friction: Any) -> Raw:
         candidate = self.attempt.expanded
         values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
-        certificate = certify(self.problem, values[0], values[1], friction, values[2])
+        certificate = compute_certificate(self.problem, values[0], values[1], friction, values[2])
         return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.candidates import among, take_all, widened
-from contactqp.certificate.certificate import certify, contact_status
+from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.model.arrays import Vector
@@ -79,7 +79,7 @@ def _of_all(
 
     def judged(answer: Solution | Raw) -> dict[str, Any]:
         force = spread(answer.normal_force)
-        certificate = certify(problem, answer.displacement, force, no_friction, answer.tie_force)
+        certificate = compute_certificate(problem, answer.displacement, force, no_friction, answer.tie_force)
         return dict(normal_force=force, certificate=certificate)
 
     whole = replace(solution, problem=problem, friction_force=no_friction, **judged(solution))

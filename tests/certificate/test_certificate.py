@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.certificate.certificate import FIGURES, certify
+from contactqp.certificate.certificate import FIGURES, compute_certificate
 from tests.examples import (
     CANTILEVER_FORCE,
     block_between,
@@ -174,7 +174,7 @@ def test_missing_and_misshapen_forces_are_no_guess() -> None:
     with pytest.raises(cq.InvalidProblem, match="tie_force"):
         cq.certify(tied, [0.5, 0.5], [], tie_force=[0.5, 0.5])
     with pytest.raises(cq.InvalidProblem, match="tie_force"):
-        certify(tied, [0.5, 0.5], [])
+        compute_certificate(tied, [0.5, 0.5], [])
     recovered = cq.certify(tied, [0.5, 0.5], [])
     assert recovered.passed
     assert recovered.recovered == ("tie_force",)

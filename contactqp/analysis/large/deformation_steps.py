@@ -13,7 +13,7 @@ from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.analysis.large.loaded_body import LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
-from contactqp.certificate.certificate import certify, contact_status
+from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import NotCertified
 from contactqp.model.solution import Work
 
@@ -37,7 +37,7 @@ def large_solution(
     friction = forces.friction
     if friction is None and problem.slip_origin is not None:
         friction = np.zeros_like(problem.slip_origin)
-    certificate = certify(problem, now.displacement, forces.normal, friction, forces.tie)
+    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
     if step.springs:
         note = (
             f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "

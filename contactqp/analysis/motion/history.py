@@ -15,7 +15,7 @@ from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.motion.balance import Motion, energies, events
 from contactqp.analysis.motion.schemes.scheme import State
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.certificate.certificate import certify, contact_status
+from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import Unsupported
 from contactqp.linalg.intrinsic_size import stiffness_sizes
 from contactqp.model.arrays import Vector
@@ -137,7 +137,7 @@ def _looked_at(motion: Motion, k: int) -> Moving:
         problem = problem.replace(slip_origin=problem.tangent @ before)
     step, found = _step_problem(motion, k)
     friction = None if step.slip_origin is None else _shaped(found.friction, step)
-    certificate = certify(step, found.unknown, found.normal, friction, found.tie)
+    certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
     status = contact_status(step, certificate)
     force = np.zeros(problem.contacts)
     force[: len(state.normal_force)] = state.normal_force

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contactqp.certificate.certificate import certify
+from contactqp.certificate.certificate import compute_certificate
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.problem import ContactProblem
 from contactqp.model.verdicts import Certificate
@@ -22,13 +22,13 @@ def judge(
     Raises
     ------
     InvalidProblem, Unsupported
-        As `contactqp.certificate.certificate.certify` and `recoveries`.
+        As `contactqp.certificate.certificate.compute_certificate` and `recoveries`.
     """
     first: tuple[Certificate, Recovery] | None = None
     for tried in recoveries(problem, given):
         answer = tried.answer
         forces = (answer.normal_force, answer.friction_force, answer.tie_force)
-        found = certify(problem, answer.displacement, *forces, tolerance, error_tolerance, factorization)
+        found = compute_certificate(problem, answer.displacement, *forces, tolerance, error_tolerance, factorization)
         if found.passed:
             return found, tried
         first = first or (found, tried)

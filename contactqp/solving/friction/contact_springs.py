@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.certificate import certify
+from contactqp.certificate.certificate import compute_certificate
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -100,7 +100,7 @@ def without_contact_springs(problem: ContactProblem, solution: Solution, name: s
         problem=problem,
         displacement=u,
         free_motions=tuple(FreeMotion(motion.direction[:n], str(motion)) for motion in solution.free_motions),
-        certificate=certify(problem, u, normal, friction, tie),
+        certificate=compute_certificate(problem, u, normal, friction, tie),
         method=f"{name} by {solution.method}",
         raw=None,
     )
