@@ -18,6 +18,7 @@ from contactqp.solving.friction.enumeration import all_equilibria
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.free_motion import at_rest, free_motions, without_noise
+from contactqp.solving.friction.local_algorithms import ALGORITHMS, TAKEN
 from contactqp.solving.friction.newton import refined, solve_newton
 from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.friction.tresca import solve_tresca
@@ -25,9 +26,8 @@ from contactqp.solving.metering import Meter, MeteredAttempt
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.whole_attempt import WholeAttempt
 
-ALGORITHMS = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")
-# Algorithms of convex steps.
-CONVEX = ("tresca", "aclm")
+# Of bodies, in the order in which they are listed; those that are registered follow.
+NAMES = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", *TAKEN)
 DEFAULT_METHOD = "active-set"
 
 
@@ -98,8 +98,9 @@ def attempt_friction(
     InvalidProblem
         There is no such algorithm.
     """
-    if algorithm is not None and algorithm not in ALGORITHMS:
-        raise InvalidProblem(f"algorithm: expected one of {', '.join(ALGORITHMS)} or None, got {algorithm!r}")
+    if algorithm is not None and algorithm not in (*NAMES, *ALGORITHMS):
+        known = ", ".join(dict.fromkeys((*NAMES, *ALGORITHMS)))
+        raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
     _refuse_iterated(problem)
     meter = Meter(problem)
     with meter.running():
@@ -108,7 +109,7 @@ def attempt_friction(
         return _relaxed(problem, method, settings, meter)
     if algorithm == "enumeration":
         return _only(problem)
-    if algorithm is None or algorithm in CONVEX:
+    if algorithm is None or ALGORITHMS[algorithm].convex:
         _refuse_method(method)
     if _in_space(problem) or algorithm not in (None, "tresca", "newton"):
         convex = algorithm is None and method.name != DEFAULT_METHOD

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged, Unsupported
+from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.convex_steps import ConvexSteps
@@ -60,6 +60,23 @@ ALGORITHMS = {
         Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, 40, "convex problems of given friction bounds"),
     )
 }
+# Names that `solve` gives another meaning.
+TAKEN = ("enumeration", "associated")
+
+
+def register(algorithm: Algorithm) -> None:
+    """Add an algorithm of one's own: `solve` knows it by its name from then on, on local problems and on bodies.
+
+    Raises
+    ------
+    InvalidProblem
+        An algorithm of that name is there.
+    """
+    if algorithm.name in ALGORITHMS or algorithm.name in TAKEN:
+        raise InvalidProblem(f"algorithm: expected a name of its own, got {algorithm.name!r}, which another one has")
+    ALGORITHMS[algorithm.name] = algorithm
+
+
 # Newton's method starts from iterates at these counts, growing by a half.
 FIRST_POLISH = 4
 # And from those that are as near as this, in the scale of the local form.
