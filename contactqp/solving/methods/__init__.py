@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import sys
-from types import ModuleType
 
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
 from contactqp.solving.methods import (
@@ -39,7 +37,7 @@ _REGISTRY: dict[str, Method] = {method.name: method for module in _MODULES for m
 
 
 def methods() -> tuple[Method, ...]:
-    """Every method, installed or not.
+    """Return every method, installed or not: entries with `name`, `kind`, `installed` and what each can do.
 
     >>> "active-set" in [method.name for method in methods()]
     True
@@ -79,14 +77,3 @@ def find(name: str) -> Method:
     if not method.installed:
         raise BackendMissing(f"method {name!r} needs {', '.join(method.packages)}: {method.install}")
     return method
-
-
-class _CallablePackage(ModuleType):
-    """Importing a package's submodule binds its name in the package, so `contactqp.solving.methods` is this module
-    whatever `contactqp/__init__.py` says; being callable, it is the public function `cq.methods()` as well."""
-
-    def __call__(self) -> tuple[Method, ...]:
-        return methods()
-
-
-sys.modules[__name__].__class__ = _CallablePackage
