@@ -1,140 +1,131 @@
-"""Imports point one way, and a scene brings in only what it needs."""
+"""Imports point one way, no files import in a circle, and a scene brings in only what it needs."""
 
 from __future__ import annotations
 
 import ast
 import pathlib
+import shutil
 import subprocess
 import sys
+import tomllib
+from graphlib import CycleError, TopologicalSorter
 
 import pytest
 
-PACKAGE = pathlib.Path(__file__).parent.parent / "contactqp"
-
-# From the bottom to the top: a module imports from its own layer or from layers before it.
-LAYERS = (
-    "errors",
-    "model.engines",
-    "model.floating_point",
-    "exchange.whole_file",
-    "linalg.stages",
-    "linalg.forking",
-    "model.printed_stiffness",
-    "model.problem_data",
-    "model.verdicts",
-    "model.problem",
-    "model.statuses",
-    "model.solution",
-    "linalg.blas_threads",
-    "linalg.extended",
-    "model.local_problem",
-    "linalg.extended_rows",
-    "model.coulomb_cone",
-    "certificate.published_errors",
-    "linalg.factorization",
-    "linalg.pardiso",
-    "linalg.trailing_block",
-    "linalg.elimination",
-    "linalg.coarsest_level",
-    "linalg.multigrid",
-    "linalg.v_cycle",
-    "linalg.held_rows",
-    "linalg.conjugate_gradients",
-    "linalg.contact_iteration",
-    "linalg.condensation",
-    "linalg.delassus",
-    "linalg.nonnegative",
-    "linalg.range_space",
-    "linalg.saddle",
-    "linalg.row_sizes",
-    "linalg.intrinsic_size",
-    "linalg.measures",
-    "certificate.figures",
-    "certificate.balance",
-    "linalg.frictional_rows",
-    "linalg.friction_states",
-    "linalg.iteration",
-    "certificate.coulomb_residual",
-    "linalg.contact_compliance",
-    "certificate.critical_coefficients",
-    "certificate.answer_count",
-    "certificate.uniqueness",
-    "certificate.local_uniqueness",
-    "certificate.local_certificate",
-    "model.local_solution",
-    "linalg.polishing",
-    "certificate.energy_norm",
-    "linalg.least_distance",
-    "certificate.admissible_pair",
-    "certificate.multigrid_bounds",
-    "certificate.bounds",
-    "certificate.candidates",
-    "certificate.failures",
-    "certificate.state_answer",
-    "linalg.existence",
-    "certificate.idle_rows",
-    "certificate.certificate",
-    "solving.widening",
-    "linalg.scaling",
-    "solving.methods",
-    "solving.solving_arguments",
-    "solving.methods.inexact_active_set",
-    "solving.friction.aitken",
-    "distributed",
-    "solving.friction",
-    "solving.local_solving",
-    "solving.solvability",
-    "solving.metering",
-    "solving.condensed_attempt",
-    "solving.whole_attempt",
-    "solving.associated_attempt",
-    "solving.friction_attempt",
-    "solving.enforced_attempt",
-    "solving.iterated_attempt",
-    "solving.solve",
-    "solving.multiplicity",
-    "solving.relaxation",
-    "elements.energies",
-    "elements distributed.pieces",
-    "analysis distributed.scenes.friction_on_ranks",
-    "pictures scene.in_text",
-    "scene distributed.scenes.distributed_bodies distributed.scenes.pieces distributed.scenes.running_on_ranks distributed.scenes.solutions_in_pieces",  # noqa: E501
-    "exchange model.global_problem",
-    "oracle",
-    "study",
-    "testing",
-    "cli",
-)
+ROOT = pathlib.Path(__file__).parent.parent
+PACKAGE = ROOT / "contactqp"
+TYPES = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+# Imports that break the rules, as they might be written; each is put into linalg/factors.py of a small package.
+UPWARDS = {
+    "at the top": "from contactqp.study import rows\n",
+    "for types": TYPES + "    from contactqp.study import rows\n",
+    "inside a function": "def iterate():\n    import contactqp.study.rows\n",
+    "of the package": "import contactqp\n",
+}
+IN_A_CIRCLE = {
+    "at the top": "from contactqp.linalg.iteration import step\n",
+    "for types": TYPES + "    from contactqp.linalg.iteration import step\n",
+    "inside a function": "def factorise():\n    from contactqp.linalg import iteration\n",
+}
 
 
-def _layer(module: str) -> int | None:
-    """The place in LAYERS of the longest path there that the module begins with; a line may hold several."""
-    place = {name: layer for layer, line in enumerate(LAYERS) for name in line.split()}
-    parts = module.split(".")
-    heads = (".".join(parts[:end]) for end in range(len(parts), 0, -1))
-    return next((place[head] for head in heads if head in place), None)
+def imported(path: pathlib.Path, modules: set[str]) -> set[str]:
+    """Return the modules of the package that a file imports anywhere in it: for types and inside functions too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path}: a relative import, which nothing here follows"
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (whole & modules) or {str(node.module)}
+    return found & modules
 
 
-def _imports(path: pathlib.Path) -> set[str]:
-    """Modules of the package that a file imports on import: function bodies and TYPE_CHECKING are left out."""
-    found: set[str] = set()
-    tree = ast.parse(path.read_text())
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("contactqp"):
-            found.update(f"{node.module}.{alias.name}".partition(".")[2] for alias in node.names)
-    return found
+def files_by_module(package: pathlib.Path) -> dict[str, pathlib.Path]:
+    """Return the files of a package by their dotted names."""
+    names = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
+    return {name.removesuffix(".__init__"): file for file, name in names.items()}
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_point_one_way(path: pathlib.Path) -> None:
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
-    imported = _imports(path)
-    if parts[0] in ("__init__", "__main__") or not imported:
-        return
-    mine = _layer(".".join(parts))
-    assert mine is not None, f"{path.name} is in no layer: put it in one"
-    above = {name for name in imported if (layer := _layer(name)) is not None and layer > mine}
-    assert not above, f"{'/'.join(parts)} imports {above} from above it"
+def circle(package: pathlib.Path) -> list[str]:
+    """Return the modules of one circle of imports, the first one again at its end; nothing where there is none."""
+    files = files_by_module(package)
+    try:
+        TopologicalSorter({name: imported(file, set(files)) - {name} for name, file in files.items()}).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def lint(folder: pathlib.Path) -> subprocess.CompletedProcess[str]:
+    """Run import-linter with this project's contracts on the package `contactqp` in a folder."""
+    code = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    command = [sys.executable, "-c", code, "--no-cache", "--config", str(ROOT / "pyproject.toml")]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def rooms(tmp_path: pathlib.Path) -> pathlib.Path:
+    """A package with all rooms of ours, next to empty, whose `__init__` names what is above for types as ours does."""
+    package = tmp_path / "contactqp"
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    for room in contracts[0]["layers"]:
+        (package / room).mkdir(parents=True)
+        (package / room / "__init__.py").touch()
+    for name in ("__main__", "errors", "testing"):
+        shutil.rmtree(package / name)
+        (package / f"{name}.py").touch()
+    (package / "__init__.py").write_text(UPWARDS["for types"])
+    (package / "study" / "rows.py").write_text("from contactqp.linalg import iteration\n")
+    (package / "linalg" / "factors.py").touch()
+    (package / "linalg" / "iteration.py").write_text("from contactqp.linalg import factors\n\n\ndef step(): ...\n")
+    return package
+
+
+def test_imports_point_one_way() -> None:
+    done = lint(ROOT)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_contracts_hold_of_rooms_that_keep_them(rooms: pathlib.Path) -> None:
+    done = lint(rooms.parent)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert circle(rooms) == []
+
+
+@pytest.mark.parametrize("how", UPWARDS)
+def test_an_import_from_above_is_refused(rooms: pathlib.Path, how: str) -> None:
+    (rooms / "linalg" / "factors.py").write_text(UPWARDS[how])
+    done = lint(rooms.parent)
+    assert done.returncode == 1
+    assert "contactqp.linalg is not allowed to import contactqp.study" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("how", IN_A_CIRCLE)
+def test_a_circle_of_neighbours_is_refused(rooms: pathlib.Path, how: str) -> None:
+    (rooms / "linalg" / "factors.py").write_text(IN_A_CIRCLE[how])
+    assert "No cycles are allowed in contactqp.linalg" in lint(rooms.parent).stdout
+    assert set(circle(rooms)) == {"contactqp.linalg.factors", "contactqp.linalg.iteration"}
+
+
+def test_a_module_without_a_room_is_refused(rooms: pathlib.Path) -> None:
+    (rooms / "helpers.py").touch()
+    done = lint(rooms.parent)
+    assert done.returncode == 1
+    assert "helpers" in done.stdout
+
+
+def test_no_files_import_in_a_circle() -> None:
+    assert circle(PACKAGE) == []
+
+
+def test_at_the_top_of_the_package_lie_four_modules() -> None:
+    assert {file.stem for file in PACKAGE.glob("*.py")} == {"__init__", "__main__", "errors", "testing"}
+
+
+def test_errors_import_nothing_of_the_package() -> None:
+    assert imported(PACKAGE / "errors.py", set(files_by_module(PACKAGE))) == set()
 
 
 def test_the_certificate_imports_no_method() -> None:
