@@ -31,7 +31,7 @@ from benchmarks.valid_files import SLOW, Seed, seeds
 from contactqp.errors import ContactQPError
 
 JUDGED, REFUSED = "judged", "refused"
-# Bytes of address space of a process that has NumPy, SciPy, h5py and meshio; seconds for a file.
+# Bytes of address space of a process that has NumPy, SciPy, h5py and meshlane; seconds for a file.
 MEMORY, SECONDS = 3 * 2**30, 20
 SECONDS_SLOW = 150  # of formats that take a process of their own, with a graphics library in it
 LONGEST_MESSAGE = 1000

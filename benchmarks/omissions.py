@@ -225,7 +225,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         "meshes and elastic bodies of this package",
         ("contactqp.scene.bodies", "contactqp.elements.mortar"),
     ),
-    ("finite-element library", "scikit-fem and meshio", ("skfem", "meshio")),
+    ("finite-element library", "scikit-fem and meshlane", ("skfem", "meshlane")),
     (
         "friction",
         "the algorithms of Coulomb friction",

@@ -286,10 +286,10 @@ def _write_mesh(folder: Path, kind: str) -> str:
     if kind == "inp":
         (folder / "m.inp").write_text(ABAQUS)
         return "m.inp"
-    import meshio
+    import meshlane
 
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0]])
-    mesh = meshio.Mesh(points, [("quad", np.array([[0, 1, 2, 3], [1, 4, 5, 2]]))])
+    mesh = meshlane.Mesh(points, [("quad", np.array([[0, 1, 2, 3], [1, 4, 5, 2]]))])
     name = {"msh22": "m.msh", "msh41": "m.msh", "vtu": "m.vtu"}[kind]
     form = {"msh22": "gmsh22", "msh41": "gmsh", "vtu": "vtu"}[kind]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

@@ -230,7 +230,7 @@ def mesh_from_arrays(
     points : (N, d) array
         Coordinates [length].
     elements : mapping of kind to (E, n) arrays of int
-        Kinds as in `reference.KINDS` (``"quad4"``), nodes from 0 in meshio's order.
+        Kinds as in `reference.KINDS` (``"quad4"``), nodes from 0 in VTK's order.
     node_sets : mapping of name to (k,) arrays of int, optional
     sides : mapping of name to (p, k) arrays of int, optional
         Boundary facets by their corners in any turn; the nodes after the corners may be left out.

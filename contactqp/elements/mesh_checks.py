@@ -151,7 +151,7 @@ def _check_jacobians(points: Points, block: Block, first: int) -> None:
         if inverted.size:
             e = int(inverted[0])
             folded = f", worst near its node {part.nodes[e][np.argmin(at_nodes[e])]}" if inside[e].max() > 0 else ""
-            turn = "counter-clockwise" if kind.dimension == 2 else "in the order of meshio"
+            turn = "counter-clockwise" if kind.dimension == 2 else "in the order of VTK"
             raise InvalidProblem(
                 f"{describe(part, e, first)}: inverted, its Jacobian is {worst[e]:.3g}{folded}; expected a positive "
                 f"one, with the corners {turn}"

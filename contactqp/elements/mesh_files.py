@@ -29,7 +29,7 @@ LONGEST_REASON = 200
 
 
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshio reads.
+    """A mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
     InvalidProblem
         The file is not there or cannot be read, holds elements of a kind not offered, or a mesh that is no good.
     BackendMissing
-        meshio is not installed.
+        meshlane is not installed.
 
     Notes
     -----
     Named sets are Gmsh's physical groups (those without a name are called by their tag), NSET, ELSET and SURFACE of
     Abaqus files (their names in upper case), and, in formats without sets such as VTU, flags: integer point or cell
-    data of 0 and 1 only, the members being 1. Abaqus files are read here and not by meshio, which knows neither
+    data of 0 and 1 only, the members being 1. Abaqus files are read here and not by meshlane, which knows neither
     CPE, CAX nor SURFACE and gives ELSETs to the wrong elements where an ELEMENT has none.
     """
     file = Path(path)
@@ -61,15 +61,15 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
             # Comments in any encoding must not keep a file of ASCII keywords and numbers from being read.
             source = read_abaqus(file.read_text(encoding="utf-8", errors="replace"))
         else:
-            source = _cells_of_meshio(_read_by_meshio(file))
+            source = _cells_of_meshlane(_read_by_meshlane(file))
         return mesh_from_cells(source, part=part, drop_unconnected=drop_unconnected)
     except (InvalidProblem, OSError) as error:
         raise InvalidProblem(f"{file.name}: {error}") from None
 
 
-def mesh_from_meshio(mesh: Any, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a ``meshio.Mesh``; as `read_mesh`."""
-    return mesh_from_cells(_cells_of_meshio(mesh), part=part, drop_unconnected=drop_unconnected)
+def mesh_from_meshlane(mesh: Any, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
+    """A mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
+    return mesh_from_cells(_cells_of_meshlane(mesh), part=part, drop_unconnected=drop_unconnected)
 
 
 def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
@@ -101,22 +101,22 @@ def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
     return mesh_from_cells(Cells(points, [(kind.name, nodes), (facet, every)], groups), part=part)
 
 
-def _read_by_meshio(file: Path) -> Any:
+def _read_by_meshlane(file: Path) -> Any:
     try:
-        meshio = importlib.import_module("meshio")
+        meshlane = importlib.import_module("meshlane")
     except ImportError:
-        raise BackendMissing(f"reading {file.name} needs meshio: pip install 'contactqp[solids]'") from None
+        raise BackendMissing(f"reading {file.name} needs meshlane: pip install 'contactqp[solids]'") from None
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            return meshio.read(file)
+            return meshlane.read(file)
     except (SystemExit, Exception) as error:
         # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
         reason = said.getvalue().strip() or f"{type(error).__name__}: {error}"
-        raise InvalidProblem(f"meshio cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
+        raise InvalidProblem(f"meshlane cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
 
 
-def _cells_of_meshio(mesh: Any) -> Cells:
+def _cells_of_meshlane(mesh: Any) -> Cells:
     cells = []
     for block in mesh.cells:
         if block.type not in MESHIO_KINDS:

@@ -1,7 +1,7 @@
 """Reference elements: nodes, shape functions, quadrature and facets of every kind of element.
 
 Lines, quadrilaterals and hexahedra live on [-1, 1]^d, triangles and tetrahedra on the unit simplex. Node orders are
-meshio's (VTK's): corners, middles of edges, centres of faces, centre. The shape functions are the nodal basis of a
+VTK's: corners, middles of edges, centres of faces, centre. The shape functions are the nodal basis of a
 stated polynomial space, so each kind is a list of nodes and a list of monomials:
 
     tri3, tri6, tet4, tet10         complete polynomials of degree 1 and 2
@@ -95,7 +95,7 @@ def _powers(points: NDArray[np.float64], exponents: NDArray[np.int64]) -> NDArra
     return product
 
 
-# Corners, edges and faces of the shapes. Faces are counter-clockwise seen from outside; edges in meshio's order.
+# Corners, edges and faces of the shapes. Faces are counter-clockwise seen from outside; edges in VTK's order.
 _CORNERS: dict[str, list[tuple[int, ...]]] = {
     "line": [(-1,), (1,)],
     "tri": [(0, 0), (1, 0), (0, 1)],

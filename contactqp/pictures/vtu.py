@@ -53,25 +53,25 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
     InvalidProblem
         Another suffix, a folder that is not there.
     BackendMissing
-        meshio is not installed.
+        meshlane is not installed.
     """
     path = check_vtu(file)
-    meshio: Any = importlib.import_module("meshio")
+    meshlane: Any = importlib.import_module("meshlane")
     data = _of_bodies(fields) if isinstance(fields, ContactFields) else _of_frame(fields)
-    mesh = meshio.Mesh(data.points, data.cells, point_data=data.at_points, cell_data=data.at_cells)
+    mesh = meshlane.Mesh(data.points, data.cells, point_data=data.at_points, cell_data=data.at_cells)
     write_whole(path, lambda beside: mesh.write(beside, file_format="vtu"))
 
 
 def check_vtu(file: str | Path) -> Path:
     """The file as a path, if a VTU file can be written to it; raises as `write_vtu`."""
     path = check_file(file, VTU)
-    check_installed("meshio", "solids", f"writing {path.name}")
+    check_installed("meshlane", "solids", f"writing {path.name}")
     return path
 
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """What meshio.Mesh takes."""
+    """What meshlane.Mesh takes."""
 
     points: Array
     cells: list[tuple[str, Index]]

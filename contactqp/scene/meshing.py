@@ -45,7 +45,7 @@ def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
     InvalidProblem
         The file or its mesh is no good, or the shape's numbers are none.
     BackendMissing
-        A file that needs meshio, which is not installed.
+        A file that needs meshlane, which is not installed.
     """
     if body.shape is not None:
         return lattice_of_shape(scene, body.shape).mesh()

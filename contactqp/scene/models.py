@@ -22,7 +22,7 @@ def build(scene: SceneData) -> Model:
     SceneError
         Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
     BackendMissing
-        A mesh file that needs meshio, which is not installed.
+        A mesh file that needs meshlane, which is not installed.
     """
     with stage(BUILD):
         if scene.meshed:

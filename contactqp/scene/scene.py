@@ -38,6 +38,6 @@ class Scene(SceneData):
         InvalidProblem, SceneError
             The numbers are no contact problem; of bodies: a mesh, a side or a pair that is no good, and which.
         BackendMissing
-            A mesh file that needs meshio, which is not installed.
+            A mesh file that needs meshlane, which is not installed.
         """
         return build(self).problem

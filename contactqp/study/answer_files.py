@@ -87,7 +87,7 @@ def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None,
     InvalidProblem
         A wrong suffix, a folder that is not there, two cases that would write to one file.
     BackendMissing
-        matplotlib or meshio is not installed.
+        matplotlib or meshlane is not installed.
     """
     stems = [_stem(scene) for scene in scenes]
     stems += [f"{stem}.{HISTORY}" for stem in stems if plot is not None]

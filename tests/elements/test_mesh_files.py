@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from contactqp.elements.mesh_files import mesh_from_meshio, mesh_from_skfem, read_mesh
+from contactqp.elements.mesh_files import mesh_from_meshlane, mesh_from_skfem, read_mesh
 from contactqp.elements.shapes import ball, box, half_disc
 from contactqp.errors import BackendMissing, InvalidProblem
 from tests.elements.bodies import PLANE, SOLID, distorted
@@ -51,7 +51,7 @@ $EndElements
 
 @pytest.fixture
 def gmsh(tmp_path):
-    pytest.importorskip("meshio")
+    pytest.importorskip("meshlane")
     file = tmp_path / "squares.msh"
     file.write_text(GMSH)
     return file
@@ -98,22 +98,22 @@ def test_bad_files_are_refused_by_name(gmsh, tmp_path):
         read_mesh(tmp_path / "none.msh")
     nonsense = tmp_path / "mesh.msh"
     nonsense.write_text("nonsense")
-    with pytest.raises(InvalidProblem, match=r"mesh\.msh: meshio cannot read it"):
+    with pytest.raises(InvalidProblem, match=r"mesh\.msh: meshlane cannot read it"):
         read_mesh(nonsense)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("mesh.vtu", b"hello", "meshio cannot read it .*[Cc]ouldn't read"),
-        ("mesh.msh", bytes(range(256)), "meshio cannot read it"),
-        ("mesh.bdf", b"GRID,1\n", "meshio cannot read it .*BEGIN BULK"),
+        ("mesh.vtu", b"hello", "meshlane cannot read it .*[Cc]ouldn't read"),
+        ("mesh.msh", bytes(range(256)), "meshlane cannot read it"),
+        ("mesh.bdf", b"GRID,1\n", "meshlane cannot read it .*BEGIN BULK"),
         ("mesh.obj", b"v 0 0 0\n", "expected plane elements or solid ones, got none"),
-        ("mesh.abc", b"hello", "meshio cannot read it"),
+        ("mesh.abc", b"hello", "meshlane cannot read it"),
     ],
 )
-def test_a_file_that_meshio_stumbles_over_is_refused_and_nothing_printed(name, content, message, tmp_path, capfd):
-    pytest.importorskip("meshio")
+def test_a_file_that_meshlane_stumbles_over_is_refused_and_nothing_printed(name, content, message, tmp_path, capfd):
+    pytest.importorskip("meshlane")
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidProblem, match=rf"^{name}: .*{message}") as refused:
         read_mesh(tmp_path / name)
@@ -121,17 +121,17 @@ def test_a_file_that_meshio_stumbles_over_is_refused_and_nothing_printed(name, c
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_missing_meshio_is_named_with_its_pip_command(gmsh, monkeypatch):
-    monkeypatch.setitem(sys.modules, "meshio", None)
-    with pytest.raises(BackendMissing, match=r"squares.msh needs meshio: pip install 'contactqp\[solids\]'"):
+def test_a_missing_meshlane_is_named_with_its_pip_command(gmsh, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshlane", None)
+    with pytest.raises(BackendMissing, match=r"squares.msh needs meshlane: pip install 'contactqp\[solids\]'"):
         read_mesh(gmsh)
 
 
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 @pytest.mark.parametrize("suffix", [".vtu", ".msh"])
 def test_every_kind_survives_a_file(kind, suffix, tmp_path):
-    """The same nodes in the same order: meshio's order is ours, also through Gmsh's other one."""
-    meshio = pytest.importorskip("meshio")
+    """The same nodes in the same order: VTK's order is ours, also through Gmsh's other one."""
+    meshlane = pytest.importorskip("meshlane")
     mesh = distorted(kind)
     flat = np.column_stack([mesh.points, np.zeros((len(mesh.points), 3 - mesh.dimension))])
     (facets,) = mesh.side("top")
@@ -144,11 +144,11 @@ def test_every_kind_survives_a_file(kind, suffix, tmp_path):
     file = tmp_path / f"body{suffix}"
     if suffix == ".vtu":
         sets = {"point_data": {"left": flags}, "cell_data": {"top": tags}}
-        meshio.Mesh(flat, cells, **sets).write(file)
+        meshlane.Mesh(flat, cells, **sets).write(file)
     else:
         data = {"gmsh:physical": [t + 1 for t in tags], "gmsh:geometrical": [t + 1 for t in tags]}
         names = {"all": np.array([1, mesh.dimension]), "top": np.array([2, mesh.dimension - 1])}
-        meshio.write(file, meshio.Mesh(flat, cells, cell_data=data, field_data=names), file_format="gmsh22")
+        meshlane.write(file, meshlane.Mesh(flat, cells, cell_data=data, field_data=names), file_format="gmsh22")
     again = read_mesh(file)
     np.testing.assert_allclose(again.points, mesh.points, rtol=1e-15)
     np.testing.assert_array_equal(again.blocks[0].nodes, mesh.blocks[0].nodes)
@@ -158,20 +158,20 @@ def test_every_kind_survives_a_file(kind, suffix, tmp_path):
 
 
 def test_cells_without_their_nodes_are_refused():
-    meshio = pytest.importorskip("meshio")
-    mesh = meshio.Mesh(np.zeros((4, 3)), [])
-    mesh.cells = [meshio.CellBlock("quad", np.zeros((2, 0), dtype=int))]
+    meshlane = pytest.importorskip("meshlane")
+    mesh = meshlane.Mesh(np.zeros((4, 3)), [])
+    mesh.cells = [meshlane.CellBlock("quad", np.zeros((2, 0), dtype=int))]
     with pytest.raises(InvalidProblem, match=r"expected 4 nodes a quad4, got nodes of shape \(2, 0\)"):
-        mesh_from_meshio(mesh)
+        mesh_from_meshlane(mesh)
 
 
 def test_cells_that_are_not_offered_are_refused():
-    meshio = pytest.importorskip("meshio")
+    meshlane = pytest.importorskip("meshlane")
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], dtype=float)
     with pytest.raises(InvalidProblem, match=r"expected cells of vertex, .*, got wedge"):
-        mesh_from_meshio(meshio.Mesh(points, [("wedge", [[0, 1, 2, 3, 4, 5]])]))
+        mesh_from_meshlane(meshlane.Mesh(points, [("wedge", [[0, 1, 2, 3, 4, 5]])]))
     with pytest.raises(InvalidProblem, match="expected plane elements or solid ones, got none"):
-        mesh_from_meshio(meshio.Mesh(points, [("line", [[0, 1]])]))
+        mesh_from_meshlane(meshlane.Mesh(points, [("line", [[0, 1]])]))
 
 
 @pytest.mark.parametrize(

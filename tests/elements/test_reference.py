@@ -1,4 +1,4 @@
-"""Reference elements and quadrature: exact integrals, polynomials reproduced, facets turned outward, meshio's order."""
+"""Reference elements and quadrature: exact integrals, polynomials reproduced, facets turned outward, VTK's order."""
 
 import itertools
 from math import factorial

@@ -1,4 +1,4 @@
-"""VTU files read back by meshio: every field, exactly."""
+"""VTU files read back by meshlane: every field, exactly."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tests.elements.bodies import PLANE, SOLID
 from tests.pictures.examples import FLOOR, PRESSURE, block, solved, stack, unloaded
 from tests.pictures.test_frames import fields as frame
 
-meshio = pytest.importorskip("meshio")
+meshlane = pytest.importorskip("meshlane")
 
 
 def written(fields, folder):
     write_vtu(fields, folder / "fields.vtu")
     assert [file.name for file in folder.iterdir()] == ["fields.vtu"]
-    return meshio.read(folder / "fields.vtu")
+    return meshlane.read(folder / "fields.vtu")
 
 
 def test_two_bodies(tmp_path):
@@ -118,7 +118,7 @@ def test_what_cannot_be_written_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InvalidProblem, match=r"a.vtk: expected a file name that ends in .vtu"):
         write_vtu(frame("two_bars"), tmp_path / "a.vtk")
     real = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "meshio" else real(name, *a))
-    with pytest.raises(BackendMissing, match=r"writing a.vtu needs meshio: pip install 'contactqp\[solids\]'"):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "meshlane" else real(name, *a))
+    with pytest.raises(BackendMissing, match=r"writing a.vtu needs meshlane: pip install 'contactqp\[solids\]'"):
         write_vtu(frame("two_bars"), tmp_path / "a.vtu")
     assert not list(tmp_path.iterdir())

@@ -186,7 +186,7 @@ MUTATIONS = {
     "mesh in newtons": (', unit = "mm" }', ', unit = "N" }', "unit: expected a unit of length"),
     "mesh file missing": ('"upper.inp"', '"uper.inp"', "bodies[1] ('upper'): mesh: there is no file"),
     "mesh part missing": (', unit = "mm" }', ', unit = "mm", part = "HALF" }', "bodies[1] ('upper'): upper.inp:"),
-    "mesh of no format": ('"upper.inp"', '"bad.toml"', "bodies[1] ('upper'): bad.toml: meshio cannot read it"),
+    "mesh of no format": ('"upper.inp"', '"bad.toml"', "bodies[1] ('upper'): bad.toml: meshlane cannot read it"),
     "body name with a full stop": ('name = "upper"', 'name = "upper.1"', "expected a body's name without a full stop"),
     "two bodies of one name": ('name = "upper"', 'name = "lower"', "bodies[1].name: expected distinct names"),
     "far from the body": (

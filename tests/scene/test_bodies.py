@@ -246,14 +246,14 @@ def test_contacts_of_held_nodes_are_left_out_and_counted():
 
 
 def test_meshes_from_files_are_found_beside_the_case_and_have_their_unit(tmp_path):
-    meshio = pytest.importorskip("meshio")
+    meshlane = pytest.importorskip("meshlane")
     mesh = rectangle(2.0, 1.0, (4, 2), "quad4", grading=3.0)
     low = (mesh.points[:, 1] < 1e-9).astype(int)
     left = (mesh.points[:, 0] < 1e-9).astype(int)
     high = (mesh.points[:, 1] > 1 - 1e-9).astype(int)
     points = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
     sets = {"bottom": low, "left": left, "top": high}
-    meshio.Mesh(points, [("quad", mesh.blocks[0].nodes)], point_data=sets).write(tmp_path / "block.vtu")
+    meshlane.Mesh(points, [("quad", mesh.blocks[0].nodes)], point_data=sets).write(tmp_path / "block.vtu")
     case = tmp_path / "case.toml"
     case.write_text(
         """

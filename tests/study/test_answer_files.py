@@ -11,7 +11,7 @@ from tests.cli.test_cli import CASES, WALL, run
 from tests.examples import PUSHED_OFF
 
 pytest.importorskip("matplotlib")
-pytest.importorskip("meshio")
+pytest.importorskip("meshlane")
 TRUSS = str(CASES / "truss_floor.toml")
 
 
@@ -129,7 +129,7 @@ def test_a_wrong_file_is_exit_2_before_anything_is_solved(capsys, tmp_path, opti
 
 @pytest.mark.parametrize(
     ("package", "option", "name", "extra"),
-    [("matplotlib", "--plot", "a.png", "report"), ("meshio", "--vtu", "a.vtu", "solids")],
+    [("matplotlib", "--plot", "a.png", "report"), ("meshlane", "--vtu", "a.vtu", "solids")],
 )
 @pytest.mark.usefixtures("unsolved")
 def test_a_missing_package_is_exit_3_before_anything_is_solved(

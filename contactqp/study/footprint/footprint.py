@@ -9,7 +9,7 @@ from typing import Any
 IMPORT = "import modules"
 # What a case brings in where it needs it, and what for.
 OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("files of meshes", ("meshio",)),
+    ("files of meshes", ("meshlane",)),
     (
         "QP backends",
         ("qpsolvers", "cvxpy", "osqp", "clarabel", "piqp", "proxsuite", "daqp", "highspy", "scs", "qpalm"),
