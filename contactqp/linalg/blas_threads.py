@@ -6,7 +6,6 @@ process has the second core: they wait for each other by spinning. MKL, which PA
 
 from __future__ import annotations
 
-import importlib.util
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -29,11 +28,11 @@ def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
 
 @contextmanager
 def on_one_thread(pays: bool = True) -> Iterator[None]:
-    """OpenBLAS on one thread, if that pays; without threadpoolctl (extra `fast`) nothing changes."""
-    if not pays or (pools := _openblas()) is None:
+    """Keep OpenBLAS on one thread, if that pays."""
+    if not pays:
         yield
         return
-    _LIMIT.enter(pools)
+    _LIMIT.enter(_openblas())
     try:
         yield
     finally:
@@ -70,8 +69,6 @@ renew_in_child(_LIMIT.renew)
 @cache
 def _openblas() -> Any:
     """The OpenBLAS libraries of NumPy and SciPy."""
-    if importlib.util.find_spec("threadpoolctl") is None:
-        return None
     import scipy.linalg  # noqa: F401  brings a library of its own
     from threadpoolctl import ThreadpoolController
 

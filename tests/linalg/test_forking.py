@@ -90,7 +90,6 @@ def test_a_solve_may_fork_inside_of_itself() -> None:
 
 
 def test_the_limit_of_threads_of_blas(monkeypatch) -> None:
-    pytest.importorskip("threadpoolctl")
     monkeypatch.setattr(blas_threads, "WORTHWHILE", 1)
     problem = bars()
     with held_elsewhere(blas_threads._LIMIT._lock):

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import threadpoolctl
 
 import contactqp as cq
 from contactqp.linalg import blas_threads
@@ -31,7 +32,6 @@ def test_loads_of_one_body_in_threads(solver, monkeypatch):
 
 
 def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
-    threadpoolctl = pytest.importorskip("threadpoolctl")
     monkeypatch.setattr(blas_threads, "WORTHWHILE", 1)
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 

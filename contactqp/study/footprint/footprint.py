@@ -17,7 +17,7 @@ OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("fast rational algebra", ("flint",)),
     ("pictures and pages", ("matplotlib", "plotly", "jinja2")),
     ("files of other codes", ("h5py",)),
-    ("faster sparse solvers", ("pypardiso", "pyamg", "threadpoolctl")),
+    ("faster sparse solvers", ("pypardiso", "pyamg")),
 )
 
 
