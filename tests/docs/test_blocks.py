@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from qpsolvers.solvers import solve_function
@@ -12,6 +13,7 @@ from qpsolvers.solvers import solve_function
 from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
+from contactqp.solving.friction.local_algorithms import ALGORITHMS
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
 
@@ -62,10 +64,12 @@ def page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     # What a page registers ends with it.
     for module, table in ((methods, "_REGISTRY"), (matrix_files, "READERS"), (answer_files, "READERS")):
         monkeypatch.setattr(module, table, copy.copy(getattr(module, table)))
-    backends = dict(solve_function)
+    tables: tuple[dict[str, Any], ...] = (solve_function, ALGORITHMS)
+    before = [dict(table) for table in tables]
     yield PageRun(tmp_path, lambda: "".join(capsys.readouterr()), NOT_RUN)
-    solve_function.clear()
-    solve_function.update(backends)
+    for table, entries in zip(tables, before, strict=True):
+        table.clear()
+        table.update(entries)
 
 
 @pytest.mark.parametrize("page", [page for page in pages() if page not in RUN_ELSEWHERE and shown(page)])

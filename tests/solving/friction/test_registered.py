@@ -9,10 +9,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.model.coulomb_cone import natural_map
-from contactqp.solving.friction import local_algorithms
 from contactqp.solving.friction.convex_steps import ConvexSteps
 from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_algorithms import Algorithm, register
+from contactqp.solving.friction.local_algorithms import ALGORITHMS, Algorithm, register
 from contactqp.solving.friction.local_form import LocalForm
 from tests.examples import truss
 
@@ -25,12 +24,12 @@ def _damped(form: LocalForm, _: ConvexSteps | None, start: Iterate) -> Iterator[
 
 
 @pytest.fixture
-def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local_algorithms, "ALGORITHMS", dict(local_algorithms.ALGORITHMS))
-    for user in ("contactqp.solving.friction_attempt", "contactqp.solving.local_solving"):
-        monkeypatch.setattr(f"{user}.ALGORITHMS", local_algorithms.ALGORITHMS)
-    monkeypatch.setattr("contactqp.solving.friction.on_contacts.ALGORITHMS", local_algorithms.ALGORITHMS)
+def _registered() -> Iterator[None]:
+    before = dict(ALGORITHMS)
     register(Algorithm("damped", _damped, False, 1000, 100, "the natural map, damped"))
+    yield
+    ALGORITHMS.clear()
+    ALGORITHMS.update(before)
 
 
 @pytest.mark.usefixtures("_registered")
