@@ -237,20 +237,29 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
     rigid = _rigid_but_for_rounding(body, weight, motions, turns, known)
     if not rigid.shape[1]:
         return None
-    turns = turns if rigid.shape[1] == motions.shape[1] else 0
+    most = MOST_ROUNDINGS * weight.max() * (1.0 if known else COARSEST_ROUNDINGS)
+    # Most patterns have room for the turns as they were recognised, and then K + d has them to rounding.
+    inexact = turns if rigid.shape[1] == motions.shape[1] else 0
+    for corrected in (0, inexact) if inexact else (0,):
+        change, left = _least_change(body, weight, rigid.copy(), corrected)
+        allowed = _of_doubles(body, rigid) if corrected else EXACT * (abs(body) @ abs(rigid))
+        if abs(change).max() <= most and np.all(abs(left) <= allowed):
+            return change
+    return None
+
+
+def _least_change(body: Any, weight: Any, rigid: Array, turns: int) -> tuple[Any, Array]:
+    """The least change (p, p), the last `turns` motions corrected with it, and the forces (p, r) that are left."""
     change = body * 0.0
     for _ in range(REFINEMENTS):
-        left, nothing = _forces(body + change, rigid), 2 * EPS / EXACT * _of_doubles(body, rigid)
+        left = _forces(body + change, rigid)
+        nothing = 2 * EPS * (_of_doubles(body, rigid) / EXACT if turns else abs(body) @ abs(rigid))
         if np.all(abs(left) <= nothing):
             break
         more, moved = _LeastChange(body + change, weight, rigid, turns).change(-left, nothing)
         change = sp.csr_matrix(change + more)
         rigid[:, rigid.shape[1] - turns :] += moved - rigid @ (rigid.T @ moved)
-    left = _forces(body + change, rigid)
-    most = MOST_ROUNDINGS * weight.max() * (1.0 if known else COARSEST_ROUNDINGS)
-    if abs(change).max() > most or np.any(abs(left) > _of_doubles(body, rigid)):
-        return None
-    return change
+    return change, _forces(body + change, rigid)
 
 
 def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Array:
@@ -353,6 +362,9 @@ class _LeastChange:
         shape = (self._motions.size, len(self._weight) + self._turns * len(self._motions))
         operator = LinearOperator(shape, matvec=self._forces, rmatvec=self._work, dtype=float)
         right = self._whitened(forces).ravel()
+        if not self._turns:
+            found = lsqr(operator, right, atol=SOLVED, btol=SOLVED, iter_lim=MOST_STEPS)[0]
+            return self._matrix(found), np.zeros((len(self._motions), 0))
         part = np.linalg.norm(self._whitened(nothing)) / np.linalg.norm(right)
         solved = float(np.clip(part / 64, SOLVED, HARDLY_SOLVED))
         # What a rounding of the entries changes by less than that of doubles is not asked for: it is noise.
