@@ -36,6 +36,8 @@ MAX_SWEEPS = 12
 INVISIBLE = 1e-22
 # No solve in double precision leaves less of a correction.
 LEAST_CONTRACTION = float(np.finfo(float).eps)
+# Corrections of this part of the answer are rounding of twice double precision, and measure no contraction.
+ROUNDED_AWAY = 2.0**-90
 # Corrections in other directions than the one that the contraction was measured in may contract so much less.
 CAUTION = 1e4
 # What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
@@ -151,7 +153,9 @@ def _refined(
         size = size_of(du, dl, dn)
         whole = max(whole, size)
         if sweep == 1 and q is None:
-            q = saddle.contraction = max(size / last if last > 0 else 0.0, LEAST_CONTRACTION)
+            rounding = ROUNDED_AWAY * whole
+            q = max(size / max(last, rounding) if last > 0 else 0.0, LEAST_CONTRACTION)
+            saddle.contraction = q if last > rounding else None
         if (q is not None and size * min(q * caution, 1.0) <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
             break
         last = size

@@ -234,6 +234,11 @@ def test_truths_are_rounded_to_the_nearest_float() -> None:
     assert floats(find_truth(wall()).displacement)[0] == 1e-3
 
 
+def test_a_start_that_is_exact_measures_no_contraction() -> None:
+    """Corrections of 1e-32 follow corrections of 1e-32: the quotient says nothing of the refinement."""
+    assert judging.judge("interference_removed", 173, ("active-set",)).outcomes[0].verdict == "right"
+
+
 @pytest.mark.parametrize(
     ("name", "seed", "method"),
     [
