@@ -85,6 +85,7 @@ def _height(value: float, low: float, high: float, letters: Letters) -> str:
     if high <= low or abs(value) <= ROUNDING * max(high, -low):
         return letters.zero
     steps = len(letters.heights)
-    # Halved first: the difference of the largest doubles of both signs is none.
-    part = (value / 2 - low / 2) / (high / 2 - low / 2)
+    # Halved where need be: the difference of the largest doubles of both signs is none, half of the smallest is zero.
+    half = 1.0 if math.isfinite(high - low) else 0.5
+    part = (half * value - half * low) / (half * high - half * low)
     return letters.heights[min(int(part * steps), steps - 1)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from contactqp.scene.in_text import ASCII, BLOCKS, bars, course
@@ -47,6 +47,8 @@ def test_of_values_that_share_a_letter_the_furthest_is_drawn():
 @pytest.mark.parametrize("letters", [BLOCKS, ASCII], ids=["blocks", "ascii"])
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(values=st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=40), width=st.integers(1, 30))
+@example(values=[5e-324], width=1)
+@example(values=[-1.7e308, 1.7e308], width=2)
 def test_any_numbers_fit_their_place(letters, values, width):
     drawn = bars(values, width, letters)
     assert len(drawn) == len(values)

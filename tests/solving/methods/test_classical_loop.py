@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
 from contactqp.errors import NotConverged
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.existence import conflict
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods.augmented_lagrangian import solve_augmented_lagrangian
 from contactqp.solving.methods.master_slave import choose_slaves, transformation
@@ -197,8 +199,10 @@ def test_the_answer_satisfies_signorini(name: str, seed: int) -> None:
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), length=st.floats(-6, 6), force=st.floats(-6, 6))
+@example(seed=33133, length=0.0, force=0.0)  # two ties leave no room for three contacts
 def test_change_of_units(name: str, seed: int, length: float, force: float) -> None:
     problem, L, F = random_problem(seed), 10.0**length, 10.0**force
+    assume(conflict(problem, condense(problem)) is None)
     other = problem.replace(
         stiffness=problem.stiffness * (F / L),
         load=problem.load * F,
