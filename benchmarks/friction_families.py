@@ -142,7 +142,7 @@ LOCAL_FAMILIES = {
 }
 FAMILIES = (*CONTACT_FAMILIES, *LOCAL_FAMILIES)
 # One contact far beyond all others, or every contact in a unit of its own.
-FAR, SCALED = "far_gap", "scaled_contact"
+FAR, SCALED, PRINTED = "far_gap", "scaled_contact", "printed_floating"
 for _dimension in (2, 3):
     for _kind in (FAR, SCALED):
         CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, False, False)
@@ -151,12 +151,8 @@ for _dimension in (2, 3):
     for _kind in MAKERS:
         CONTACT_FAMILIES[f"{_kind} {_dimension}D"] = (_dimension, 0, False, True, True)
 # In the order in which they came, since a family's place is a part of its seeds.
-FAMILIES += tuple(
-    name
-    for stacks in (False, True)
-    for name in CONTACT_FAMILIES
-    if name.split()[0] in MAKERS and name.startswith("stack") == stacks
-)
+for _later in (tuple(MAKERS)[:5], tuple(MAKERS)[5:6], tuple(MAKERS)[6:]):
+    FAMILIES += tuple(name for name in CONTACT_FAMILIES if name.split()[0] in _later)
 
 
 def contact_problem(name: str, seed: int) -> Posed:
@@ -173,6 +169,8 @@ def contact_problem(name: str, seed: int) -> Posed:
         )  # fmt: skip
     if name.startswith(SCALED):
         units = Units(np.ones(n), own_units(rng, m), 1.0, 1.0)
+    if name.startswith(PRINTED):  # as it was printed, in its own units
+        return Posed(plain, plain, Units(np.ones(n), np.ones(m), 1.0, 1.0), around)
     if name.startswith(FAR):
         plain = with_far_contact(rng, plain)
         units = Units(np.ones(plain.dimension), np.ones(m + 1), 1.0, 1.0)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import contactqp as cq
 from benchmarks.bricks import blocks
+from benchmarks.families_of_printing import print_and_read
 from benchmarks.families_of_stacks import spring_block
 
 Array = NDArray[np.float64]
@@ -168,7 +169,22 @@ def stack_free_to_slide(rng: Generator, dimension: int) -> cq.ContactProblem:
     )  # fmt: skip
 
 
+def printed_floating(rng: Generator, dimension: int) -> cq.ContactProblem:
+    """Free blocks moved onto rough supports under their loads, their stiffness printed with 6 to 12 digits."""
+    posed = pushed_rigidly(rng, dimension)
+    stiffness = print_and_read(posed.stiffness_rows.toarray() / 3, int(rng.integers(6, 13)))
+    return posed.replace(stiffness=stiffness)
+
+
 MAKERS: dict[str, Callable[[Generator, int], cq.ContactProblem]] = {
     maker.__name__: maker
-    for maker in (bedded, decaying_path, pushed_rigidly, unstrained, interference_removed, stack_free_to_slide)
+    for maker in (
+        bedded,
+        decaying_path,
+        pushed_rigidly,
+        unstrained,
+        interference_removed,
+        stack_free_to_slide,
+        printed_floating,
+    )
 }

@@ -94,7 +94,8 @@ def _judge_contact(report: Report, posed: Posed) -> None:
     known: list[np.ndarray] = []
     project = seen(posed.plain)
     if flat:
-        exact = cq.exact_equilibria(posed.plain) if problem.contacts <= MOST_EXACT else None
+        rational = problem.contacts <= MOST_EXACT and not posed.plain.rigid_change
+        exact = cq.exact_equilibria(posed.plain) if rational else None
         known = _listed(report, posed, exact, project)
     for name in (*ALGORITHMS, *CLASSICAL):
         solution = _attempt(report, name, problem)
@@ -122,6 +123,9 @@ def _listed(report: Report, posed: Posed, exact: Any, project: np.ndarray) -> li
     for solution in found:
         if (worst := broken(posed, solution)) > BREAKS:
             report.wrong.append(f"enumeration: breaks the law by {worst:.2g}")
+    if posed.plain.rigid_change:  # turns known to the printed digits have equilibria of their own, far away
+        report.continuum, report.exists = True, True
+        return []
     floats = [project @ plain_answer(posed, solution)[0] for solution in found]
     if exact is None:
         report.states, report.exists = len(floats), report.exists or bool(floats)

@@ -55,6 +55,8 @@ FAR_APART = 4
 # Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
 # unknowns than this, or than this part of the touched ones: next to nothing beside a second factorisation.
 FEW_MORE, PART_MORE = 48, 0.125
+# A printed stiffness that was changed along rigid motions resists none by so little of that change.
+LOST = 1e-2
 # Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
 # of one, get an unknown more to hold them.
 HARDLY_HELD = 1e-4
@@ -85,6 +87,11 @@ class Condensation:
             self.rigid = stated
         elif self._may_be_singular():
             self._find_rigid_motions(problem, touched)
+        if self.rigid.softest < LOST * problem.rigid_change:
+            raise InvalidProblem(
+                f"stiffness: it was printed, and {self.rigid.softest:.2g} of it resists a motion, which lost digits may "
+                "have made; state the rigid motions as near_null_space, or print more digits"
+            )
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
         self.tie = problem.tie[:, self.retained].toarray()
