@@ -89,8 +89,8 @@ class Condensation:
             self._find_rigid_motions(problem, touched)
         if self.rigid.softest < LOST * problem.rigid_change:
             raise InvalidProblem(
-                f"stiffness: it was printed, and {self.rigid.softest:.2g} of it resists a motion, which lost digits may "
-                "have made; state the rigid motions as near_null_space, or print more digits"
+                f"stiffness: it was printed, and {self.rigid.softest:.2g} of it resists a motion, which lost digits "
+                "may have made; state the rigid motions as near_null_space, or print more digits"
             )
         self._clear_rigid_motions()
         self.normal = problem.normal[:, self.retained].toarray()
