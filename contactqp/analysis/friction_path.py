@@ -1,29 +1,216 @@
-"""Load paths with Coulomb friction: in steps, or from one exact event to the next."""
+"""Load paths with Coulomb friction: in steps, or from one exact event to the next.
+
+The solutions along a load path with Coulomb friction, each from where the one before left its contacts.
+
+Where the steps of a load path with friction jump: no way leads continuously through the step, or several do.
+
+From the state at its start a step is followed again from event to event (`friction_events`). Where that finds no
+continuation the step has jumped to an equilibrium beyond; where it finds several, or several equilibria exist at the
+end of the step, the step has chosen one.
+
+Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
+
+A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
+(`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
+history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
+the sliders were at the instant before, or where they stick.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
 
 from contactqp.analysis.friction_events import ExactPath, Segment
-from contactqp.analysis.friction_steps import FrictionSteps
-from contactqp.analysis.history import Event, History
-from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.analysis.step_jumps import step_notes
+from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
+from contactqp.analysis.history import Event, History, LazySolutions
+from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.figures import holds
-from contactqp.errors import Unsupported
+from contactqp.certificate.uniqueness import SEVERAL
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import STICK
-from contactqp.model.arrays import Vector
+from contactqp.linalg.iteration import iterated
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs
+from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction_attempt import attempt_with
-from contactqp.solving.methods import find
+from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.methods.augmented_lagrangian import default_penalty
 from contactqp.solving.solve import Begun
+from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported
+
+# Of `solve`, and what they are if nobody says.
+DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
+ARGUMENTS = tuple(DEFAULTS)
+
+
+class FrictionSteps(LazySolutions):
+    """The solutions at the steps; refined, expanded and certified when they are looked at.
+
+    The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
+    at the step before or from where it closed within the step. A contact that is open at the end of a step has no
+    anchor; its slip origin is its E_T u of the step before and says nothing.
+    """
+
+    _before: State
+    _anchors: Anchors
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        if problem.slip_origin is None:
+            raise ValueError("a path with friction of a problem without tangential rows")
+        super().__init__()
+        self._problem = problem
+        self._stepper = _stepper(problem, method, options)
+        self._leg = -1
+        self._states: list[tuple[Mask, Mask]] = []
+        nothing = np.zeros(problem.dimension)
+        self._stepper.turn(nothing, nothing)
+        origin = problem.slip_origin
+        with one_blas_thread(problem):
+            state = self._stepper.solve(1.0, origin, np.zeros(problem.contacts, dtype=bool))
+        # A contact that is closed and carries nothing is where the caller anchored it.
+        at_rest = state.touching & ~state.pushes
+        self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.position), state.touching))
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+        self._stepper.turn(start, end)
+        self._leg += 1
+        self._before = replace(self._before, fraction=0.0)
+
+    def go_to(self, fraction: float) -> None:
+        """One more step, to the load at a fraction of the leg.
+
+        Raises
+        ------
+        NoEquilibrium, SeveralEquilibria, NotConverged
+            As `solve`, with the pseudo-time.
+        """
+        try:
+            with one_blas_thread(self._problem):
+                state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
+                self._keep(state, Anchors(state.position, state.touching))
+        except (NoEquilibrium, SeveralEquilibria) as error:
+            raise type(error)(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
+        except NotConverged as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotConverged(message, error.history, error.solution) from error
+        except NotCertified as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotCertified(message, error.solution) from error
+
+    def _keep(self, state: State, anchors: Anchors) -> None:
+        self._before = state = self._stepper.accept(state)
+        self._anchors = anchors
+        self.append(state.step)
+        self._states.append((state.pushes, state.slides))
+
+    def changes(self, times: Sequence[float]) -> Iterator[Event]:
+        """Every change of state, at the first step that shows it."""
+        for (before, now), time in zip(pairwise(self._states), times[1:], strict=True):
+            for i in range(self._problem.contacts):
+                for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
+                    yield Event(kind, i, time, self._problem.contact_name(i))
+
+
+def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
+    """Raise on options that `solve` refuses, and on a start that the path has itself."""
+    if options.get("algorithm") == "associated":
+        raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
+    if "warm_start" in options:
+        raise InvalidProblem("warm_start: a path starts each step from the one before")
+    known = {name: options[name] for name in ARGUMENTS if name in options}
+    refuse_arguments(**(DEFAULTS | known))
+    others = {name: value for name, value in options.items() if name not in (*ARGUMENTS, "algorithm")}
+    refuse_unsupported(problem, chosen, Settings(options=others), options.get("algorithm"))
+
+
+def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
+    """Newton on the contact unknowns in the plane, unless the caller wants something else, or the bodies are large."""
+    chosen = find(method)
+    if not chosen.exact or not chosen.semidefinite:
+        raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
+    refuse_options(problem, chosen, options)
+    limited = options.get("max_iter") is not None or options.get("time_limit") is not None
+    in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
+    whole = iterated(problem) or first_candidates(problem) is not None
+    own = chosen.solve_friction is not None  # systems of stick and slip
+    if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
+        return PlaneStepper(problem, method, {**options, "algorithm": None})
+    return SolveStepper(problem, method, options)
+
+
+def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
+    """What happened to a contact that (pushed, slid) before and does so now."""
+    (pushed, slid), (pushes, slides) = before, now
+    if pushed != pushes:
+        return (["closed", "slip"] if slides else ["closed"]) if pushes else ["opened"]
+    if pushed and slid != slides:
+        return ["slip" if slides else "stick"]
+    return []
+
+
+SAID_BEFORE = "follow_path: "
+
+
+def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
+    """One text for every step that jumps or chooses, and one for every run of steps with several equilibria."""
+    reason = _not_followed(problem)
+    if reason:
+        yield f"whether steps jump was not examined: {reason}"
+    else:
+        with problem.lock, one_blas_thread(problem):
+            system = ForceSystem(problem, condense(problem))
+            for i in range(len(steps) - 1):
+                found = _through(problem, system, steps[i], steps[i + 1], (times[i], times[i + 1]))
+                if found:
+                    yield f"step to t = {times[i + 1]:.12g}: {found}"
+    yield from _several(steps, times)
+
+
+def _not_followed(problem: ContactProblem) -> str:
+    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        return "two tangential rows a contact"
+    return "too many contacts" if first_candidates(problem) is not None else ""
+
+
+def _through(
+    problem: ContactProblem, system: ForceSystem, before: Solution, now: Solution, times: tuple[float, float]
+) -> str:
+    """What stops the way through one step, or nothing."""
+    start, end = times
+    path = ExactPath(problem, before, system)
+    jump = path.jump_at_start() if start == 0 else ""
+    if jump:
+        return f"it jumps; {jump}"
+    try:
+        path.leg(before.problem.load, now.problem.load, start, end - start)
+    except NoEquilibrium as error:
+        return f"it jumps; {str(error).removeprefix(SAID_BEFORE)}"
+    except SeveralEquilibria as error:
+        return f"it chooses; {str(error).removeprefix(SAID_BEFORE)}"
+    except NotConverged as error:
+        return f"whether it jumps was not found out; {str(error).removeprefix(SAID_BEFORE)}"
+    return ""
+
+
+def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
+    """Runs of steps at whose loads the certificate knows of other equilibria."""
+    known = [i > 0 and SEVERAL in solution.certificate.uniqueness for i, solution in enumerate(steps)]
+    for several, run in groupby(range(len(known)), key=known.__getitem__):
+        places = list(run)
+        if several:
+            first, last = times[places[0]], times[places[-1]]
+            when = f"t = {first:.12g}" if first == last else f"t = {first:.12g} to {last:.12g}"
+            yield f"{when}: several equilibria exist at this load, and a step takes one of them"
 
 
 def follow_with_friction(
@@ -95,3 +282,70 @@ class _Instants(LazySolutions):
         method = replace(find("active-set"), name=attempt.name)
         self.append(Begun(here, method, attempt, True, 0.0))
         self._displacement = answer.displacement
+
+
+# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
+STIFFEST = 1e6
+
+
+def follow_on_springs(
+    problem: ContactProblem,
+    corners: Sequence[Vector],
+    count: int,
+    exactly: bool,
+    chosen: Method,
+    options: dict[str, Any],
+) -> History:
+    """As `follow_with_friction`, of a method whose `springs` names the stiffnesses of its contacts.
+
+    Raises
+    ------
+    InvalidProblem
+        A stiffness is missing, or not positive and finite.
+    Unsupported
+        A stiffness is so far above that of the bodies that rounding hides whether a contact goes on.
+    """
+    refuse_options(problem, chosen, options)
+    if chosen.springs is None:
+        raise ValueError(f"{chosen.name} has no contact springs")
+    beta, beta_T = (options.get(name) for name in chosen.springs)
+    others = {name: value for name, value in options.items() if name not in (*chosen.options, "algorithm")}
+    springs = with_contact_springs(problem, np.asarray(beta), beta_T)
+    for option, stiffness in zip(chosen.springs, (beta, beta_T), strict=True):
+        if stiffness is not None:
+            _refuse_rigid(problem, chosen.name, stiffness, option)
+    loads = [np.concatenate([load, np.zeros(springs.dimension - problem.dimension)]) for load in corners]
+    whole = follow_with_friction(springs, loads, count, exactly, "active-set", others)
+    bodies = LazySolutions(_WithoutSprings(problem, whole, i, chosen.name) for i in range(len(whole)))
+    times = whole.times.tolist()
+    return History(bodies, times, lambda: whole.events, energies=lambda: whole.energies, notes=lambda: whole.notes)
+
+
+def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:
+    """Rates of forces are differences of motions times the stiffness, and signs of rates are what a path goes by."""
+    own = default_penalty(problem, problem.normal, 1.0)
+    ratio = np.broadcast_to(np.asarray(stiffness, dtype=float), own.shape) / own
+    if np.any(ratio > STIFFEST):
+        i = int(np.argmax(ratio))
+        raise Unsupported(
+            f"{name}: {option} of {problem.contact_name(i)} is {ratio[i]:.1g} times the stiffness of the bodies there: "
+            f"on a path with friction at most {STIFFEST:.0e}; rigid contact is method='active-set'"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _WithoutSprings:
+    """The bodies at one instant, without the springs with which they were followed."""
+
+    problem: ContactProblem
+    on_springs: Sequence[Solution]
+    instant: int
+    name: str  # of the method
+
+    def finish(self) -> Solution:
+        """What the method itself makes of the instant, certified."""
+        on_springs, n = self.on_springs[self.instant], self.problem.dimension
+        whole = on_springs.problem
+        with self.problem.lock, one_blas_thread(self.problem):
+            own = self.problem.replace(load=whole.load[:n], slip_origin=whole.slip_origin)
+            return without_contact_springs(own, on_springs, self.name)

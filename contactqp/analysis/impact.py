@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.analysis.idle_history import MotionOfAllRows
-from contactqp.analysis.motion.history import MotionHistory
-from contactqp.analysis.motion.mass import massless, read_mass, redistributed_mass, touched
-from contactqp.analysis.motion.run import MotionRun
+from contactqp.analysis.motion.mass_matrix import massless, read_mass, redistributed_mass, touched
+from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
 from contactqp.analysis.motion.schemes.scheme import Body
+from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other

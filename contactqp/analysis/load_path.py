@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.events import events_of_leg
-from contactqp.analysis.friction_path import follow_with_friction
-from contactqp.analysis.history import Event, History
+from contactqp.analysis.friction_path import follow_on_springs, follow_with_friction
+from contactqp.analysis.history import Event, History, LazySolutions, events_of_leg
 from contactqp.analysis.idle_history import of_all_rows
-from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
@@ -63,7 +60,7 @@ def follow_path(
         None reports a change of state at the first step that shows it. "exact" finds its time exactly: between
         changes the displacement is linear in the load. With friction in the plane a contact closes or opens where its
         gap or its force vanishes, and slips where |l_T| = mu l_N; whether it slips on, and what follows where several
-        change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_rates`).
+        change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_events`).
     method, **options
         As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
         stick and slip (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex
@@ -128,10 +125,10 @@ def follow_path(
             if chosen.springs is not None:
                 return follow_on_springs(problem, corners, int(count), events == "exact", chosen, options)
             return follow_with_friction(problem, corners, int(count), events == "exact", method, options)
-        return _walked(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
+        return _follow_steps(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
 
 
-def _walked(
+def _follow_steps(
     solutions: _Steps, problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str
 ) -> History:
     """The legs from corner to corner, in so many steps each and, if exactly, at every event."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers
+from contactqp.elements.scalars import Number, Numbers
 
 
 def stiffness(modulus: Number, area: Number, length: Number) -> Numbers:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 
 
 def stiffness(modulus: Number, area: Number, inertia: Number, start: Numbers, end: Numbers) -> Numbers:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, unit_vector
 from contactqp.elements.obstacle import Obstacle, Plane, tangents
+from contactqp.elements.scalars import Number, Numbers, unit_vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers
+from contactqp.elements.scalars import Number, Numbers
 
 
 def weight(mass: Number, gravity: Any) -> Numbers:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length, unit_vector
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length, unit_vector
 
 
 def stiffness(constant: Number, direction: Any) -> Numbers:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 
 
 def stiffness(tension: Number, start: Any, end: Any) -> Numbers:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.elements import bar
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 
 
 def stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers) -> Numbers:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes, von_mises
+from contactqp.elements.solid import Body, stress_at_nodes, von_mises
 from contactqp.elements.structure import System
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Index, Vector

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactqp.elements.boundary import facet_keys
-from contactqp.elements.geometry import Block
+from contactqp.elements.geometry import Block, facet_keys
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import Reference
+from contactqp.elements.reference_elements import Reference
 from contactqp.model.arrays import Array, Index
 
 # Pieces that an edge is cut into: a parabola in 6 chords is off by 1/144 of its rise.

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import spring, truss
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.scene import elimination
 from contactqp.scene.answers_of_large import OF_LARGE
 from contactqp.scene.answers_of_motions import OF_MOTIONS

@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.elements import beam, node_contact, spring, string, truss
-from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
+from contactqp.elements.scalars import Number, Numbers
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.errors import SceneError
 from contactqp.scene.building import ExactProblem
 

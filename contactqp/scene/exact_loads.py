@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from contactqp.elements import point_mass, string
-from contactqp.elements.exact import Number, square_root, squared_length
+from contactqp.elements.scalars import Number, square_root, squared_length
 from contactqp.scene.corners import GRAVITY, Factors
 from contactqp.scene.exact_numbers import displacements, ends, value
 from contactqp.scene.unknowns import of_node

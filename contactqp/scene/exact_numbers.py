@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactqp.elements.exact import Numbers
+from contactqp.elements.scalars import Numbers
 from contactqp.scene.units import Quantity
 from contactqp.scene.unknowns import of_node
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.scene.answers import value_of
 from contactqp.scene.answers_of_nodes import Answer
 from contactqp.scene.claims import Claim, Expectation, Published

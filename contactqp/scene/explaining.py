@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.exact_loads import Row

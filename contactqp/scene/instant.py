@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.kinds import is_motion
+from contactqp.analysis.motion import is_motion
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 
 if TYPE_CHECKING:
-    from contactqp.analysis.motion.history import MotionHistory
+    from contactqp.analysis.motion.motion_history import MotionHistory
 
 
 @dataclass(frozen=True, eq=False)

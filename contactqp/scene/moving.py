@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.impact import impact
-from contactqp.analysis.motion.history import MotionHistory
+from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from contactqp.elements.reference import KINDS as ELEMENTS
+from contactqp.elements.reference_elements import KINDS as ELEMENTS
 from contactqp.scene import fields
 from contactqp.scene.fields import Block, BodyName, Name
 from contactqp.scene.units import KINDS, read_unit

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_stepping
-from contactqp.analysis.anchoring import Anchors, State, step_to
+from contactqp.analysis import friction_step
+from contactqp.analysis.friction_step import Anchors, State, step_to
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.solving.friction.problems import TOUCH, two_masses
 
@@ -21,7 +21,7 @@ def never(*_: object, **__: object) -> None:
 def test_where_newton_fails_solve_takes_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
     loads = [WEIGHTS, pulled(12.0), WEIGHTS]
     quick = cq.follow_path(two_masses(0.0), loads, steps=4)
-    monkeypatch.setattr(friction_stepping, "search", never)
+    monkeypatch.setattr(friction_step, "search", never)
     slow = cq.follow_path(two_masses(0.0), loads, steps=4)
     assert {solution.method for solution in slow[1:]} != {solution.method for solution in quick[1:]}
     np.testing.assert_allclose(slow.displacements, quick.displacements, atol=1e-15)
@@ -74,7 +74,7 @@ def test_two_tangential_directions_are_anchored_where_they_close(steps: int, mon
     free = np.linalg.solve(K, load)
     touching = -0.4 / free[2]
     assert 0 < touching < 1
-    monkeypatch.setattr(friction_stepping, "solve", _stuck_in_space)
+    monkeypatch.setattr(friction_step, "solve", _stuck_in_space)
     history = cq.follow_path(problem, [load], steps=steps)
     np.testing.assert_allclose(history[-1].displacement, touching * free, rtol=1e-12)
     np.testing.assert_allclose(history[-1].friction_force[0], (load - K @ (touching * free))[:2], rtol=1e-11)

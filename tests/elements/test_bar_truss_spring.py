@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contactqp.elements import bar, spring, truss
-from contactqp.elements.exact import square_root, unit_vector
+from contactqp.elements.scalars import square_root, unit_vector
 from contactqp.errors import InvalidProblem
 
 EA = (F(210_000_000), F(15, 10_000))  # kN/m^2, m^2

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements.deformable import ContactGeometry, Deformable
-from contactqp.elements.green_truss import NonlinearTruss
+from contactqp.elements.deformable import ContactGeometry, Deformable, Supported
+from contactqp.elements.nonlinear_truss import NonlinearTruss
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
-from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem
 from tests.elements.derivatives import check_derivatives
 from tests.elements.test_obstacles import OBSTACLES

@@ -5,10 +5,8 @@ from fractions import Fraction as F
 import numpy as np
 import pytest
 
-from contactqp.elements.bar_law import LAWS, GreenLaw
 from contactqp.elements.deformable import Deformable
-from contactqp.elements.green_truss import NonlinearTruss
-from contactqp.elements.updated_truss import VOLUMES, UpdatedTruss
+from contactqp.elements.nonlinear_truss import LAWS, VOLUMES, GreenLaw, NonlinearTruss, UpdatedTruss
 from contactqp.errors import InvalidProblem
 from tests.elements.derivatives import check_derivatives
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.linalg.row_sizes import row_sizes
@@ -71,13 +71,15 @@ class StepJudge:
     def _rows(self) -> dict[str, Any]:
         return {"normal": self._N, "tie": self._A} | ({} if self._T is None else {"tangent": self._T})
 
-    def refused(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> tuple[int, str, float] | None:
+    def refused(
+        self, posed: list[StepProblem], answered: list[StepResult], tolerance: float
+    ) -> tuple[int, str, float] | None:
         """The first step of a block that is refused, its worst figure and how large that is."""
         if self._plainly_right(posed, answered, tolerance):
             return None
         return self.figures(posed, answered).first_above(tolerance)
 
-    def _plainly_right(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> bool:
+    def _plainly_right(self, posed: list[StepProblem], answered: list[StepResult], tolerance: float) -> bool:
         """Whether steps without friction or ties are right by less than all of what meets.
 
         Residuals within tolerance of K_jj |x_j| + |E_N|'l_N, gaps within that of |E_N||x| + |g|: the figures are then
@@ -100,7 +102,7 @@ class StepJudge:
                 return False
         return True
 
-    def _contacts_hold(self, p: Posed, a: Answered, size: Vector, tolerance: float) -> bool:
+    def _contacts_hold(self, p: StepProblem, a: StepResult, size: Vector, tolerance: float) -> bool:
         """Whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
         room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
         seen = np.ones(len(room), dtype=bool) if p.looked_at is None else p.looked_at
@@ -111,7 +113,7 @@ class StepJudge:
             return True
         return not (wrong & (abs(room) > tolerance * (self._sizes[1] @ size + abs(p.gap)))).any()
 
-    def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
+    def figures(self, posed: list[StepProblem], answered: list[StepResult]) -> StepFigures:
         """The figures of a block of steps."""
         problem = self._problem
         x, (load, F) = np.column_stack([a.unknown for a in answered]), self._loads(posed)
@@ -149,7 +151,7 @@ class StepJudge:
             _worst(held),
         )
 
-    def _loads(self, posed: list[Posed]) -> tuple[Block, Block]:
+    def _loads(self, posed: list[StepProblem]) -> tuple[Block, Block]:
         """f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x - base."""
         load = np.column_stack([p.load for p in posed])
         bases = [p.base for p in posed if p.base is not None]
@@ -179,7 +181,7 @@ class StepJudge:
         return measure
 
     def _coulomb(
-        self, posed: list[Posed], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
+        self, posed: list[StepProblem], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
     ) -> tuple[Block, Block]:
         """|l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its lengths."""
         steps, m = x.shape[1], len(normal)

@@ -13,7 +13,7 @@ from contactqp.distributed.asking import asked
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import REFERENCES, Reference
+from contactqp.elements.reference_elements import REFERENCES, Reference
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Index
 

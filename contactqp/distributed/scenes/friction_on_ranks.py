@@ -1,6 +1,6 @@
 """A load path with Coulomb friction in steps on the ranks of MPI, contacts anchored as in one process.
 
-What a step needs to know of the contacts before it, `contactqp.analysis.anchoring`, is whole on every rank: as many
+What a step needs to know of the contacts before it, `contactqp.analysis.friction_step`, is whole on every rank: as many
 numbers as there are contacts. All ranks decide alike then.
 """
 
@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Anchors, State, step_to
-from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, SolvedStep
-from contactqp.analysis.friction_steps import kinds
+from contactqp.analysis.friction_path import kinds
+from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, step_to
 from contactqp.analysis.history import Energies, Event
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
@@ -51,7 +50,7 @@ def follow_rubbing(
 
 
 class _Stepper:
-    """As `contactqp.analysis.friction_stepping.SolveStepper`; everything is collective."""
+    """As `contactqp.analysis.friction_step.SolveStepper`; everything is collective."""
 
     before: DistributedSolution
 

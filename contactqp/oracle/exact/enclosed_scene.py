@@ -17,7 +17,7 @@ import flint
 import numpy as np
 from flint import arb, arb_mat
 
-from contactqp.elements.exact import irrational_roots
+from contactqp.elements.scalars import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.ball import midpoint, radius, root, to_arb

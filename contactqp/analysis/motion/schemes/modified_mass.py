@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.mass import massless
+from contactqp.analysis.motion.mass_matrix import massless
 from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.linalg.factorization import Factorization, factorise
 from contactqp.model.arrays import Vector
@@ -55,15 +55,15 @@ class ModifiedMassCentral(TwoStep):
         acceleration[self._moving] = self._mass.solve(force[self._moving])
         return acceleration
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del answers
         body, u = self.body, state.displacement
         internal = body.stiffness @ u
         force = load - internal + self._inertia @ (u - state.before)
         ahead = self._mass.solve(force[self._moving]) * body.step**2
         force[self._bare] = (next_load - internal)[self._bare] - self._coupling @ ahead
-        return Posed(force, body.problem.gap, None, body.slip_from(u), None, u)
+        return StepProblem(force, body.problem.gap, None, body.slip_from(u), None, u)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)

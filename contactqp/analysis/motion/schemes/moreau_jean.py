@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
 # A rebound of this part of what the forces of a step change is lost in their rounding.
@@ -52,7 +52,7 @@ class MoreauJean(Scheme):
         self._no_rebound = np.zeros(body.problem.contacts)
         self._inertia_of_touched = self.templates[0].diagonal[self._touched]
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del answers
         body, theta, h = self.body, self._theta, self.body.step
         u, v = state.displacement, state.velocity
@@ -61,7 +61,7 @@ class MoreauJean(Scheme):
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
         near = room <= self._touching_gap + TOUCHING * (self._normal_size @ abs(ahead))
-        return Posed(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
+        return StepProblem(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
         """-e E_N v, and nothing where that is no more than a part of what the forces of a step would change."""
@@ -69,7 +69,7 @@ class MoreauJean(Scheme):
         change = self._normal_size @ (abs(force[self._touched]) / self._inertia_of_touched)
         return np.where(abs(rebound) <= NO_REBOUND * change, 0.0, rebound)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, h, theta = answers[-1], self.body.step, self._theta
         u = theta * found.unknown
         u += (1 - theta) * state.velocity
@@ -78,10 +78,10 @@ class MoreauJean(Scheme):
         forces = found.normal / h, found.friction / h, found.tie / h
         return State(u, found.unknown, *forces, state.displacement)
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         del before
         v, h = after.velocity, self.body.step
-        return (Answered(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
+        return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
 
     def contact_way(self, displacements: Block, velocities: Block) -> Block:
         """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, State, TwoStep
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
 
@@ -29,7 +29,7 @@ class _Central(TwoStep):
         u = state.displacement
         return np.asarray(load - self.body.stiffness @ u + self._inertia @ (u - state.before))
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
 
@@ -44,12 +44,12 @@ class PaoliSchatzman(_Central):
         self._restitution = restitution
         self.templates = (body.template(self._inertia),)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del next_load, answers
         problem, e = self.body.problem, self._restitution
         gap = (1 + e) * problem.gap - e * (problem.normal @ state.before) if e else problem.gap
         u = state.displacement
-        return Posed(self._free(state, load), gap, None, self.body.slip_from(u), problem.tie_value, u)
+        return StepProblem(self._free(state, load), gap, None, self.body.slip_from(u), problem.tie_value, u)
 
 
 class ExplicitPenalty(_Central):
@@ -63,12 +63,12 @@ class ExplicitPenalty(_Central):
         self.keeps_energy = False
         self.templates = (body.template(self._inertia).with_contacts(np.zeros(0, dtype=np.intp)),)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del next_load, answers
         force = self._free(state, load) - self.body.problem.normal.T @ self._springs(state.displacement)
-        return Posed(force, np.zeros(0), None, None, self.body.problem.tie_value, state.displacement)
+        return StepProblem(force, np.zeros(0), None, None, self.body.problem.tie_value, state.displacement)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         ended = super().accept(state, answers)
         return State(
             ended.displacement,
@@ -79,7 +79,7 @@ class ExplicitPenalty(_Central):
             ended.before,
         )
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:

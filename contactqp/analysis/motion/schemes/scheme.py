@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.mass import massless
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass_matrix import massless
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -171,17 +171,17 @@ class Scheme(ABC):
         return self.body.still(displacement, velocity, displacement)
 
     @abstractmethod
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         """The next problem of the step from `state`; `answers` are those of its earlier problems."""
 
     @abstractmethod
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         """The state at the end of the step."""
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """The answers that led from one state to the next: what `accept` was given, from what it made of it."""
         u, way = after.displacement, after.displacement - before.displacement
-        return (Answered(u, after.normal_force, after.friction_force, after.tie_force, way),)
+        return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, way),)
 
     def contact_way(self, displacements: Block, velocities: Block) -> Block:
         """(steps, n) from those (steps + 1, n) of all states: the way along which contact forces work in a step."""
