@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
@@ -49,3 +49,6 @@ class ContactStabilised(Scheme):
         way = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
         return StepResult(before.displacement + way, normal, friction, tie, way), found
+
+
+SCHEMES = (SchemeEntry("deuflhard-krause-ertel", lambda body, _: ContactStabilised(body)),)

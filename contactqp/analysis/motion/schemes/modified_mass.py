@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.motion.mass_matrix import massless
-from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
+from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.linalg.factorization import Factorization, factorise
@@ -67,3 +67,10 @@ class ModifiedMassCentral(TwoStep):
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+
+
+SCHEMES = (
+    SchemeEntry(
+        "modified-mass-central", lambda body, _: ModifiedMassCentral(body), explicit=True, massless_contacts=True
+    ),
+)

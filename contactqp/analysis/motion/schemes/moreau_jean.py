@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
+from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, SchemeEntry, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
@@ -87,3 +87,12 @@ class MoreauJean(Scheme):
         """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
         del displacements
         return self.body.step * (velocities[1:] + velocities[:-1]) / 2
+
+
+SCHEMES = (
+    SchemeEntry(
+        "moreau-jean",
+        lambda body, settings: MoreauJean(body, settings.theta, settings.restitution),
+        knobs=("theta", "restitution"),
+    ),
+)

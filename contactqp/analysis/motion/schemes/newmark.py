@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.motion.mass_matrix import massless
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
@@ -92,3 +92,10 @@ class BackwardEuler(Scheme):
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+
+
+SCHEMES = (
+    SchemeEntry("modified-mass", lambda body, _: Trapezoidal(body, "modified-mass"), massless_contacts=True),
+    SchemeEntry("newmark", lambda body, _: Trapezoidal(body, "newmark")),
+    SchemeEntry("backward-euler", lambda body, _: BackwardEuler(body)),
+)

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.schemes.scheme import Block, Body, State, TwoStep
+from contactqp.analysis.motion.schemes.scheme import Block, Body, SchemeEntry, SchemeSettings, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
 
 
@@ -99,3 +100,20 @@ class ExplicitPenalty(_Central):
         problem = self.body.problem
         overlap = (problem.normal @ displacement).T - problem.gap
         return np.asarray(self._penalty * np.maximum(overlap, 0.0).T)
+
+
+def _with_penalty(body: Body, settings: SchemeSettings) -> ExplicitPenalty:
+    if settings.penalty is None:
+        raise InvalidProblem("penalty: the scheme 'penalty' has no default stiffness; state penalty=beta")
+    return ExplicitPenalty(body, settings.penalty)
+
+
+SCHEMES = (
+    SchemeEntry(
+        "paoli-schatzman",
+        lambda body, settings: PaoliSchatzman(body, settings.restitution),
+        explicit=True,
+        knobs=("restitution",),
+    ),
+    SchemeEntry("penalty", _with_penalty, explicit=True, friction=False, knobs=("penalty",)),
+)

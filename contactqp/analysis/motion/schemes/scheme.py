@@ -11,6 +11,7 @@ with Coulomb's law for l_T and the velocities of slip, and an impact law where v
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -221,3 +222,24 @@ class TwoStep(Scheme):
         push = loads - (body.stiffness @ displacements.T).T
         push[:, body.mass.diagonal() == 0] = 0.0
         return np.asarray(np.einsum("ij,ij->i", velocities, momentum + body.step * push) / 2)
+
+
+@dataclass(frozen=True)
+class SchemeSettings:
+    """The numbers that a user may choose; `impact` checks them, and refuses those that a scheme does not take."""
+
+    theta: float  # from 1/2 to 1
+    restitution: float  # from 0 to 1
+    penalty: float | None  # stiffness of contact springs [force / length]
+
+
+@dataclass(frozen=True)
+class SchemeEntry:
+    """A scheme that a user can ask for by its name, and what `impact` has to know of it."""
+
+    name: str
+    make: Callable[[Body, SchemeSettings], Scheme]
+    explicit: bool = False  # stable up to a critical step, and in need of mass at every unknown
+    massless_contacts: bool = False  # takes the mass from the unknowns that contacts act on
+    friction: bool = True  # whether it takes contacts with friction
+    knobs: tuple[str, ...] = ()  # the fields of SchemeSettings that it takes
