@@ -50,6 +50,80 @@ from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsuppo
 # Of `solve`, and what they are if nobody says.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
 ARGUMENTS = tuple(DEFAULTS)
+SAID_BEFORE = "follow_path: "
+# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
+STIFFEST = 1e6
+
+
+def follow_with_friction(
+    problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
+) -> History:
+    """The legs from corner to corner, in so many steps each and, if exactly, at every event.
+
+    Raises
+    ------
+    Unsupported
+        Exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
+    """
+    if exactly and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        raise Unsupported(
+            "follow_path(events='exact'): two tangential rows a contact: slip turns within a leg; give steps instead"
+        )
+    steps = FrictionSteps(problem, method, options)
+    if exactly:
+        with one_blas_thread(problem):
+            return _between_events(problem, corners, count, steps[0])
+    times = [0.0]
+    for leg, (start, end) in enumerate(pairwise(corners)):
+        steps.turn(start, end)
+        for i in range(count):
+            steps.go_to((i + 1) / count)
+            times.append(leg + (i + 1) / count)
+    return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
+
+
+def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: int, first: Solution) -> History:
+    path, instants, times = ExactPath(problem, first), _Instants(first), [0.0]
+    jump = path.jump_at_start()
+    if jump:
+        raise Unsupported(f"follow_path(events='exact'): {jump}: it would jump; give steps")
+    events: list[Event] = []
+    for leg, (start, end) in enumerate(pairwise(corners)):
+        found, segments = path.leg(start, end, leg)
+        events += [replace(event, time=leg + event.time) for event in found]
+        fractions = sorted({(i + 1) / count for i in range(count)} | {segment.end for segment in segments})
+        for fraction in fractions:
+            here = [segment for segment in segments if segment.start <= fraction <= segment.end]
+            load = end if fraction == 1 else start + fraction * (end - start)
+            instants.add(path, problem.replace(load=load), fraction, here)
+            times.append(leg + fraction)
+    return History(instants, times, lambda: events, linear=True)
+
+
+class _Instants(LazySolutions):
+    """Solutions at instants between which all is linear, certified when they are looked at."""
+
+    def __init__(self, first: Solution) -> None:
+        super().__init__([first])
+        self._displacement = first.displacement
+
+    def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
+        """The answer to the problem's load in a segment; its slip counts from the instant before.
+
+        At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
+        seen by the signs.
+        """
+        past = segments[0]
+        before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else past.anchor
+        here = problem.replace(slip_origin=np.where(past.status == STICK, past.anchor, before))
+        for segment in segments:
+            answer = path.at(problem.load, fraction, segment)
+            if holds(here, answer):
+                break
+        attempt = attempt_with(here, answer, "exact events")
+        method = replace(find("active-set"), name=attempt.name)
+        self.append(Begun(here, method, attempt, True, 0.0))
+        self._displacement = answer.displacement
 
 
 class FrictionSteps(LazySolutions):
@@ -158,9 +232,6 @@ def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
     return []
 
 
-SAID_BEFORE = "follow_path: "
-
-
 def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
     """One text for every step that jumps or chooses, and one for every run of steps with several equilibria."""
     reason = _not_followed(problem)
@@ -211,81 +282,6 @@ def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]
             first, last = times[places[0]], times[places[-1]]
             when = f"t = {first:.12g}" if first == last else f"t = {first:.12g} to {last:.12g}"
             yield f"{when}: several equilibria exist at this load, and a step takes one of them"
-
-
-def follow_with_friction(
-    problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
-) -> History:
-    """The legs from corner to corner, in so many steps each and, if exactly, at every event.
-
-    Raises
-    ------
-    Unsupported
-        Exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
-    """
-    if exactly and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
-        raise Unsupported(
-            "follow_path(events='exact'): two tangential rows a contact: slip turns within a leg; give steps instead"
-        )
-    steps = FrictionSteps(problem, method, options)
-    if exactly:
-        with one_blas_thread(problem):
-            return _between_events(problem, corners, count, steps[0])
-    times = [0.0]
-    for leg, (start, end) in enumerate(pairwise(corners)):
-        steps.turn(start, end)
-        for i in range(count):
-            steps.go_to((i + 1) / count)
-            times.append(leg + (i + 1) / count)
-    return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
-
-
-def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: int, first: Solution) -> History:
-    path, instants, times = ExactPath(problem, first), _Instants(first), [0.0]
-    jump = path.jump_at_start()
-    if jump:
-        raise Unsupported(f"follow_path(events='exact'): {jump}: it would jump; give steps")
-    events: list[Event] = []
-    for leg, (start, end) in enumerate(pairwise(corners)):
-        found, segments = path.leg(start, end, leg)
-        events += [replace(event, time=leg + event.time) for event in found]
-        fractions = sorted({(i + 1) / count for i in range(count)} | {segment.end for segment in segments})
-        for fraction in fractions:
-            here = [segment for segment in segments if segment.start <= fraction <= segment.end]
-            load = end if fraction == 1 else start + fraction * (end - start)
-            instants.add(path, problem.replace(load=load), fraction, here)
-            times.append(leg + fraction)
-    return History(instants, times, lambda: events, linear=True)
-
-
-class _Instants(LazySolutions):
-    """Solutions at instants between which all is linear, certified when they are looked at."""
-
-    def __init__(self, first: Solution) -> None:
-        super().__init__([first])
-        self._displacement = first.displacement
-
-    def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
-        """The answer to the problem's load in a segment; its slip counts from the instant before.
-
-        At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
-        seen by the signs.
-        """
-        past = segments[0]
-        before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else past.anchor
-        here = problem.replace(slip_origin=np.where(past.status == STICK, past.anchor, before))
-        for segment in segments:
-            answer = path.at(problem.load, fraction, segment)
-            if holds(here, answer):
-                break
-        attempt = attempt_with(here, answer, "exact events")
-        method = replace(find("active-set"), name=attempt.name)
-        self.append(Begun(here, method, attempt, True, 0.0))
-        self._displacement = answer.displacement
-
-
-# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
-STIFFEST = 1e6
 
 
 def follow_on_springs(

@@ -45,6 +45,14 @@ MOST_LOADS = 60
 JUMP = 1e-13
 # Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
 HALVINGS = 30
+# A gap of this part of the lengths that meet is rounding.
+TOUCHING = 1e-12
+# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
+WIDENED = 1e3
+# A load of which this part is left on a body that nothing holds drives it.
+DRIVEN = 1e-6
+# Displacements that differ by this part of the largest are one.
+SAME = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,16 +165,6 @@ def _furthest(low: State, fraction: float, solve: Callable[[float], State | None
         else:
             low = here
     return low, None
-
-
-# A gap of this part of the lengths that meet is rounding.
-TOUCHING = 1e-12
-# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
-WIDENED = 1e3
-# A load of which this part is left on a body that nothing holds drives it.
-DRIVEN = 1e-6
-# Displacements that differ by this part of the largest are one.
-SAME = 1e-8
 
 
 class Stepper(Protocol):

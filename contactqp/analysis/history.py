@@ -30,67 +30,12 @@ from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find
 
-
-class Unfinished(Protocol):
-    """An answer that may not have been looked at."""
-
-    def finish(self) -> Solution:
-        """Refine, expand and certify it, unless that is done."""
-
-
-@dataclass(frozen=True)
-class Refused:
-    """An answer that was refused when it was looked at, and is refused again."""
-
-    error: ContactQPError
-
-    def finish(self) -> NoReturn:
-        """Raise the error."""
-        raise self.error
-
-
-def looked_at(solutions: Sequence[Solution]) -> Sequence[Solution]:
-    """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
-    kept: list[Unfinished | Solution] = []
-    for k in range(len(solutions)):
-        try:
-            kept.append(solutions[k])
-        except ContactQPError as error:
-            kept.append(Refused(error))
-    return LazySolutions(kept)
-
-
-class LazySolutions(Sequence[Solution]):
-    """Answers in order, each finished when it is first looked at, and once; a slice is a list, all of it finished.
-
-    What `finish` raises is raised where the solution is looked at, and again the next time. A finished answer is let go
-    of: the solution takes its place.
-    """
-
-    def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
-        self._steps: list[Unfinished | Solution] = list(steps)
-
-    def append(self, step: Unfinished | Solution) -> None:
-        """One more at the end."""
-        self._steps.append(step)
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    @own_floating_point
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        step = self._steps[index]
-        solution = step if isinstance(step, Solution) else step.finish()
-        self._steps[index] = solution
-        return solution
+# Two events nearer than this part of a leg are one: doubles cannot order them.
+SIMULTANEOUS = 1e-12
+# Rates below this part of the largest are zero.
+STEADY = 1e-12
+# Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
+TRIED_ONE_BY_ONE = 12
 
 
 @dataclass(frozen=True)
@@ -269,12 +214,66 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
     return float(np.sum(np.maximum(np.sum(force * slip, axis=1), 0.0)))
 
 
-# Two events nearer than this part of a leg are one: doubles cannot order them.
-SIMULTANEOUS = 1e-12
-# Rates below this part of the largest are zero.
-STEADY = 1e-12
-# Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
-TRIED_ONE_BY_ONE = 12
+class Unfinished(Protocol):
+    """An answer that may not have been looked at."""
+
+    def finish(self) -> Solution:
+        """Refine, expand and certify it, unless that is done."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An answer that was refused when it was looked at, and is refused again."""
+
+    error: ContactQPError
+
+    def finish(self) -> NoReturn:
+        """Raise the error."""
+        raise self.error
+
+
+def looked_at(solutions: Sequence[Solution]) -> Sequence[Solution]:
+    """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
+    kept: list[Unfinished | Solution] = []
+    for k in range(len(solutions)):
+        try:
+            kept.append(solutions[k])
+        except ContactQPError as error:
+            kept.append(Refused(error))
+    return LazySolutions(kept)
+
+
+class LazySolutions(Sequence[Solution]):
+    """Answers in order, each finished when it is first looked at, and once; a slice is a list, all of it finished.
+
+    What `finish` raises is raised where the solution is looked at, and again the next time. A finished answer is let go
+    of: the solution takes its place.
+    """
+
+    def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
+        self._steps: list[Unfinished | Solution] = list(steps)
+
+    def append(self, step: Unfinished | Solution) -> None:
+        """One more at the end."""
+        self._steps.append(step)
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @overload
+    def __getitem__(self, index: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
+
+    @own_floating_point
+    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        step = self._steps[index]
+        solution = step if isinstance(step, Solution) else step.finish()
+        self._steps[index] = solution
+        return solution
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,18 @@ from contactqp.elements.reference_elements import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 
+LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
+MOST_GENERATED = 10**7
+# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
+_TYPES = (
+    (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
+    (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
+)
+# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
+_HEX_FACES = (4, 5, 2, 1, 3, 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -129,19 +141,6 @@ def _flat(points: NDArray[np.float64], dimension: int) -> NDArray[np.float64]:
     if np.ptp(z) > 1e-12 * np.ptp(points[:, :2]):  # files carry 12 digits or more
         raise InvalidProblem(f"mesh: expected plane elements with one z, got z from {z.min():.6g} to {z.max():.6g}")
     return points[:, :2]
-
-
-LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
-MOST_GENERATED = 10**7
-# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
-_TYPES = (
-    (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
-    (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
-    (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
-    (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
-)
-# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
-_HEX_FACES = (4, 5, 2, 1, 3, 0)
 
 
 @dataclass

@@ -31,6 +31,15 @@ STRAINS: dict[str, tuple[int, ...]] = {
     "axisymmetric": (0, 1, 2, 3),
     "3d": (0, 1, 2, 3, 4, 5),
 }
+# (strain, axis of the displacement, axis of the derivative); the strains are numbered as in material.STRAINS.
+_PLANE = ((0, 0, 0), (1, 1, 1), (2, 0, 1), (2, 1, 0))
+_DERIVATIVES = {
+    "plane-strain": _PLANE,
+    "plane-stress": _PLANE,
+    "axisymmetric": ((0, 0, 0), (1, 1, 1), (3, 0, 1), (3, 1, 0)),
+    "3d": ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1), (3, 1, 0), (4, 1, 2), (4, 2, 1), (5, 0, 2), (5, 2, 0)),
+}
+HOOP = 2
 
 
 @dataclass(frozen=True)
@@ -96,17 +105,6 @@ class Material:
         if model == "plane-stress":
             matrix[2] = 0.0
         return matrix
-
-
-# (strain, axis of the displacement, axis of the derivative); the strains are numbered as in material.STRAINS.
-_PLANE = ((0, 0, 0), (1, 1, 1), (2, 0, 1), (2, 1, 0))
-_DERIVATIVES = {
-    "plane-strain": _PLANE,
-    "plane-stress": _PLANE,
-    "axisymmetric": ((0, 0, 0), (1, 1, 1), (3, 0, 1), (3, 1, 0)),
-    "3d": ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1), (3, 1, 0), (4, 1, 2), (4, 2, 1), (5, 0, 2), (5, 2, 0)),
-}
-HOOP = 2
 
 
 def strain_matrix(geometry: Geometry, model: Model) -> NDArray[np.float64]:

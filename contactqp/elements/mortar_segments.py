@@ -35,62 +35,23 @@ from contactqp.elements.surface import (
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 
-
-def clip(polygons: Array, windows: Array) -> Array:
-    """The intersection of each polygon with the convex window of the same place, (P, W, 2).
-
-    One edge of the windows after the other cuts off what lies on its right (Sutherland & Hodgman 1974). An empty
-    intersection is a polygon without area.
-    """
-    for start in range(windows.shape[1]):
-        a, b = windows[:, start, np.newaxis], windows[:, (start + 1) % windows.shape[1], np.newaxis]
-        polygons = _cut(polygons, _cross(b - a, polygons - a))
-    return polygons
-
-
-def _cut(polygons: Array, side: Array) -> Array:
-    """Keep where side >= 0; side is linear along the edges, (P, V)."""
-    kept = side >= 0
-    crossing = kept != np.roll(kept, -1, axis=1)
-    rise = side - np.roll(side, -1, axis=1)
-    part = np.where(crossing, side / np.where(crossing, rise, 1.0), 0.0)[:, :, np.newaxis]
-    cuts = polygons + part * (np.roll(polygons, -1, axis=1) - polygons)
-    vertices = np.stack([polygons, cuts], axis=2).reshape(len(polygons), 2 * polygons.shape[1], 2)
-    valid = np.stack([kept, crossing], axis=2).reshape(len(polygons), 2 * polygons.shape[1])
-    count = valid.sum(axis=1)
-    order = np.argsort(~valid, axis=1, kind="stable")
-    last = np.maximum(count - 1, 0)[:, np.newaxis]
-    places = np.minimum(np.arange(max(int(count.max(initial=0)), 3)), last)
-    chosen = np.take_along_axis(order, places, axis=1)
-    return np.take_along_axis(vertices, chosen[:, :, np.newaxis], axis=1)
-
-
-def areas(polygons: Array) -> Array:
-    """Positive for counter-clockwise polygons, (P,)."""
-    from_first = polygons - polygons[:, :1]
-    twice: Array = _cross(from_first, np.roll(from_first, -1, axis=1)).sum(axis=1)
-    return twice / 2
-
-
-def triangles(polygons: Array) -> Array:
-    """The fan from the first vertex, (P, V-2, 3, 2)."""
-    first = np.broadcast_to(polygons[:, :1], polygons[:, 1:-1].shape)
-    return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return product
-
-
 Places = NDArray[np.int64]
-
 # Facets face each other when their normals are within 60 degrees of opposite: -cos 60.
 FACING = -0.5
 # Common parts below this part of the slave facet are rounding.
 SLIVER = 1e-12
 # Balls searched at a time: some 100 MB.
 BLOCK = 20_000
+# Points at a time: some 100 MB.
+INTEGRALS_BLOCK = 200_000
+# Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere
+# shape functions are no polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
+# would vanish, and the error falls as b^(2 points), b = (max J - min J) / (max J + min J) (Bernstein 1912: 1 / b is the
+# sum of the half axes of the largest ellipse without the branch point). So many points keep it below 1e-13.
+GAUSS_POINTS = (3, 5, 7, 10, 16, 24, 32)
+QUADRATURE_ERROR, AFFINE = 1e-13, 1e-10
+NEWTON_STEPS = 50
+CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,18 +160,6 @@ def _refuse_double_cover(slave: Surface, master: Surface, s: Places, m: Places, 
             f"{slave.name}: facet {s[i[at]]} sees the facets {m[i[at]]} and {m[j[at]]} of {master.name} one behind the "
             "other: expected each part to face one facet; give `reach`, or a smaller master surface"
         )
-
-
-# Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere
-# shape functions are no polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
-# would vanish, and the error falls as b^(2 points), b = (max J - min J) / (max J + min J) (Bernstein 1912: 1 / b is the
-# sum of the half axes of the largest ellipse without the branch point). So many points keep it below 1e-13.
-GAUSS_POINTS = (3, 5, 7, 10, 16, 24, 32)
-QUADRATURE_ERROR, AFFINE = 1e-13, 1e-10
-# Points at a time: some 100 MB.
-INTEGRALS_BLOCK = 200_000
-NEWTON_STEPS = 50
-CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,3 +282,50 @@ def _shape_at(kind: FacetKind, corners: Array, at: Array) -> Array:
             return shape
         xi = xi + step
     raise InvalidProblem(f"mortar: a {kind.name} is so warped that its projection along the slave's normal is folded")
+
+
+def clip(polygons: Array, windows: Array) -> Array:
+    """The intersection of each polygon with the convex window of the same place, (P, W, 2).
+
+    One edge of the windows after the other cuts off what lies on its right (Sutherland & Hodgman 1974). An empty
+    intersection is a polygon without area.
+    """
+    for start in range(windows.shape[1]):
+        a, b = windows[:, start, np.newaxis], windows[:, (start + 1) % windows.shape[1], np.newaxis]
+        polygons = _cut(polygons, _cross(b - a, polygons - a))
+    return polygons
+
+
+def _cut(polygons: Array, side: Array) -> Array:
+    """Keep where side >= 0; side is linear along the edges, (P, V)."""
+    kept = side >= 0
+    crossing = kept != np.roll(kept, -1, axis=1)
+    rise = side - np.roll(side, -1, axis=1)
+    part = np.where(crossing, side / np.where(crossing, rise, 1.0), 0.0)[:, :, np.newaxis]
+    cuts = polygons + part * (np.roll(polygons, -1, axis=1) - polygons)
+    vertices = np.stack([polygons, cuts], axis=2).reshape(len(polygons), 2 * polygons.shape[1], 2)
+    valid = np.stack([kept, crossing], axis=2).reshape(len(polygons), 2 * polygons.shape[1])
+    count = valid.sum(axis=1)
+    order = np.argsort(~valid, axis=1, kind="stable")
+    last = np.maximum(count - 1, 0)[:, np.newaxis]
+    places = np.minimum(np.arange(max(int(count.max(initial=0)), 3)), last)
+    chosen = np.take_along_axis(order, places, axis=1)
+    return np.take_along_axis(vertices, chosen[:, :, np.newaxis], axis=1)
+
+
+def areas(polygons: Array) -> Array:
+    """Positive for counter-clockwise polygons, (P,)."""
+    from_first = polygons - polygons[:, :1]
+    twice: Array = _cross(from_first, np.roll(from_first, -1, axis=1)).sum(axis=1)
+    return twice / 2
+
+
+def triangles(polygons: Array) -> Array:
+    """The fan from the first vertex, (P, V-2, 3, 2)."""
+    first = np.broadcast_to(polygons[:, :1], polygons[:, 1:-1].shape)
+    return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product

@@ -23,6 +23,8 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 from contactqp.model.floating_point import computes
 
+LAWS = ("saint-venant-kirchhoff", "neo-hookean")
+
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
@@ -126,9 +128,6 @@ def _two_pairs(first: float, second: float | Array, a: Array, b: Array) -> Array
     """first a_ij b_kl + second (a_ik b_jl + a_il b_jk)."""
     crossed = np.einsum("...ik,...jl->...ijkl", a, b) + np.einsum("...il,...jk->...ijkl", a, b)
     return np.asarray(first * np.einsum("...ij,...kl->...ijkl", a, b) + second * crossed)
-
-
-LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 
 
 @computes

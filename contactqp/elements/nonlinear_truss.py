@@ -22,6 +22,9 @@ from contactqp.model.arrays import Array
 from contactqp.model.floating_point import computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
+# How the area follows the length L: A_n / A_0 for a stretch L / L0.
+VOLUMES = ("isochoric", "constant area")
+
 
 class BarLaw(Protocol):
     """w(eps) per unit volume and unit modulus, with S = w' and C = w''; eps = (L^2 - L0^2) / (2 L0^2) is Green's.
@@ -331,10 +334,6 @@ def _per_bar(name: str, value: ArrayLike, count: int) -> Array:
     if not (np.all(np.isfinite(values)) and np.all(values > 0)):
         raise InvalidProblem(f"truss {name}: expected positive numbers, got {values.min()}")
     return np.broadcast_to(values, (count,)).copy()
-
-
-# How the area follows the length L: A_n / A_0 for a stretch L / L0.
-VOLUMES = ("isochoric", "constant area")
 
 
 @computes

@@ -18,6 +18,9 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.floating_point import computes
 from contactqp.model.problem_data import is_whole
 
+# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
+RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
+
 
 class Obstacle(Protocol):
     """A rigid obstacle, known by its signed distance."""
@@ -110,10 +113,6 @@ def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     first = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(normals, first)], axis=1)
-
-
-# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
-RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
 @computes

@@ -19,6 +19,9 @@ from contactqp.model.floating_point import computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9
+Measure = Literal["axis", "normal"]
+# Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
+NEWTON_STEPS = 100
 
 
 @computes
@@ -166,11 +169,6 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
         )
     normals: NDArray[np.float64] = radial / length[:, np.newaxis]
     return -normals if inside else normals
-
-
-Measure = Literal["axis", "normal"]
-# Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
-NEWTON_STEPS = 100
 
 
 @computes

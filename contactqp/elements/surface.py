@@ -19,6 +19,13 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
 
+_LINE = np.array([[-1.0], [1.0]])
+_TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+# A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
+FLAT = 1e-10
+
 
 @dataclass(frozen=True, eq=False)
 class Surface(ReadOnly):
@@ -178,11 +185,6 @@ def triangle_quadrature(points: int) -> tuple[Array, Array]:
     return xi, (np.outer(w, w) * (1 - second)).ravel()
 
 
-_LINE = np.array([[-1.0], [1.0]])
-_TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-
-
 def _middles(corners: Array) -> Array:
     return (corners + np.roll(corners, -1, axis=0)) / 2
 
@@ -193,7 +195,6 @@ def _kind(name: str, corners: Array, others: list[Array], powers: Sequence[tuple
     return FacetKind(name, len(corners), np.vstack([corners, *others]), np.array(powers), edges)
 
 
-_P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 # By (d, k), in the node order that Surface states.
 KINDS = {
     (2, 2): _kind("line2", _LINE, [], [(0,), (1,)]),
@@ -258,10 +259,6 @@ def diameters(positions: Array) -> Array:
     apart = positions[:, :, np.newaxis, :] - positions[:, np.newaxis, :, :]
     longest: Array = np.sqrt((apart**2).sum(axis=3)).max(axis=(1, 2))
     return longest
-
-
-# A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
-FLAT = 1e-10
 
 
 def check_surface(surface: Surface) -> None:

@@ -17,6 +17,14 @@ from contactqp.model.arrays import Array
 GAUSS_POINTS = 5
 # The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
 NOT_POSITIVE = ("tri6", "quad8")
+# An error of the pressure of this part of it is worth a word.
+TOLD = 0.1
+# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
+EDGE = np.cos(np.pi / 6)
+# Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
+MATCHING = 0.05
+# Facets that bend less against each other are flat [radians].
+FLAT = 1e-9
 
 
 def tributary_areas(surface: Surface) -> NDArray[np.float64]:
@@ -109,16 +117,6 @@ def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64
         for here in derivatives
     ]
     return np.stack(at, axis=1)
-
-
-# An error of the pressure of this part of it is worth a word.
-TOLD = 0.1
-# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
-EDGE = np.cos(np.pi / 6)
-# Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
-MATCHING = 0.05
-# Facets that bend less against each other are flat [radians].
-FLAT = 1e-9
 
 
 def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ...]:

@@ -23,6 +23,12 @@ ZERO = 1e-12
 REFINEMENTS = 2
 # The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
 HELD = 1e6
+# A contact is closed by what lies beyond rounding of the lengths that meet.
+ROUNDED = 1e-14
+# What rounding may make of a length or a force, over the lengths and forces that meet.
+ROUNDED_SLIP = 1e-12
+# Changes of combination that are tried, a contact.
+CHANGES = 20
 
 
 def solve_system(matrix: Any, right: Vector) -> Vector:
@@ -111,10 +117,6 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
     raise NotConverged("the set of closed contacts comes back: the tangent is indefinite there")
 
 
-# A contact is closed by what lies beyond rounding of the lengths that meet.
-ROUNDED = 1e-14
-
-
 def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) -> Mask:
     if not one_by_one:
         return np.asarray((closed & (tension <= 0)) | (excess > 0))
@@ -171,12 +173,6 @@ def lowest_eigenvalue(K: Any) -> float:
         return float(np.linalg.eigvalsh(K.toarray())[0])
     diagonal = np.asarray(K.diagonal(), dtype=float)
     return float(np.min(diagonal - (np.asarray(abs(K).sum(axis=1)).ravel() - abs(diagonal))))
-
-
-# What rounding may make of a length or a force, over the lengths and forces that meet.
-ROUNDED_SLIP = 1e-12
-# Changes of combination that are tried, a contact.
-CHANGES = 20
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,20 @@ BEYOND = 1.2
 SINGULAR_SHIFT = 1e-3
 # Stiffnesses along ties that are tried, over the largest diagonal of the tangent.
 ALONG_TIES = (1.0, 1e2)
+# Armijo's part of the slope, and the shortest fraction of a step that is tried.
+SUFFICIENT = 1e-4
+SHORTEST = 2.0**-30
+# How far a shifted step is stretched.
+LONGEST = 2.0**10
+# The weight of what violates constraints in the merit, over the largest force: above 1 the merit is exact.
+WEIGHT = 2.0
+# A full step that leaves less than this part of the imbalance is taken although the merit rises: near the answer a
+# curved constraint lets it (Maratos 1978).
+CONTRACTION = 0.5
+# Rounding of an energy, over the sizes that add up to it.
+MERIT_ROUNDING = 1e-13
+# Displacements beyond this, in any unit, are those of a body that nothing holds: of a bar that has torn.
+RUN_AWAY = 1e50
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,22 +244,6 @@ def stationary_step(
         gap[grazing] += now.contact.rounding[grazing]
         problem = problem.replace(gap=gap)
     return NewtonStep(problem, du, forces, springs=springs)
-
-
-# Armijo's part of the slope, and the shortest fraction of a step that is tried.
-SUFFICIENT = 1e-4
-SHORTEST = 2.0**-30
-# How far a shifted step is stretched.
-LONGEST = 2.0**10
-# The weight of what violates constraints in the merit, over the largest force: above 1 the merit is exact.
-WEIGHT = 2.0
-# A full step that leaves less than this part of the imbalance is taken although the merit rises: near the answer a
-# curved constraint lets it (Maratos 1978).
-CONTRACTION = 0.5
-# Rounding of an energy, over the sizes that add up to it.
-MERIT_ROUNDING = 1e-13
-# Displacements beyond this, in any unit, are those of a body that nothing holds: of a bar that has torn.
-RUN_AWAY = 1e50
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,147 +31,6 @@ from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Work
 
-
-@dataclass(frozen=True, eq=False)
-class HeldOpen:
-    """Contacts some of which are too far away to close."""
-
-    geometry: ContactGeometry
-    offset: Vector  # (m,) added to the gaps [length]
-
-    @property
-    def contacts(self) -> int:
-        """m."""
-        return self.geometry.contacts
-
-    def state(self, displacement: Vector) -> ContactState:
-        """With wider gaps."""
-        state = self.geometry.state(displacement)
-        return replace(state, gap=state.gap + self.offset)
-
-    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Of the geometry."""
-        return self.geometry.curvature(displacement, normal_force)
-
-    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """Of the geometry."""
-        return self.geometry.slip_since(displacement, anchor)
-
-    def positions(self, displacement: Vector) -> Vector:
-        """Of the geometry."""
-        return self.geometry.positions(displacement)
-
-
-def balance_with_anchors(
-    loaded: LoadedBody,
-    position: Array,
-    gap: Vector,
-    touching: Any,
-    solve_with: Callable[[LoadedBody, Array], Balance],
-) -> tuple[Balance, Array]:
-    """The balance at the end of a step, and the anchors (m, d) of its slips.
-
-    A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
-    had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.
-
-    Parameters
-    ----------
-    position, gap, touching : (m, d), (m,), (m,)
-        At the start of the step.
-    solve_with : function
-        The balance of a body whose slips start at anchors.
-    """
-    found = solve_with(loaded, position)
-    closes = (found.forces.normal > 0) & ~touching
-    if not np.any(closes) or loaded.contact is None:
-        return found, position
-    anchor = position.copy()
-    far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
-    free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
-    try:
-        beyond = solve_with(free, position)
-        end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
-    except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
-        end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
-    fraction = np.clip(gap / np.maximum(gap - reached, np.finfo(float).tiny), 0.0, 1.0)
-    anchor[closes] += (fraction[:, None] * (end - position))[closes]
-    return solve_with(loaded, anchor), anchor
-
-
-# Friction within this part of its bound is at it.
-STICKS = 1e-9
-
-
-def large_solution(
-    loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
-) -> LargeSolution:
-    """The equilibrium with the certificate of its last Newton step, and whether it is stable.
-
-    Raises
-    ------
-    NotCertified
-        The certificate refuses the answer of an exact method.
-    """
-    now, step, forces = balance.now, balance.step, balance.forces
-    problem = in_displacement(step.problem, balance.before.displacement)
-    started = time.perf_counter()
-    friction = forces.friction
-    if friction is None and problem.slip_origin is not None:
-        friction = np.zeros_like(problem.slip_origin)
-    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
-    if step.springs:
-        note = (
-            f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
-            "balance and contact are those of the body, its stability is another question"
-        )
-        certificate = replace(certificate, notes=(*certificate.notes, note))
-    spent = time.perf_counter() - started
-    found = step.solution
-    solution = LargeSolution(
-        problem=problem,
-        displacement=now.displacement,
-        normal_force=forces.normal,
-        friction_force=friction,
-        tie_force=forces.tie,
-        contact_status=contact_status(problem, certificate),
-        free_motions=() if found is None else found.free_motions,
-        certificate=certificate,
-        method=settings.method if found is None else found.method,
-        seconds=balance.seconds + spent,
-        certify_seconds=spent,
-        work=replace(Work() if found is None else found.work, iterations=len(balance.iterations)),
-        history=tuple(iteration.error for iteration in balance.iterations),
-        load_factor=load_factor,
-        load=target.load,
-        tie_value=target.tie_value,
-        increment=step.increment,
-        current_gap=now.contact.gap,
-        current_slip=slipped(loaded, now, target),
-        position=None if loaded.contact is None else loaded.contact.positions(now.displacement),
-        elastic=loaded.body.energy(now.displacement),
-        negative=negative_motions(loaded, balance),
-        iterations=balance.iterations,
-    )
-    if settings.exact and not certificate.passed:
-        failures = "; ".join(certificate.failures)
-        raise NotCertified(f"the certificate refuses the last step: {failures}", solution)
-    return solution
-
-
-def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
-    """How many motions that keep ties, pushing contacts and sticking ones as they are lower the energy."""
-    K = loaded.hessian(balance.now, balance.forces)
-    if positive_semidefinite(K):
-        return 0
-    contact, forces = balance.now.contact, balance.forces
-    rows = [contact.normal[np.flatnonzero(forces.normal > 0)], loaded.tie]
-    if forces.friction is not None and loaded.friction is not None and contact.tangent is not None:
-        width = forces.friction.shape[1]
-        sticks = np.linalg.norm(forces.friction, axis=1) < loaded.friction * forces.normal * (1 - STICKS)
-        rows.append(contact.tangent[np.flatnonzero(np.repeat(sticks, width))])
-    return negative_on(K, sp.vstack(rows, format="csr"))
-
-
 # Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
 HALVINGS = 20
 # A load factor is told if it is known to this part of the step.
@@ -182,6 +41,8 @@ JUMP = 0.3
 NO_STIFFNESS = 1e-10
 # Where between the ends of a step a crest of the energy is looked for: Newton's method may have leapt over it.
 BETWEEN = (0.25, 0.5, 0.75)
+# Friction within this part of its bound is at it.
+STICKS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,3 +198,139 @@ def forces_of(solution: LargeSolution) -> Forces:
     """The forces of an equilibrium."""
     friction = solution.friction_force if solution.problem.frictional else None
     return Forces(solution.normal_force, solution.tie_force, friction)
+
+
+def large_solution(
+    loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
+) -> LargeSolution:
+    """The equilibrium with the certificate of its last Newton step, and whether it is stable.
+
+    Raises
+    ------
+    NotCertified
+        The certificate refuses the answer of an exact method.
+    """
+    now, step, forces = balance.now, balance.step, balance.forces
+    problem = in_displacement(step.problem, balance.before.displacement)
+    started = time.perf_counter()
+    friction = forces.friction
+    if friction is None and problem.slip_origin is not None:
+        friction = np.zeros_like(problem.slip_origin)
+    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
+    if step.springs:
+        note = (
+            f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
+            "balance and contact are those of the body, its stability is another question"
+        )
+        certificate = replace(certificate, notes=(*certificate.notes, note))
+    spent = time.perf_counter() - started
+    found = step.solution
+    solution = LargeSolution(
+        problem=problem,
+        displacement=now.displacement,
+        normal_force=forces.normal,
+        friction_force=friction,
+        tie_force=forces.tie,
+        contact_status=contact_status(problem, certificate),
+        free_motions=() if found is None else found.free_motions,
+        certificate=certificate,
+        method=settings.method if found is None else found.method,
+        seconds=balance.seconds + spent,
+        certify_seconds=spent,
+        work=replace(Work() if found is None else found.work, iterations=len(balance.iterations)),
+        history=tuple(iteration.error for iteration in balance.iterations),
+        load_factor=load_factor,
+        load=target.load,
+        tie_value=target.tie_value,
+        increment=step.increment,
+        current_gap=now.contact.gap,
+        current_slip=slipped(loaded, now, target),
+        position=None if loaded.contact is None else loaded.contact.positions(now.displacement),
+        elastic=loaded.body.energy(now.displacement),
+        negative=negative_motions(loaded, balance),
+        iterations=balance.iterations,
+    )
+    if settings.exact and not certificate.passed:
+        failures = "; ".join(certificate.failures)
+        raise NotCertified(f"the certificate refuses the last step: {failures}", solution)
+    return solution
+
+
+def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
+    """How many motions that keep ties, pushing contacts and sticking ones as they are lower the energy."""
+    K = loaded.hessian(balance.now, balance.forces)
+    if positive_semidefinite(K):
+        return 0
+    contact, forces = balance.now.contact, balance.forces
+    rows = [contact.normal[np.flatnonzero(forces.normal > 0)], loaded.tie]
+    if forces.friction is not None and loaded.friction is not None and contact.tangent is not None:
+        width = forces.friction.shape[1]
+        sticks = np.linalg.norm(forces.friction, axis=1) < loaded.friction * forces.normal * (1 - STICKS)
+        rows.append(contact.tangent[np.flatnonzero(np.repeat(sticks, width))])
+    return negative_on(K, sp.vstack(rows, format="csr"))
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOpen:
+    """Contacts some of which are too far away to close."""
+
+    geometry: ContactGeometry
+    offset: Vector  # (m,) added to the gaps [length]
+
+    @property
+    def contacts(self) -> int:
+        """m."""
+        return self.geometry.contacts
+
+    def state(self, displacement: Vector) -> ContactState:
+        """With wider gaps."""
+        state = self.geometry.state(displacement)
+        return replace(state, gap=state.gap + self.offset)
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """Of the geometry."""
+        return self.geometry.curvature(displacement, normal_force)
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """Of the geometry."""
+        return self.geometry.slip_since(displacement, anchor)
+
+    def positions(self, displacement: Vector) -> Vector:
+        """Of the geometry."""
+        return self.geometry.positions(displacement)
+
+
+def balance_with_anchors(
+    loaded: LoadedBody,
+    position: Array,
+    gap: Vector,
+    touching: Any,
+    solve_with: Callable[[LoadedBody, Array], Balance],
+) -> tuple[Balance, Array]:
+    """The balance at the end of a step, and the anchors (m, d) of its slips.
+
+    A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
+    had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.
+
+    Parameters
+    ----------
+    position, gap, touching : (m, d), (m,), (m,)
+        At the start of the step.
+    solve_with : function
+        The balance of a body whose slips start at anchors.
+    """
+    found = solve_with(loaded, position)
+    closes = (found.forces.normal > 0) & ~touching
+    if not np.any(closes) or loaded.contact is None:
+        return found, position
+    anchor = position.copy()
+    far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
+    free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
+    try:
+        beyond = solve_with(free, position)
+        end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
+    except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
+        end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
+    fraction = np.clip(gap / np.maximum(gap - reached, np.finfo(float).tiny), 0.0, 1.0)
+    anchor[closes] += (fraction[:, None] * (end - position))[closes]
+    return solve_with(loaded, anchor), anchor

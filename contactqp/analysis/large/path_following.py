@@ -34,6 +34,8 @@ HALVINGS = 12
 TENSION = 1e-12
 # An unknown moves if this part of the path is along it.
 STILL = 1e-12
+# An unknown has reached its value when this part of its whole way is left.
+REACHED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,10 +289,6 @@ class PathFollower:
     def _limit_at(self, point: PathPoint, arriving: Direction, smooth: bool, after: int) -> LimitPoint:
         kind = "maximum" if arriving.load_factor > 0 else "minimum"
         return LimitPoint(kind, point.load_factor, point.displacement, point.forces.normal, after, smooth)
-
-
-# An unknown has reached its value when this part of its whole way is left.
-REACHED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)

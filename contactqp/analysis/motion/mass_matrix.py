@@ -24,6 +24,8 @@ ASYMMETRY = 1e-6
 INDEFINITE = 1e-6
 # Rigid motions keep their mass to this part of it.
 KEPT = 1e-9
+# Up to here all frequencies are found at once.
+DENSE_SIZE = 200
 
 
 def read_mass(mass: Any, n: int) -> Any:
@@ -155,10 +157,6 @@ def _on_neighbours(
                 "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body"
             )
         near = reached
-
-
-# Up to here all frequencies are found at once.
-DENSE_SIZE = 200
 
 
 def critical_step(mass: Any, stiffness: Any) -> float:

@@ -27,6 +27,8 @@ from contactqp.solving.solve import solve
 
 # A linear form of the unknowns by their names.
 Form = Mapping[str, float]
+# Below this a dense matrix costs nothing and is easier to look at.
+DENSE_SIZE = 64
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,6 @@ def plus(form: Form, others: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 def minus(form: Form) -> dict[str, float]:
     return {name: -factor for name, factor in form.items()}
-
-
-# Below this a dense matrix costs nothing and is easier to look at.
-DENSE_SIZE = 64
 
 
 @computes
