@@ -104,8 +104,8 @@ class ExactPath:
     """The walk from event to event, from a solution on."""
 
     def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
-        self._problem, self._way = problem, condense(problem)
-        self.system = system or ForceSystem(problem, self._way)
+        self._problem, self._condensation = problem, condense(problem)
+        self.system = system or ForceSystem(problem, self._condensation)
         self.status = self.system.plain(combination_of(first.problem, first))
         self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
         self.anchor = self._position(self.answer)
@@ -121,7 +121,7 @@ class ExactPath:
         zero = np.zeros(self._problem.contacts)
         still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
         direction = self._problem.replace(load=end - start, **still)
-        rates = self.system.lengths(direction, self._way.reduce_load(end - start)[0])
+        rates = self.system.lengths(direction, self._condensation.reduce_load(end - start)[0])
         fraction, events, segments = 0.0, list[Event](), list[Segment]()
         hit = np.zeros((4, len(zero)), dtype=bool)
         limit = 40 * len(zero) + 40
@@ -130,7 +130,7 @@ class ExactPath:
             at = f"at t = {time + lasts * fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)
             events += self._decided(standing.status, status, fraction)
-            rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
+            rate = answer_in(direction, self._condensation, self.system.rows, status, _nothing(direction))
             self._go_on_in(status)
             following, hit = self._next(standing, rate)
             reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
@@ -145,10 +145,10 @@ class ExactPath:
     def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
         """The answer to the load at a fraction of the leg, within a segment, to the last digits."""
         problem = self._problem.replace(load=load, slip_origin=segment.anchor)
-        answer = answer_in(problem, self._way, self.system.rows, segment.status, segment.near(fraction))
+        answer = answer_in(problem, self._condensation, self.system.rows, segment.status, segment.near(fraction))
         if not holds(problem.replace(slip_origin=self._position(answer)), answer):
             # An answer that is zero is not reached from one that is not.
-            answer = answer_in(problem, self._way, self.system.rows, segment.status, _nothing(problem))
+            answer = answer_in(problem, self._condensation, self.system.rows, segment.status, _nothing(problem))
         return without_idle_friction(self.system, answer)
 
     def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
@@ -176,8 +176,8 @@ class ExactPath:
         closed, stuck = self.status != OPEN, self.status == STICK
         null = np.where(closed, zero[1], zero[0])
         edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
-        rubs = self.system.coefficient > 0
-        edge = np.where(stuck, edge, np.where(closed & rubs, self.status, 0))
+        has_friction = self.system.coefficient > 0
+        edge = np.where(stuck, edge, np.where(closed & has_friction, self.status, 0))
         return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
 
     def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
@@ -277,8 +277,8 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     for status in _combinations(standing, choices):
         answer = system.solve(status, rates)
         nearest = min(nearest, _failing(system, rates, standing, answer))
-        known = [other for other in found if _same(system, standing, answer, other, rates)]
-        if not known and _holds(system, rates, standing, answer):
+        alike = [other for other in found if _same(system, standing, answer, other, rates)]
+        if not alike and _holds(system, rates, standing, answer):
             found.append(answer)
     names = _named(problem, standing.undecided)
     if not found and nearest <= CLEARLY:

@@ -181,7 +181,7 @@ class Stepper(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LightStep:
+class UncertifiedStep:
     """An answer on the contact unknowns that nobody has looked at."""
 
     problem: ContactProblem  # with the load and the slip origin of the step
@@ -230,15 +230,15 @@ class PlaneStepper:
         self._otherwise = SolveStepper(problem, method, options)
         self._meter = Meter(problem)  # of the step to come: the first one pays for the factorisation
         with self._meter.running():
-            self._way = condense(problem)
-        self._system = ForceSystem(problem, self._way)
+            self._condensation = condense(problem)
+        self._system = ForceSystem(problem, self._condensation)
         self._status: Status = np.where(problem.gap > 0, OPEN, STICK).astype(np.int8)
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Set out from one corner to the next."""
         self._leg = start, end
         self._otherwise.turn(start, end)
-        self._reduced = self._way.reduce_load(start)[0].copy(), self._way.reduce_load(end)[0].copy()
+        self._reduced = self._condensation.reduce_load(start)[0].copy(), self._condensation.reduce_load(end)[0].copy()
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """The equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
@@ -252,23 +252,23 @@ class PlaneStepper:
         except NotConverged:
             return self._otherwise.solve(fraction, origin, held_open)
         spent = time.perf_counter() - started
-        step = LightStep(problem, self._system, lengths, found, combinations, spent, self._meter)
+        step = UncertifiedStep(problem, self._system, lengths, found, combinations, spent, self._meter)
         return self._state(step, fraction, origin, held_open)
 
     def accept(self, state: State) -> State:
         """The state as a step of the path; the next solve starts from its combination."""
         self._meter = Meter(self._problem)
-        if not isinstance(state.step, LightStep):
+        if not isinstance(state.step, UncertifiedStep):
             state = self._otherwise.accept(state)
         step = state.step
-        if isinstance(step, LightStep):
+        if isinstance(step, UncertifiedStep):
             self._status = step.found.status
         else:
             solution = step.finish()
             self._status = combination_of(solution.problem, solution)
         return state
 
-    def _state(self, step: LightStep, fraction: float, origin: Array, held_open: Mask) -> State:
+    def _state(self, step: UncertifiedStep, fraction: float, origin: Array, held_open: Mask) -> State:
         rows, found = self._system.rows, step.found
         status, gap = found.status, found.gap * rows.normal_length
         m = len(status)

@@ -164,7 +164,7 @@ class History(ReadOnly, Sequence[Solution]):
 
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: every solution looked at, events and notes found, or why they are not."""
-        found: dict[str, Any] = dict(_solutions=looked_at(self._solutions), _find_events=_found(lambda: self.events))
+        found: dict[str, Any] = dict(_solutions=finish_all(self._solutions), _find_events=_found(lambda: self.events))
         if self._find_energies is not None:
             found["_find_energies"] = _found(lambda: self.energies)
         return self.__dict__ | found | dict(_find_notes=_found(lambda: self.notes))
@@ -232,7 +232,7 @@ class Refused:
         raise self.error
 
 
-def looked_at(solutions: Sequence[Solution]) -> Sequence[Solution]:
+def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
     """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
     kept: list[Unfinished | Solution] = []
     for k in range(len(solutions)):
@@ -289,7 +289,7 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
     """Every event of one leg, its time counted from 0 at the start of the leg to 1 at its end."""
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")
-    way = condense(problem)
+    condensation = condense(problem)
     direction = problem.replace(load=end - start, gap=np.zeros(problem.contacts), tie_value=np.zeros(problem.ties))
     undecided = np.array(first.certificate.grazing, dtype=np.intp)
     carrying = np.setdiff1d(np.flatnonzero(first.normal_force > 0), undecided)
@@ -297,9 +297,9 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
     events: list[Event] = []
     limit = 20 * problem.contacts + 20
     for _ in range(limit):
-        chosen, rates = _rates(direction, way, state)
+        chosen, rates = _rates(direction, condensation, state)
         events += _decided(state, chosen)
-        here = answer_on(problem.replace(load=start + state.fraction * (end - start)), way, chosen)
+        here = answer_on(problem.replace(load=start + state.fraction * (end - start)), condensation, chosen)
         following = _next_state(state, chosen, here, rates)
         if following is None:
             return events
@@ -317,34 +317,34 @@ def _decided(state: _State, chosen: Indices) -> list[Event]:
     return events
 
 
-def _rates(direction: ContactProblem, way: Condensation, state: _State) -> tuple[Indices, OnSet]:
+def _rates(direction: ContactProblem, condensation: Condensation, state: _State) -> tuple[Indices, OnSet]:
     """The closed contacts just after a state, and the rates of displacement and force."""
     certain = np.setdiff1d(state.closed, state.undecided)
     trial, seen = certain, set()
     while trial.tobytes() not in seen:
         seen.add(trial.tobytes())
-        rates = _rates_on(direction, way, trial)
+        rates = _rates_on(direction, condensation, trial)
         tension, closing = _wrong_rates(state, trial, rates)
         if not tension.size and not closing.size:
             return trial, rates
         trial = np.union1d(np.setdiff1d(trial, tension), closing).astype(np.intp)
     for subset in _subsets(state.undecided):
         trial = np.union1d(certain, np.array(subset, dtype=np.intp)).astype(np.intp)
-        rates = _rates_on(direction, way, trial)
+        rates = _rates_on(direction, condensation, trial)
         if not any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
             return trial, rates
     raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
 
 
 def _subsets(contacts: Indices) -> chain[tuple[int, ...]]:
-    few = contacts[:TRIED_ONE_BY_ONE]
-    return chain.from_iterable(combinations(few, size) for size in range(len(few) + 1))
+    subset = contacts[:TRIED_ONE_BY_ONE]
+    return chain.from_iterable(combinations(subset, size) for size in range(len(subset) + 1))
 
 
-def _rates_on(direction: ContactProblem, way: Condensation, closed: Indices) -> OnSet:
-    rates = answer_on(direction, way, closed)
-    load, inner = way.reduce_load(direction.load)
-    if np.any(rates.saddle.drive(load, way.reduced_size(direction, inner))):
+def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Indices) -> OnSet:
+    rates = answer_on(direction, condensation, closed)
+    load, inner = condensation.reduce_load(direction.load)
+    if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))):
         raise Unsupported(
             "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
         )

@@ -46,14 +46,14 @@ class _Instant:
             As the history; `solution` is that of the whole problem.
         """
         try:
-            return _told(self.rows, self.history[self.number])
+            return _certified_on_all_rows(self.rows, self.history[self.number])
         except NotCertified as error:
             if isinstance(error.solution, Solution):
-                error.solution = _told(self.rows, error.solution)
+                error.solution = _certified_on_all_rows(self.rows, error.solution)
             raise
 
 
-def _told(rows: ActingRows, found: Solution) -> Solution:
+def _certified_on_all_rows(rows: ActingRows, found: Solution) -> Solution:
     """The certificate of a motion is that of the step, which has the rows that act alone."""
     here = rows.at(found.problem)
     whole: Solution = replace(found, **here.forces(found)) if isinstance(found, Moving) else here.solution(found)

@@ -156,7 +156,7 @@ def impact(
     body = Body(problem, M, float(time_step))
     run = MotionRun(entry.make(body, settings), _loads(problem, load), float(start_time), method, options)
     if entry.explicit:
-        run.mind_critical_step(penalty)
+        run.check_critical_step(penalty)
     run.start(u, v)
     return run.lasting(duration)
 

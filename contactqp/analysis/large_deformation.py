@@ -234,7 +234,7 @@ def _times(start: Vector | LargeSolution, end: int, steps: int) -> list[float]:
     """Load factors of the start and of the steps that are left."""
     first = start.load_factor if isinstance(start, LargeSolution) else 0.0
     grid = [leg + (i + 1) / steps for leg in range(end) for i in range(steps)]
-    left = [t for t in grid if t > first * (1 + 1e-12)]
-    if not left:
+    remaining = [t for t in grid if t > first * (1 + 1e-12)]
+    if not remaining:
         raise InvalidProblem(f"start: expected a load factor below {end}, got {first:.6g}")
-    return [first, *left]
+    return [first, *remaining]

@@ -161,8 +161,8 @@ class _Steps(LazySolutions):
         """Set out from one corner to the next."""
         self._leg = start, end
         if not self._whole:
-            way = condense(self._problem)
-            self._reduced = way.reduce_load(start), way.reduce_load(end)
+            condensation = condense(self._problem)
+            self._reduced = condensation.reduce_load(start), condensation.reduce_load(end)
 
     def go_to(self, fraction: float) -> None:
         """One more step, to the load at a fraction of the leg."""

@@ -105,8 +105,8 @@ def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected:
 def _imported_elements(source: Cells, dimension: int, part: str | None) -> dict[str, Index]:
     """The nodes of the elements, kind by kind."""
     if part is not None and part not in source.groups:
-        known = ", ".join(map(repr, sorted(source.groups))) or "none"
-        raise InvalidProblem(f"mesh: there is no group {part!r}; it has {known}")
+        names = ", ".join(map(repr, sorted(source.groups))) or "none"
+        raise InvalidProblem(f"mesh: there is no group {part!r}; it has {names}")
     found: dict[str, list[Index]] = {}
     for i, (kind, nodes) in enumerate(source.cells):
         chosen = nodes if part is None else nodes[source.groups[part][i]]

@@ -105,13 +105,13 @@ def _read_by_meshlane(file: Path) -> Any:
         meshlane = importlib.import_module("meshlane")
     except ImportError:
         raise BackendMissing(f"reading {file.name} needs meshlane: pip install 'contactqp[solids]'") from None
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
             return meshlane.read(file)
     except (SystemExit, Exception) as error:
         # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
-        reason = said.getvalue().strip() or f"{type(error).__name__}: {error}"
+        reason = printed.getvalue().strip() or f"{type(error).__name__}: {error}"
         raise InvalidProblem(f"meshlane cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
 
 
@@ -119,8 +119,8 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
     cells = []
     for block in mesh.cells:
         if block.type not in MESHIO_KINDS:
-            known = ", ".join(MESHIO_KINDS)
-            raise InvalidProblem(f"mesh: expected cells of {known}, got {block.type}")
+            kinds = ", ".join(MESHIO_KINDS)
+            raise InvalidProblem(f"mesh: expected cells of {kinds}, got {block.type}")
         kind, nodes = MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)
         width = 1 if kind == "node" else len(REFERENCES[kind].nodes)
         if nodes.ndim != 2 or nodes.shape[1] != width:  # what is left of a file that is cut off

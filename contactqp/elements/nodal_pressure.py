@@ -88,18 +88,18 @@ class NodalPressure(ReadOnly):
         one whose functions have no known node; beside it D is left out.
         """
         given = real_array("force", force)
-        known = np.isfinite(given)
-        area = self.collected.T @ np.where(known, self.integral, 0.0)
-        least = abs(self.collected.T) @ np.where(known, abs(self.integral), 0.0)
+        finite = np.isfinite(given)
+        area = self.collected.T @ np.where(finite, self.integral, 0.0)
+        least = abs(self.collected.T) @ np.where(finite, abs(self.integral), 0.0)
         there = area > np.finfo(float).eps * least
-        moment = self.collected.T @ np.where(known, given, 0.0)
+        moment = self.collected.T @ np.where(finite, given, 0.0)
         value = np.where(there, moment / np.where(there, area, 1.0), np.nan)
         nodal = self.collected @ value
         near, far = (D @ np.where(there, value, 0.0) for D in (self.near, self.far))
         size = np.minimum(np.minimum(np.abs(near), np.abs(far)), LARGEST_CHANGE * np.abs(nodal))
         whole = (abs(self.near) + abs(self.far)) @ (~there).astype(float) == 0
         change = np.where(whole & (np.sign(near) == np.sign(far)), np.sign(near) * size, 0.0)
-        return np.where(known, nodal + change, np.nan)
+        return np.where(finite, nodal + change, np.nan)
 
 
 def from_areas(area: Vector) -> NodalPressure:

@@ -87,14 +87,14 @@ def pair_node_to_segment(
             f"{slave.name} and {master.name} do not face each other: expected facets whose normals point out of their "
             "bodies and against each other"
         )
-    held = np.flatnonzero(partners.found & ~partners.beyond)
-    _refuse_overlap(slave, master, nodes[held], partners, held, overlap)
-    contact = np.arange(len(held))
-    facet = master.facets[partners.facet[held]]
+    paired = np.flatnonzero(partners.found & ~partners.beyond)
+    _refuse_overlap(slave, master, nodes[paired], partners, paired, overlap)
+    contact = np.arange(len(paired))
+    facet = master.facets[partners.facet[paired]]
     k = facet.shape[1]
-    weights = np.column_stack([np.ones(len(held)), -kind_of(master).shape(partners.xi[held])])
-    columns = np.concatenate([slave.unknowns[nodes[held], np.newaxis], master.unknowns[facet]], axis=1)
-    normals = partners.normal[held]
+    weights = np.column_stack([np.ones(len(paired)), -kind_of(master).shape(partners.xi[paired])])
+    columns = np.concatenate([slave.unknowns[nodes[paired], np.newaxis], master.unknowns[facet]], axis=1)
+    normals = partners.normal[paired]
     entry = np.repeat(contact, k + 1)
     E_N, E_T = contact_rows(
         entry,
@@ -102,22 +102,22 @@ def pair_node_to_segment(
         columns.reshape(len(entry), slave.dimension),
         normals[entry],
         tangent_frames(normals)[entry],
-        (len(held), n),
+        (len(paired), n),
     )
-    unpaired = np.setdiff1d(nodes, nodes[held])
-    covered = _covered(slave, master, nodes[held], reach)
-    uneven = len(held) < len(nodes) or not same_facets(slave, master)
+    unpaired = np.setdiff1d(nodes, nodes[paired])
+    covered = _covered(slave, master, nodes[paired], reach)
+    uneven = len(paired) < len(nodes) or not same_facets(slave, master)
     return Pairing(
         E_N,
-        partners.gap[held],
+        partners.gap[paired],
         E_T,
-        nodes[held],
-        points[held],
+        nodes[paired],
+        points[paired],
         normals,
         unpaired,
-        tributary_areas(slave)[held],
-        nodal_pressure(slave, nodes[held], covered=covered, uneven=uneven),
-        faceting_notes(slave, master, partners.gap[held]),
+        tributary_areas(slave)[paired],
+        nodal_pressure(slave, nodes[paired], covered=covered, uneven=uneven),
+        faceting_notes(slave, master, partners.gap[paired]),
     )
 
 
@@ -148,17 +148,17 @@ def _refuse_overlap(
     master: Surface,
     nodes: NDArray[np.int64],
     partners: Partners,
-    held: NDArray[np.int64],
+    paired: NDArray[np.int64],
     overlap: float | None,
 ) -> None:
-    facet = partners.facet[held]
+    facet = partners.facet[paired]
     allowed = (
-        OVERLAP * diameters(master.points[master.facets[facet]]) if overlap is None else np.full(len(held), overlap)
+        OVERLAP * diameters(master.points[master.facets[facet]]) if overlap is None else np.full(len(paired), overlap)
     )
-    deeper = -partners.gap[held] - allowed
-    if len(held) and deeper.max() > 0:
+    deeper = -partners.gap[paired] - allowed
+    if len(paired) and deeper.max() > 0:
         worst = int(np.argmax(deeper))
         raise InvalidProblem(
-            f"{slave.name}: node {nodes[worst]} is {-partners.gap[held][worst]:.6g} inside {master.name} (facet "
+            f"{slave.name}: node {nodes[worst]} is {-partners.gap[paired][worst]:.6g} inside {master.name} (facet "
             f"{facet[worst]}) at the start: expected an overlap of at most {allowed[worst]:.6g}"
         )

@@ -239,9 +239,11 @@ def _box(
     names = _AXIS_SIDES[len(lengths)]
     if np.shape(divisions) != (len(names),):
         raise InvalidProblem(f"shape: expected {len(names)} divisions, got {divisions!r}")
-    known = {name for pair in names for name in pair} | {"middle"}
-    if isinstance(towards, str) or set(towards) - known:
-        raise InvalidProblem(f"shape: expected `towards` to be a list of {', '.join(sorted(known))}, got {towards!r}")
+    names_of_sides = {name for pair in names for name in pair} | {"middle"}
+    if isinstance(towards, str) or set(towards) - names_of_sides:
+        raise InvalidProblem(
+            f"shape: expected `towards` to be a list of {', '.join(sorted(names_of_sides))}, got {towards!r}"
+        )
     values = []
     for axis, pair in enumerate(names):
         place = _towards(pair, towards, horizontal=axis < len(names) - 1)

@@ -90,8 +90,8 @@ class Structure:
         for body in self.bodies:
             if body.name == name:
                 return body
-        known = ", ".join(repr(body.name) for body in self.bodies)
-        raise InvalidProblem(f"structure: there is no body {name!r}; it has {known}")
+        names = ", ".join(repr(body.name) for body in self.bodies)
+        raise InvalidProblem(f"structure: there is no body {name!r}; it has {names}")
 
     def solid(self, name: str) -> Body:
         """The elastic body of that name; InvalidProblem for a membrane."""

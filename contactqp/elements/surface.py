@@ -127,11 +127,11 @@ class FacetKind:
         for axis, times in enumerate(order):
             for t in range(times):
                 factor *= self.powers[:, axis] - t
-        left: NDArray[np.int64] = np.maximum(self.powers - order, 0)
+        remaining: NDArray[np.int64] = np.maximum(self.powers - order, 0)
         values = np.tile(factor, (len(xi), 1))
         for axis in range(xi.shape[1]):
             x = xi[:, axis]
-            values *= np.stack([np.ones_like(x), x, x * x], axis=1)[:, left[:, axis]]
+            values *= np.stack([np.ones_like(x), x, x * x], axis=1)[:, remaining[:, axis]]
         return values
 
     def _combined(self, monomials: Array) -> Array:

@@ -79,7 +79,7 @@ def test_what_is_no_number_fails_and_a_contact_that_was_not_looked_at_has_no_for
     refused = judge.figures([posed], [nan]).first_above(1e-9)
     assert refused is not None
     assert refused[2] == np.inf
-    unseen = replace(posed, looked_at=np.array([False, False]), gap=np.array([-9.0, -9.0]))
+    unseen = replace(posed, closable=np.array([False, False]), gap=np.array([-9.0, -9.0]))
     quiet = replace(answer, normal=np.zeros(2), friction=np.zeros(4))
     assert judge.figures([unseen], [quiet]).penetration[0] == 0.0
     assert judge.figures([unseen], [replace(quiet, normal=np.array([1.0, 0.0]))]).tension[0] > 0.0

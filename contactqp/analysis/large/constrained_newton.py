@@ -298,10 +298,10 @@ def find_balance(
         fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
         if np.max(abs(new.displacement), initial=0.0) > RUN_AWAY:
             raise NotConverged("Newton's method: the displacements grow without bound, nothing balances the load")
-        left = _imbalance_after(loaded, now, new, K, target, settings, step)
+        residual = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)
-        iterations.append(NewtonIteration(left.force, left.length, fraction, step.shift, changed))
-        if left.nothing and fraction == 1:
+        iterations.append(NewtonIteration(residual.force, residual.length, fraction, step.shift, changed))
+        if residual.nothing and fraction == 1:
             if step.shift:  # a saddle of the energy, from which nothing drives the body
                 step = stationary_step(loaded, now, K, target, step.increment, step.forces)
             return Balance(new, step.forces, now, step, tuple(iterations), time.perf_counter() - started)
@@ -327,8 +327,8 @@ def _sticks(loaded: LoadedBody, now: Instant, forces: Forces, target: Target, se
     bound = loaded.friction * forces.normal * (1 + 1e-12)
     closed = forces.normal > 0
     still = np.all(np.linalg.norm(slip[closed], axis=1) <= reach[closed])
-    left = settings.tolerance * float(np.max(abs(now.displacement), initial=0.0))
-    touches = np.all(abs(now.contact.gap[closed]) <= np.maximum(reach, left)[closed])
+    negligible = settings.tolerance * float(np.max(abs(now.displacement), initial=0.0))
+    touches = np.all(abs(now.contact.gap[closed]) <= np.maximum(reach, negligible)[closed])
     return bool(still and touches and np.all(np.linalg.norm(forces.friction, axis=1) <= bound))
 
 
@@ -397,8 +397,8 @@ def _searched(
                     fraction, new = _stretched(loaded, now, target, step, weight, merit, new)
                 return fraction, new, reason
             if fraction == 1 and not step.shift:
-                left = _imbalance_after(loaded, now, new, K, target, settings, step)
-                if left.nothing or left.size <= CONTRACTION * before.size:
+                residual = _imbalance_after(loaded, now, new, K, target, settings, step)
+                if residual.nothing or residual.size <= CONTRACTION * before.size:
                     return fraction, new, reason
             reason = "the energy does not fall"
         fraction /= 2

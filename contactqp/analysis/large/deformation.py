@@ -105,12 +105,12 @@ class LoadedBody:
 
     def out_of_balance(self, now: Instant, load: Vector, forces: Forces | None = None) -> Vector:
         """f - f_int - E_N' l_N - E_T' l_T - A' nu, (n,) [force]."""
-        left = load - now.internal
+        residual = load - now.internal
         if forces is not None:
-            left = left - now.contact.normal.T @ forces.normal - self.tie.T @ forces.tie
+            residual = residual - now.contact.normal.T @ forces.normal - self.tie.T @ forces.tie
             if forces.friction is not None and now.contact.tangent is not None:
-                left = left - now.contact.tangent.T @ forces.friction.ravel()
-        return np.asarray(left)
+                residual = residual - now.contact.tangent.T @ forces.friction.ravel()
+        return np.asarray(residual)
 
     def step_problem(
         self, now: Instant, K: Any, load: Vector, tie_value: Vector, slipped: Array | None = None
@@ -234,7 +234,7 @@ class Snap:
 
     low: float
     high: float
-    told: bool  # whether it is known to a small part of the step
+    located: bool  # whether it is known to a small part of the step
     unknown: int  # the one that jumps furthest
     before: float  # its displacement [length]
     after: float
@@ -243,7 +243,7 @@ class Snap:
     def note(self) -> str:
         """In words."""
         where = f"at load factor {self.high:.6g}"
-        if not self.told:
+        if not self.located:
             where = f"between the load factors {self.low:.6g} and {self.high:.6g}"
         return (
             f"snap-through {where}: the tangent loses its definiteness and unknown {self.unknown} jumps from "
@@ -265,14 +265,14 @@ class LargeHistory(History):
         events: Iterable[Event] | None = None,
         snaps: Iterable[Snap] = (),
     ) -> None:
-        found, told = list(solutions), tuple(notes)
+        found, located = list(solutions), tuple(notes)
         happened = _Found(found).events if events is None else partial(tuple, tuple(events))
         super().__init__(
             found,
             [solution.load_factor for solution in found],
             events=happened,
             energies=_Found(found).energies,
-            notes=partial(tuple, told),
+            notes=partial(tuple, located),
         )
         self.limit_points = tuple(limit_points)
         self.snaps = tuple(snaps)

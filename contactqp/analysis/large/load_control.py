@@ -148,13 +148,13 @@ class LoadControl:
     def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
         """Whether a crest of the energy lies between two equilibria: a negative motion, on the way between their
         displacements, that keeps ties and the contacts that push at both ends."""
-        start, way = before.displacement, balance.now.displacement - before.displacement
-        if before.negative or not np.any(way):
+        start, motion = before.displacement, balance.now.displacement - before.displacement
+        if before.negative or not np.any(motion):
             return False
         both = np.flatnonzero((before.normal_force > 0) & (balance.forces.normal > 0))
         rows = sp.vstack([balance.now.contact.normal[both], self.loaded.tie], format="csr")
         for part in BETWEEN:
-            u = start + part * way
+            u = start + part * motion
             if np.isfinite(self.loaded.body.energy(u)):
                 K = sp.csc_array(self.loaded.body.tangent(u))
                 if not positive_semidefinite(K) and negative_on(K, rows):
@@ -190,8 +190,8 @@ class LoadControl:
         if np.linalg.norm(end - start) < JUMP * whole:
             return None
         j = int(np.argmax(abs(end - start)))
-        told = high - low <= KNOWN * (t - before.load_factor)
-        return Snap(low, high, told, j, float(start[j]), float(end[j]))
+        located = high - low <= KNOWN * (t - before.load_factor)
+        return Snap(low, high, located, j, float(start[j]), float(end[j]))
 
 
 def forces_of(solution: LargeSolution) -> Forces:

@@ -155,16 +155,16 @@ class PathEquations:
             errors = np.abs(np.concatenate([now.contact.gap[B], off, np.array([control.value(now, t)])]))
             allowed = now.contact.rounding
             rounding = np.concatenate([allowed[B], np.zeros(len(off)), np.max(allowed, initial=0.0, keepdims=True)])
-            left = self.loaded.imbalance(now, K, target.load, forces, errors, rounding, self.settings.tolerance)
-            iterations.append(NewtonIteration(left.force, left.length, 1.0, 0.0, changed=False))
-            if left.nothing:
+            residual = self.loaded.imbalance(now, K, target.load, forces, errors, rounding, self.settings.tolerance)
+            iterations.append(NewtonIteration(residual.force, residual.length, 1.0, 0.0, changed=False))
+            if residual.nothing:
                 if not finished:
                     return PathPoint(now, t, forces)
                 grazing = control.contact if isinstance(control, Touch) else None
                 step = stationary_step(self.loaded, before, K, target, du, forces, grazing)
                 spent = time.perf_counter() - started
                 return PathPoint(now, t, forces, Balance(now, forces, before, step, tuple(iterations), spent))
-        raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {left.size:.3g} of forces and lengths")
+        raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {residual.size:.3g} of forces and lengths")
 
     def direction(
         self, point: PathPoint, closed: Mask, row: Vector, row_t: float, row_forces: Vector | None = None

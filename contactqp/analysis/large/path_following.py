@@ -132,10 +132,12 @@ class PathFollower:
         now, path = self._point.now, self.path
         which = np.flatnonzero(touching)
         K = path.loaded.hessian(now, self._point.forces)
-        held = sp.vstack([now.contact.normal[np.flatnonzero(self._closed)], path.loaded.tie], format="csr")
+        constrained = sp.vstack([now.contact.normal[np.flatnonzero(self._closed)], path.loaded.tie], format="csr")
         value = np.concatenate([np.zeros(int(np.sum(self._closed))), sense * path.tie_rate])
         rows, none = now.contact.normal[which], np.zeros(len(which))
-        _, _, _, pressed = by_signs(K, sense * path.load, rows, none, held, value, np.ones(len(which), dtype=bool))
+        _, _, _, pressed = by_signs(
+            K, sense * path.load, rows, none, constrained, value, np.ones(len(which), dtype=bool)
+        )
         closed = self._closed.copy()
         closed[which[pressed]] = True
         return closed
@@ -328,8 +330,8 @@ class PathControl:
         follower = self._follower(at_rest, ByUnknown(place, wanted - first))
         for k in range(1, steps + 1):
             value = wanted if k == steps else first + (wanted - first) * k / steps
-            while abs(left := value - follower.reached.displacement[place]) > REACHED * abs(wanted - first):
-                _advance(follower, ByUnknown(place, left))
+            while abs(remaining := value - follower.reached.displacement[place]) > REACHED * abs(wanted - first):
+                _advance(follower, ByUnknown(place, remaining))
         return follower.history
 
     def _at_rest(self, start: Vector | LargeSolution) -> LargeSolution:

@@ -133,10 +133,10 @@ class _Instant:
     number: int
 
     def finish(self) -> Solution:
-        return _looked_at(self.motion, self.number)
+        return _solution_at(self.motion, self.number)
 
 
-def _looked_at(motion: Motion, k: int) -> Moving:
+def _solution_at(motion: Motion, k: int) -> Moving:
     """Instant k with the certificate of the step that ended there; the start is certified as it was given."""
     body, state = motion.scheme.body, motion.states[k]
     problem = body.problem.replace(load=motion.load(motion.time(k)))
@@ -178,24 +178,24 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
     """The problem of the step that ends at k. A contact that it may not close gets a gap that stays open."""
     template = motion.scheme.templates[-1]
     m, ties = template.contacts, template.ties
-    rubbing = 0 if template.slip_origin is None else template.slip_origin.size
+    tangential = 0 if template.slip_origin is None else template.slip_origin.size
     if k == 0:
         x = motion.states[0].displacement
-        found = StepResult(x, np.zeros(m), np.zeros(rubbing), np.zeros(ties), x)
+        found = StepResult(x, np.zeros(m), np.zeros(tangential), np.zeros(ties), x)
         gap, origin = motion.scheme.body.problem.gap[:m], motion.scheme.body.slip_from(x)
         posed = StepProblem(template.stiffness_rows @ x, gap, None, origin, template.tie @ x)
     else:
         posed, found = motion.posed(k)
     gap = posed.gap
-    if posed.looked_at is not None:
+    if posed.closable is not None:
         reach = template.normal @ found.unknown
-        gap = np.where(posed.looked_at, gap, np.maximum(reach, 0.0) + abs(reach))
+        gap = np.where(posed.closable, gap, np.maximum(reach, 0.0) + abs(reach))
     step = template.replace(
         load=posed.load, gap=gap, tie_value=np.zeros(ties) if posed.tie_value is None else posed.tie_value
     )
-    if rubbing:
+    if tangential:
         unmoved = posed.slip_origin is None or not len(posed.slip_origin)
-        step = step.replace(slip_origin=np.zeros(rubbing) if unmoved else posed.slip_origin)
+        step = step.replace(slip_origin=np.zeros(tangential) if unmoved else posed.slip_origin)
     if posed.base is not None:
         load, size = posed.load + template.stiffness_rows @ posed.base, abs(posed.load)
         step = step.with_load_sum(load, size + stiffness_sizes(template) @ abs(posed.base))
@@ -283,7 +283,7 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
     """The work of the loads, what normal forces took and what friction took, (3, steps)."""
     scheme, problem = motion.scheme, motion.scheme.body.problem
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
-    ways, weight = scheme.contact_way(u, v), scheme.contact_weight()
+    ways, weight = scheme.contact_motion(u, v), scheme.contact_weight()
 
     def along(force: Vector, rows: Any) -> Vector:
         share = np.repeat(weight, force.shape[1] // max(len(weight), 1))
@@ -300,7 +300,7 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
 
 
 @dataclass(frozen=True, eq=False)
-class Known(ReadOnly):
+class TabulatedLoad(ReadOnly):
     """A load at the instants of a motion."""
 
     times: tuple[float, ...]
@@ -325,7 +325,7 @@ class Motion:
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: the states, and of the load its values at their times."""
         times = [self.time(k) for k in range(len(self.states))]
-        known = Known(tuple(times), np.array([self.load(instant) for instant in times]))
+        known = TabulatedLoad(tuple(times), np.array([self.load(instant) for instant in times]))
         return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
 
     def time(self, k: int) -> float:

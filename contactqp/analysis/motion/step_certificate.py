@@ -91,7 +91,7 @@ class StepJudge:
         for p, a in zip(posed, answered, strict=True):
             residual, size = p.load - self._K @ a.increment, np.abs(a.unknown)
             pushes = bool(a.normal.any())
-            if (pushes or p.looked_at is None or p.looked_at.any()) and not self._contacts_hold(p, a, size, tolerance):
+            if (pushes or p.closable is None or p.closable.any()) and not self._contacts_hold(p, a, size, tolerance):
                 return False
             size *= within
             if pushes:
@@ -105,7 +105,7 @@ class StepJudge:
     def _contacts_hold(self, p: StepProblem, a: StepResult, size: Vector, tolerance: float) -> bool:
         """Whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
         room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
-        seen = np.ones(len(room), dtype=bool) if p.looked_at is None else p.looked_at
+        seen = np.ones(len(room), dtype=bool) if p.closable is None else p.closable
         if (a.normal < 0).any() or (pushes & ~seen).any():
             return False
         wrong = (seen & (room < 0)) | (pushes & (room > 0))
@@ -119,7 +119,7 @@ class StepJudge:
         x, (load, F) = np.column_stack([a.unknown for a in answered]), self._loads(posed)
         normal, tie = np.column_stack([a.normal for a in answered]), np.column_stack([a.tie for a in answered])
         friction, gap = np.column_stack([a.friction for a in answered]), np.column_stack([p.gap for p in posed])
-        looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
+        looked = np.column_stack([np.ones(len(p.gap), bool) if p.closable is None else p.closable for p in posed])
         size = abs(x)
         inner = self._sizes[0] @ size
         residual, F = load - self._K @ x, F + inner

@@ -58,7 +58,7 @@ class StepProblem:
 
     load: Vector  # (n,) on x, or on x - base
     gap: Vector  # (m,); has no meaning where a contact is not looked at
-    looked_at: NDArray[np.bool_] | None = None  # (m,) contacts that the step may close; None: all
+    closable: NDArray[np.bool_] | None = None  # (m,) contacts that the step may close; None: all
     slip_origin: Vector | None = None  # ((d-1) m,)
     tie_value: Vector | None = None  # (k,); None: zero
     base: Vector | None = None  # (n,)
@@ -80,19 +80,19 @@ class StepContact:
 
     def __init__(self, template: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self.template, self._method, self._options = template, method, options
-        self._way = way = condense(template)
-        if way.rigid.count:
+        self._condensation = condensation = condense(template)
+        if condensation.rigid.count:
             raise InvalidProblem(
                 "mass: together with the stiffness it leaves motions without any inertia or stiffness; this scheme "
                 "needs a mass, or a stiffness, for every motion"
             )
-        self._E, self._A = way.normal, way.tie
+        self._E, self._A = condensation.normal, condensation.tie
         self._pushed = np.zeros(template.contacts, dtype=bool)
         self._states = np.full(template.contacts, OPEN, dtype=np.int8)
         self._frictional = template.frictional
         rows = self._E
-        if template.frictional and way.tangent is not None:
-            self._T = way.tangent.toarray()
+        if template.frictional and condensation.tangent is not None:
+            self._T = condensation.tangent.toarray()
             rows = self._local_rows()
         self._rubbing = len(self._T) if template.frictional else 0
         self._rows = rows
@@ -103,11 +103,11 @@ class StepContact:
 
     @property
     def factorisations(self) -> int:
-        return self._way.factorisations
+        return self._condensation.factorisations
 
     @property
     def back_substitutions(self) -> int:
-        return self._way.back_substitutions
+        return self._condensation.back_substitutions
 
     def _local_rows(self) -> Array:
         """(d m, p): contact by contact -E_N before E_T; they map x to gap and slip, forces on the body to loads."""
@@ -138,18 +138,18 @@ class StepContact:
     @cached_property
     def _inverse(self) -> Array:
         """S^-1 of few unknowns: a product costs less than LAPACK's door."""
-        return self._solved(np.eye(len(self._way.schur)))
+        return self._solved(np.eye(len(self._condensation.schur)))
 
     def _solved(self, right: Array) -> Array:
-        scale = self._way.scale
-        return np.asarray((self._way.schur_factor().solve((right.T * scale).T).T * scale).T)
+        scale = self._condensation.scale
+        return np.asarray((self._condensation.schur_factor().solve((right.T * scale).T).T * scale).T)
 
     def _respond(self, right: Array) -> Array:
         """S^-1 right, without ties."""
         if not len(right) or len(right) > FEW:
             return self._solved(right) if len(right) else right
         x = self._inverse @ right
-        return np.asarray(x + self._inverse @ (right - self._way.schur @ x))
+        return np.asarray(x + self._inverse @ (right - self._condensation.schur @ x))
 
     def _compliance(self, right: Array) -> Array:
         """The response of the contact unknowns to loads on them, ties held."""
@@ -168,15 +168,15 @@ class StepContact:
         NotConverged, NotCertified, BackendFailed
             As `solve`, of the small problem.
         """
-        way, template = self._way, self.template
-        reduced, inner = way.reduce_passing_load(posed.load)
+        condensation, template = self._condensation, self.template
+        reduced, inner = condensation.reduce_passing_load(posed.load)
         free = self._respond(reduced)
         gap, origin, value = self._limits(posed)
         tie = np.zeros(template.ties)
         if self._tied is not None:
             tie = self._tied.solve(self._A @ free - value)
             free = free - self._of_ties @ tie
-        normal, friction = self._forces(gap - self._E @ free, posed.looked_at, free, origin)
+        normal, friction = self._forces(gap - self._E @ free, posed.closable, free, origin)
         if normal.any():
             if self._frictional:
                 normal, friction = self._without_dust(normal, friction, gap - self._E @ free)
@@ -191,8 +191,8 @@ class StepContact:
                 size = size + abs(self._T).T @ abs(friction)
             tie, free = tie - change, free - response
             # What comes to rest does so exactly, and not up to the rounding of the forces that stop it.
-            free[way.schur.diagonal() * abs(free) <= AT_REST * (abs(reduced) + size)] = 0.0
-        x = way.expand(free, inner)
+            free[condensation.schur.diagonal() * abs(free) <= AT_REST * (abs(reduced) + size)] = 0.0
+        x = condensation.expand(free, inner)
         return StepResult(x if posed.base is None else posed.base + x, normal, friction, tie, x)
 
     def _response(self, normal: Vector, friction: Vector) -> tuple[Vector, Vector]:
@@ -234,12 +234,12 @@ class StepContact:
         m, width = len(normal), len(friction) // len(normal)
         size, bound = np.linalg.norm(friction.reshape(m, width), axis=1), self.template.friction * normal  # type: ignore[operator]
         sticks = (normal > 0) & (size < (1 - STICKS) * bound)
-        left = np.column_stack([gap - self._E @ x, (self._T @ x - origin).reshape(m, width)])
+        residual = np.column_stack([gap - self._E @ x, (self._T @ x - origin).reshape(m, width)])
         lengths = abs(self._T) @ abs(x) + abs(origin)
-        slips = np.max(abs(left[:, 1:]), axis=1) > SHARP * np.max(lengths.reshape(m, width), axis=1)
+        slips = np.max(abs(residual[:, 1:]), axis=1) > SHARP * np.max(lengths.reshape(m, width), axis=1)
         if not np.any(sticks & slips):
             return None
-        change = correction(self._W, np.column_stack([normal, -friction.reshape(m, width)]), sticks, left)
+        change = correction(self._W, np.column_stack([normal, -friction.reshape(m, width)]), sticks, residual)
         sharp_normal, sharp_friction = normal + change[:, 0], friction - change[:, 1:].ravel()
         if np.any(sharp_normal < 0):
             return None
@@ -251,41 +251,43 @@ class StepContact:
         value = 0.0 if posed.tie_value is None else posed.tie_value
         if posed.base is None:
             return gap, origin, value
-        base = posed.base[self._way.retained]
+        base = posed.base[self._condensation.retained]
         if self._frictional:
             origin = origin - self._T @ base
         return gap - self._E @ base, origin, value - self._A @ base
 
-    def held(self, load: Vector, closed: NDArray[np.intp]) -> Vector:
+    def respond_closed(self, load: Vector, closed: NDArray[np.intp]) -> Vector:
         """x under a load with some contacts held closed, E_N x = 0, and ties at zero."""
-        way = self._way
-        reduced, inner = way.reduce_load(load)
+        condensation = self._condensation
+        reduced, inner = condensation.reduce_load(load)
         rows = np.vstack([self._E[closed], self._A])
         free = self._respond(reduced)
         response = self._respond(rows.T)
         force, *_ = np.linalg.lstsq(rows @ response, rows @ free, rcond=None)
-        return way.expand(free - response @ force, inner)
+        return condensation.expand(free - response @ force, inner)
 
     def _forces(
-        self, c: Vector, looked_at: NDArray[np.bool_] | None, free: Vector, origin: Any
+        self, c: Vector, closable: NDArray[np.bool_] | None, free: Vector, origin: Any
     ) -> tuple[Vector, Vector]:
         """l_N and l_T of contacts whose gaps without forces are c."""
         m = self.template.contacts
         normal, friction = np.zeros(m), np.zeros(self._rubbing)
-        closing = c < 0 if looked_at is None else (c < 0) & looked_at
+        closing = c < 0 if closable is None else (c < 0) & closable
         if not closing.any():
             self._pushed[:] = False
             return normal, friction
-        looked = np.arange(m) if looked_at is None else np.flatnonzero(looked_at)
+        looked = np.arange(m) if closable is None else np.flatnonzero(closable)
         if self._frictional:
-            self._rub(c, self._T @ free - origin, looked, normal, friction)
+            self._add_friction(c, self._T @ free - origin, looked, normal, friction)
         else:
             W = self._W if len(looked) == m else self._W[np.ix_(looked, looked)]
             normal[looked] = normal_forces(W, c[looked], self._pushed[looked], self._method, self._options)
         self._pushed = normal > 0
         return normal, friction
 
-    def _rub(self, c: Vector, slip: Vector, looked: NDArray[np.intp], normal: Vector, friction: Vector) -> None:
+    def _add_friction(
+        self, c: Vector, slip: Vector, looked: NDArray[np.intp], normal: Vector, friction: Vector
+    ) -> None:
         """Fill in the forces of contacts with friction."""
         m, width = self.template.contacts, self._rubbing // self.template.contacts
         offset = np.column_stack([c, slip.reshape(m, width)])[looked].ravel()

@@ -65,7 +65,7 @@ def states_of(normal: Vector, friction: Array, coefficient: Vector) -> States:
     return np.where(normal > 0, state, OPEN).astype(np.int8)
 
 
-def correction(W: Array, force: Array, sticks: NDArray[np.bool_], left: Array) -> Array:
+def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Array) -> Array:
     """The change (m, d) of forces on the body that takes away what is left (m, d) of gaps and slips.
 
     Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.
@@ -73,13 +73,13 @@ def correction(W: Array, force: Array, sticks: NDArray[np.bool_], left: Array) -
     m, d = force.shape
     rows = np.zeros((m, d), dtype=bool)
     rows[:, 0], rows[:, 1:] = force[:, 0] > 0, sticks[:, None]
-    held = np.flatnonzero(rows)
-    way = np.eye(m * d)[:, held]
-    for column, i in enumerate(held):
+    constrained = np.flatnonzero(rows)
+    columns = np.eye(m * d)[:, constrained]
+    for column, i in enumerate(constrained):
         if i % d == 0 and not sticks[i // d]:
-            way[i : i + d, column] = force[i // d] / force[i // d, 0]
-    change, *_ = np.linalg.lstsq(W[held] @ way, -left.ravel()[held], rcond=None)
-    return np.asarray((way @ change).reshape(m, d))
+            columns[i : i + d, column] = force[i // d] / force[i // d, 0]
+    change, *_ = np.linalg.lstsq(W[constrained] @ columns, -residual.ravel()[constrained], rcond=None)
+    return np.asarray((columns @ change).reshape(m, d))
 
 
 def _by_states(W: Array, c: Vector, friction: Vector, start: States) -> Array | None:
@@ -117,18 +117,18 @@ def _in_states(W: Array, c: Vector, friction: Vector, state: States) -> Array | 
     """Forces (m, 2) that close what is not open and stop what sticks; None where they are not determined."""
     m = len(friction)
     rows = np.column_stack([state != OPEN, state == STICK]).ravel()
-    held = np.flatnonzero(rows)
-    way = np.eye(2 * m)[:, held]
-    pushed = held[held % 2 == 0]
+    constrained = np.flatnonzero(rows)
+    columns = np.eye(2 * m)[:, constrained]
+    pushed = constrained[constrained % 2 == 0]
     slope = np.where(state == SLIP_ON, -friction, np.where(state == SLIP_BACK, friction, 0.0))
-    way[pushed + 1, np.flatnonzero(held % 2 == 0)] += slope[pushed // 2]
+    columns[pushed + 1, np.flatnonzero(constrained % 2 == 0)] += slope[pushed // 2]
     try:
-        force = way @ np.linalg.solve(W[held] @ way, -c[held])
+        force = columns @ np.linalg.solve(W[constrained] @ columns, -c[constrained])
     except np.linalg.LinAlgError:
         return None
-    left = (W @ force + c)[held]
-    size = (abs(W) @ abs(force) + abs(c))[held]
-    if not np.all(abs(left) <= ON_CONE * size):  # as good as singular
+    residual = (W @ force + c)[constrained]
+    size = (abs(W) @ abs(force) + abs(c))[constrained]
+    if not np.all(abs(residual) <= ON_CONE * size):  # as good as singular
         return None
     return np.asarray(force.reshape(m, 2))
 

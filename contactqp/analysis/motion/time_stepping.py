@@ -74,7 +74,7 @@ class MotionRun:
         self._pending: list[list[tuple[StepProblem, StepResult]]] = [[] for _ in scheme.templates]
         self._notes: list[str] = []
         self._certified = 0  # steps
-        self._impacts = ImpactsMinded(scheme.body.problem)
+        self._impacts = FirstImpacts(scheme.body.problem)
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
     def start(self, u: Vector, v: Vector) -> None:
@@ -112,8 +112,8 @@ class MotionRun:
                 before, state = state, self._step(state, load, next_load)
                 motion.states.append(state)
                 load = next_load
-                if self._impacts.unminded:
-                    self._mind_contact_time(self._impacts.new(before, state), before, state, k)
+                if self._impacts.awaited:
+                    self._check_contact_time(self._impacts.new(before, state), before, state, k)
                 if k % BLOCK == 0 or k == first + count - 1:
                     motion.seconds[0] = time.perf_counter() - began
                     self._judge(k)
@@ -177,7 +177,7 @@ class MotionRun:
             retained=len(touched(self._scheme.body.problem)),
         )
 
-    def _mind_contact_time(self, closing: NDArray[np.intp], before: State, state: State, k: int) -> None:
+    def _check_contact_time(self, closing: NDArray[np.intp], before: State, state: State, k: int) -> None:
         """Warn, once, where a step is too long for contacts that close."""
         scheme, h = self._scheme, self._scheme.body.step
         if scheme.inertia is None or not len(closing):
@@ -187,14 +187,14 @@ class MotionRun:
         contact, template = self._contacts[-1], scheme.templates[-1]
         factor = float(template.stiffness.diagonal().max() / share.diagonal().max())
         omega = slowest_frequency(
-            lambda y: factor * contact.held(y, closed),
+            lambda y: factor * contact.respond_closed(y, closed),
             scheme.body.mass,
             scheme.inertia,
             np.where(meeting(scheme.body.problem, scheme.body.mass, closing), before.velocity, 0.0),
         )
         if omega is None or np.pi / omega >= RESOLVED * h:
             return
-        self._impacts.unminded = False
+        self._impacts.awaited = False
         names = ", ".join(scheme.body.problem.contact_name(int(i)) for i in closing[:3])
         self._warn(
             f"time step {h:.3g} is too long to resolve the contact that closes at time {self._motion.time(k):.6g} "
@@ -202,7 +202,7 @@ class MotionRun:
             f"take steps of {np.pi / omega / RESOLVED:.2g} or less"
         )
 
-    def mind_critical_step(self, penalty: float | None) -> None:
+    def check_critical_step(self, penalty: float | None) -> None:
         """Refuse an unstable step; of penalty springs warn, since they act in contact only."""
         body = self._scheme.body
         limit = critical_step(body.mass, body.stiffness)
@@ -261,12 +261,12 @@ def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: f
     return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None
 
 
-class ImpactsMinded:
+class FirstImpacts:
     """Which contacts have closed by an impact so far: each is looked at when it does so first."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
-        self.unminded = problem.contacts > 0
+        self.awaited = problem.contacts > 0
 
     def new(self, before: State, now: State) -> NDArray[np.intp]:
         """Contacts that begin to push in a step, approaching, for the first time."""
@@ -274,7 +274,7 @@ class ImpactsMinded:
         if len(closing):
             closing = closing[self._normal[closing] @ before.velocity > 0]
             self._met[closing] = True
-            self.unminded = not bool(np.all(self._met))
+            self.awaited = not bool(np.all(self._met))
         return closing
 
 

@@ -197,11 +197,11 @@ class ConstrainedEnergy:
         object.__setattr__(self, "_contributions", {part.name: part.contribution() for part in self.parts})
         _refuse_twice("unknown", self.all_unknowns)
         _refuse_twice("constraint", [condition.name for condition in chain(self._unilateral, self._ties)])
-        known = set(self.all_unknowns)
+        stated = set(self.all_unknowns)
         for name, added in self._contributions.items():
             forms = [s.form for s in added.squares] + [c.form for c in (*added.unilateral, *added.ties)]
             for unknown in chain(*forms, added.load or ()):
-                if unknown not in known:
+                if unknown not in stated:
                     raise InvalidProblem(f"{name}: expected unknowns of {_some(self.names)}, got {unknown!r}")
         object.__setattr__(self, "problem", self._assembled())
 

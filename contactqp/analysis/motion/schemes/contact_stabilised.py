@@ -46,9 +46,9 @@ class ContactStabilised(Scheme):
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """The forces of the projection are not kept."""
         (found,) = super().answered(before, after)
-        way = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
+        motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
-        return StepResult(before.displacement + way, normal, friction, tie, way), found
+        return StepResult(before.displacement + motion, normal, friction, tie, motion), found
 
 
 SCHEMES = (SchemeEntry("deuflhard-krause-ertel", lambda body, _: ContactStabilised(body)),)

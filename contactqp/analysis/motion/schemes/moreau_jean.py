@@ -83,7 +83,7 @@ class MoreauJean(Scheme):
         v, h = after.velocity, self.body.step
         return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
 
-    def contact_way(self, displacements: Block, velocities: Block) -> Block:
+    def contact_motion(self, displacements: Block, velocities: Block) -> Block:
         """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
         del displacements
         return self.body.step * (velocities[1:] + velocities[:-1]) / 2

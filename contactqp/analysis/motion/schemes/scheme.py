@@ -181,10 +181,10 @@ class Scheme(ABC):
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """The answers that led from one state to the next: what `accept` was given, from what it made of it."""
-        u, way = after.displacement, after.displacement - before.displacement
-        return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, way),)
+        u, motion = after.displacement, after.displacement - before.displacement
+        return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, motion),)
 
-    def contact_way(self, displacements: Block, velocities: Block) -> Block:
+    def contact_motion(self, displacements: Block, velocities: Block) -> Block:
         """(steps, n) from those (steps + 1, n) of all states: the way along which contact forces work in a step."""
         del velocities
         return np.diff(displacements, axis=0)
