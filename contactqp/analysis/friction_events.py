@@ -1,23 +1,21 @@
-"""Every change of state along a load path with Coulomb friction in the plane, found exactly.
+"""Every change of contact state along a load path with Coulomb friction in the plane, found exactly.
 
-While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. Where a gap,
-a contact force or the room mu l_N - |l_T| of a contact that sticks reaches zero, and at every corner of the path,
-`friction_rates` says how the contacts go on. A contact that sticks is anchored at its E_T u of the instant at which it
-began to.
+While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. An event is
+where a gap, a contact force or the margin mu l_N - |l_T| of a sticking contact reaches zero, or a corner of the path.
+From there the contacts go on by Coulomb's law in rates. A contact that sticks is anchored at its E_T u of the instant
+at which it began to.
 
-Which way contacts with friction go on: Coulomb's law in rates, in the plane.
-
-Along a leg the load grows by df. Contacts that are open, and those that stick inside their cone, go on so. Those at the
+Along a leg the load grows by df. Open contacts, and those that stick inside their cone, keep their state. Those at the
 edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
 
     l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
 
-and contacts with neither gap nor force choose among open, stick and slip as Coulomb's law says of rates:
+and contacts with neither gap nor force choose among open, stick and slip by the same law for their rates:
 
     gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
 
-Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990). Continuations that
-differ by a rigid motion that no load drives and no contact resists are one, and that motion rests.
+Above a critical friction no choice may satisfy this (the motion snaps), or several (Klarbring 1990). Continuations that
+differ by a rigid motion that no load drives and no contact resists count as one, in which that motion rests.
 """
 
 from __future__ import annotations
@@ -66,7 +64,7 @@ WORDS = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A part of a leg on which all is linear."""
+    """A part of a leg on which displacements and forces are linear."""
 
     start: float  # fraction of the leg
     end: float
@@ -76,7 +74,7 @@ class Segment:
     rate: Answer  # for the whole leg
 
     def near(self, fraction: float) -> Answer:
-        """The answer at a fraction, to what doubles add up to.
+        """Return the answer at a fraction of the leg, to double precision.
 
         Where contacts are redundant, it says which of many forces go on from those at the start.
         """
@@ -94,14 +92,14 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class _Margins:
-    """What changes its sign at an event, (4, m): gap, force, and the rooms on both sides of the cone, scaled."""
+    """The quantities whose sign changes at an event, (4, m): gap, force, and both margins to the cone, scaled."""
 
     value: Array
     kept: Mask  # which concern a contact in its state
 
 
 class ExactPath:
-    """The walk from event to event, from a solution on."""
+    """A path followed from event to event, starting from a solution."""
 
     def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
         self._problem, self._condensation = problem, condense(problem)
@@ -111,7 +109,8 @@ class ExactPath:
         self.anchor = self._position(self.answer)
 
     def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> tuple[list[Event], list[Segment]]:
-        """The events of one leg, or a part of it, from a pseudo-time on; their times are fractions. Its segments.
+        """Find the events of a leg, or of a part of it, from a pseudo-time on, and return its segments; times are
+        fractions of the leg.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class ExactPath:
         raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
 
     def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
-        """The answer to the load at a fraction of the leg, within a segment, to the last digits."""
+        """Return the certified answer to the load at a fraction of the leg within a segment."""
         problem = self._problem.replace(load=load, slip_origin=segment.anchor)
         answer = answer_in(problem, self._condensation, self.system.rows, segment.status, segment.near(fraction))
         if not holds(problem.replace(slip_origin=self._position(answer)), answer):
@@ -152,7 +151,7 @@ class ExactPath:
         return without_idle_friction(self.system, answer)
 
     def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
-        """What happened to each contact; one that closes slipping does both at once."""
+        """Return what happened to each contact; a contact that closes slipping yields two events."""
         events: list[Event] = []
         for i in np.flatnonzero(before != now).tolist():
             kinds: list[str] = []
@@ -164,13 +163,13 @@ class ExactPath:
         return events
 
     def _go_on_in(self, status: Status) -> None:
-        """Contacts that stick now and did not are anchored where they are."""
+        """Continue in these states; contacts that begin to stick are anchored where they are."""
         begins = (status == STICK) & (self.status != STICK)
         self.anchor = np.where(begins, self._position(self.answer), self.anchor)
         self.status = status
 
     def _standing(self, hit: Mask) -> Standing:
-        """Which contacts have a choice: those that reached a zero, and those that are at one by their values."""
+        """Return which contacts have a choice: those that reached a zero, and those that are at one by their values."""
         margins = self._margins(self.answer)
         zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
         closed, stuck = self.status != OPEN, self.status == STICK
@@ -181,7 +180,7 @@ class ExactPath:
         return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
 
     def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
-        """How far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
+        """Return how far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
         margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
         decided = standing.null | (standing.edge != 0)
         # What was just decided does not fall.
@@ -203,7 +202,7 @@ class ExactPath:
         return _Margins(value, np.array([~closed, closed, stuck, stuck]))
 
     def _sizes(self, values: Array) -> Array:
-        """(4, 1) the largest gap, then the largest force."""
+        """Return the largest gap, then the largest force, (4, 1)."""
         force = float(np.max(abs(values[1:]), initial=0.0))
         return np.array([float(np.max(abs(values[0]), initial=0.0)), force, force, force])[:, None]
 
@@ -216,7 +215,7 @@ class ExactPath:
         return np.asarray(self._problem.tangent @ answer.displacement)
 
     def jump_at_start(self) -> str:
-        """Which contact is closed at the start of the path and anchored where it is not, or nothing."""
+        """Return which contact is closed at the start of the path and anchored elsewhere, in words, or ''."""
         origin = self._problem.slip_origin
         gap = self._problem.gap - self._problem.normal @ self.answer.displacement
         if origin is None:
@@ -240,7 +239,7 @@ def _nothing(problem: ContactProblem) -> Answer:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Where the contacts stand at one instant."""
+    """The state of every contact at one instant, and which contacts have a choice."""
 
     status: Status  # (m,) as they came
     edge: NDArray[np.int8]  # (m,) e = +-1 at the edge of the cone, else 0
@@ -248,12 +247,12 @@ class Standing:
 
     @property
     def undecided(self) -> NDArray[np.intp]:
-        """Contacts that have a choice."""
+        """Return which contacts have a choice, (m,)."""
         return np.flatnonzero(self.null | (self.edge != 0))
 
 
 def continuation(system: ForceSystem, rates: Lengths, standing: Standing, problem: ContactProblem, at: str) -> Status:
-    """The combination that the contacts go on in.
+    """Find the combination of open, stick and slip in which the contacts go on.
 
     Raises
     ------
@@ -319,7 +318,7 @@ def _combinations(standing: Standing, choices: list[tuple[int, ...]]) -> Iterato
 
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
-    """(m,) by how much rates fail; -inf where there is no choice."""
+    """Return by how much the rates of each contact fail, (m,); -inf where a contact has no choice."""
     coefficient, e = system.coefficient, standing.edge
     at_null = answer.worst(coefficient)
     at_edge = np.where(
@@ -334,7 +333,7 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
 
 
 def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
-    """By how much a combination is no answer, or its signs fail, of the largest rate."""
+    """Return by how much a combination fails as an answer or in its signs, as a part of the largest rate."""
     size = _size(answer, rates)
     wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.left)
     return wrong / size if size > 0 else float(np.where(wrong > 0, np.inf, 0.0))
@@ -347,13 +346,13 @@ def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: Comb
 def _same(
     system: ForceSystem, standing: Standing, one: CombinationAnswer, other: CombinationAnswer, rates: Lengths
 ) -> bool:
-    """Whether two continuations are one but for motions that no load drives and no contact resists."""
+    """Say whether two continuations differ at most by motions that no load drives and no contact resists."""
     loaded = ~standing.null & (standing.status != OPEN)
     return system.same(one, other, loaded, DISTINCT * max(_size(one, rates), _size(other, rates)))
 
 
 def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | None:
-    """Newton's method on the undecided contacts, from how they came."""
+    """Run Newton's method on the undecided contacts, started from the states in which they came."""
     m, status, seen = system.contacts, standing.status.copy(), set()
     for _ in range(QUICK_STEPS):
         if status.tobytes() in seen:
@@ -371,7 +370,7 @@ def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | 
 
 
 def _resting(system: ForceSystem, rates: Lengths, standing: Standing, status: Status) -> Status:
-    """The same continuation, contacts at their edge that do not slip called stuck."""
+    """Return the same continuation with contacts at their edge that do not slip called stuck."""
     answer = system.solve(status, rates)
     still = (standing.edge != 0) & ~standing.null & (abs(answer.slip) <= STEADY_RATE * _size(answer, rates))
     resting = np.where(still, STICK, status).astype(np.int8)

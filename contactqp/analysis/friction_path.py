@@ -1,19 +1,13 @@
 """Load paths with Coulomb friction: in steps, or from one exact event to the next.
 
-The solutions along a load path with Coulomb friction, each from where the one before left its contacts.
+A step starts from where the one before left its contacts. Afterwards it is followed again from event to event
+(`friction_events`): where that finds no continuation, the step has jumped to an equilibrium beyond; where it finds
+several, or where several equilibria exist at the end of the step, the step has chosen one. Both are noted.
 
-Where the steps of a load path with friction jump: no way leads continuously through the step, or several do.
-
-From the state at its start a step is followed again from event to event (`friction_events`). Where that finds no
-continuation the step has jumped to an equilibrium beyond; where it finds several, or several equilibria exist at the
-end of the step, the step has chosen one.
-
-Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
-
-A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
-(`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
-history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
-the sliders were at the instant before, or where they stick.
+Penalty methods give contacts a stiffness: they solve Coulomb's law of bodies with springs at their contacts
+(`contactqp.solving.friction.contact_springs`). Their path is that of these bodies, in steps or by exact events. The
+history shows the bodies without the springs: a solution is what the method itself makes of `solution.problem`, whose
+slip origin is where the sliders were at the instant before, or where they stick.
 """
 
 from __future__ import annotations
@@ -58,7 +52,7 @@ STIFFEST = 1e6
 def follow_with_friction(
     problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
 ) -> History:
-    """The legs from corner to corner, in so many steps each and, if exactly, at every event.
+    """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event.
 
     Raises
     ------
@@ -101,14 +95,14 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
 
 
 class _Instants(LazySolutions):
-    """Solutions at instants between which all is linear, certified when they are looked at."""
+    """The solutions at instants of a path that is linear between them; each is certified on first access."""
 
     def __init__(self, first: Solution) -> None:
         super().__init__([first])
         self._displacement = first.displacement
 
     def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
-        """The answer to the problem's load in a segment; its slip counts from the instant before.
+        """Append the answer to the problem's load in a segment; its slip counts from the instant before.
 
         At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
         seen by the signs.
@@ -127,7 +121,7 @@ class _Instants(LazySolutions):
 
 
 class FrictionSteps(LazySolutions):
-    """The solutions at the steps; refined, expanded and certified when they are looked at.
+    """The solutions at the steps of a path; each is refined, expanded and certified on first access.
 
     The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
     at the step before or from where it closed within the step. A contact that is open at the end of a step has no
@@ -155,13 +149,13 @@ class FrictionSteps(LazySolutions):
         self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.position), state.touching))
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
         self._stepper.turn(start, end)
         self._leg += 1
         self._before = replace(self._before, fraction=0.0)
 
     def go_to(self, fraction: float) -> None:
-        """One more step, to the load at a fraction of the leg.
+        """Take one more step, to the load at a fraction of the leg.
 
         Raises
         ------
@@ -188,7 +182,7 @@ class FrictionSteps(LazySolutions):
         self._states.append((state.pushes, state.slides))
 
     def changes(self, times: Sequence[float]) -> Iterator[Event]:
-        """Every change of state, at the first step that shows it."""
+        """Yield every change of contact state, at the first step that shows it."""
         for (before, now), time in zip(pairwise(self._states), times[1:], strict=True):
             for i in range(self._problem.contacts):
                 for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
@@ -196,7 +190,7 @@ class FrictionSteps(LazySolutions):
 
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
-    """Raise on options that `solve` refuses, and on a start that the path has itself."""
+    """Raise on options that `solve` refuses, and on a warm start, which the path provides itself."""
     if options.get("algorithm") == "associated":
         raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
     if "warm_start" in options:
@@ -208,7 +202,7 @@ def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, A
 
 
 def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
-    """Newton on the contact unknowns in the plane, unless the caller wants something else, or the bodies are large."""
+    """Choose Newton's method on the contact unknowns in the plane, unless options, method or size demand `solve`."""
     chosen = find(method)
     if not chosen.exact or not chosen.semidefinite:
         raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
@@ -223,7 +217,7 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
 
 
 def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
-    """What happened to a contact that (pushed, slid) before and does so now."""
+    """Name the events of a contact whose state (pushes, slides) changes from `before` to `now`."""
     (pushed, slid), (pushes, slides) = before, now
     if pushed != pushes:
         return (["closed", "slip"] if slides else ["closed"]) if pushes else ["opened"]
@@ -233,7 +227,7 @@ def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
 
 
 def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """One text for every step that jumps or chooses, and one for every run of steps with several equilibria."""
+    """Return one note for every step that jumps or chooses, and one for every run of steps with several equilibria."""
     reason = _not_followed(problem)
     if reason:
         yield f"whether steps jump was not examined: {reason}"
@@ -256,7 +250,7 @@ def _not_followed(problem: ContactProblem) -> str:
 def _through(
     problem: ContactProblem, system: ForceSystem, before: Solution, now: Solution, times: tuple[float, float]
 ) -> str:
-    """What stops the way through one step, or nothing."""
+    """Return what stops the path through one step, or None."""
     start, end = times
     path = ExactPath(problem, before, system)
     jump = path.jump_at_start() if start == 0 else ""
@@ -274,7 +268,7 @@ def _through(
 
 
 def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """Runs of steps at whose loads the certificate knows of other equilibria."""
+    """Return the runs of steps at whose loads the certificate finds other equilibria."""
     known = [i > 0 and SEVERAL in solution.certificate.uniqueness for i, solution in enumerate(steps)]
     for several, run in groupby(range(len(known)), key=known.__getitem__):
         places = list(run)
@@ -292,7 +286,7 @@ def follow_on_springs(
     chosen: Method,
     options: dict[str, Any],
 ) -> History:
-    """As `follow_with_friction`, of a method whose `springs` names the stiffnesses of its contacts.
+    """Follow a path, as `follow_with_friction`, by a method whose `springs` names the stiffnesses of its contacts.
 
     Raises
     ------
@@ -318,7 +312,9 @@ def follow_on_springs(
 
 
 def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:
-    """Rates of forces are differences of motions times the stiffness, and signs of rates are what a path goes by."""
+    """Raise for springs too stiff: rates of forces are differences of motions times the stiffness, and a path
+    follows signs of rates.
+    """
     own = default_penalty(problem, problem.normal, 1.0)
     ratio = np.broadcast_to(np.asarray(stiffness, dtype=float), own.shape) / own
     if np.any(ratio > STIFFEST):
@@ -331,7 +327,7 @@ def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: st
 
 @dataclass(frozen=True, eq=False)
 class _WithoutSprings:
-    """The bodies at one instant, without the springs with which they were followed."""
+    """One instant of the bodies without the springs with which they were followed."""
 
     problem: ContactProblem
     on_springs: Sequence[Solution]
@@ -339,7 +335,7 @@ class _WithoutSprings:
     name: str  # of the method
 
     def finish(self) -> Solution:
-        """What the method itself makes of the instant, certified."""
+        """Return what the method itself makes of the instant, certified."""
         on_springs, n = self.on_springs[self.instant], self.problem.dimension
         whole = on_springs.problem
         with self.problem.lock, one_blas_thread(self.problem):

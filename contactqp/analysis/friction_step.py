@@ -1,11 +1,11 @@
 """One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
 
 A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is anchored
-at its E_T u at the fraction of the step at which its gap reaches zero: the contacts without an anchor are held open,
-and where they overlap at the end of the step the first load at which one of them touches is searched for. On loads
-between which no other contact changes its state gaps are linear, and the secant finds that load exactly.
+at its E_T u at the fraction of the step at which its gap reaches zero: contacts without an anchor are constrained to
+stay open, and where they overlap at the end of the step, the first load at which one of them touches is searched for.
+Between loads at which no other contact changes its state gaps are linear, and the secant finds that load exactly.
 
-The equilibria that a step of a load path with friction asks for: on the contact unknowns, or by `solve`.
+The equilibria of a step come from Newton's method on the condensed contact unknowns (`PlaneStepper`), or from `solve`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ SAME = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One equilibrium along a path, as far as the next one needs it."""
+    """One equilibrium along a path, as far as the next one depends on it."""
 
     fraction: float  # of the leg
     gap: Vector  # (m,) g - E_N u [length]; negative at contacts that were held open and overlap
@@ -75,14 +75,14 @@ Solve = Callable[[float, Array, Mask], State]
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where contacts stood at the end of a step."""
+    """The tangential positions of the contacts at the end of a step."""
 
     position: Array  # (m, d-1) E_T u
     anchored: Mask  # (m,)
 
 
 def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
-    """The state at a fraction of the leg, contacts that close on the way anchored where they do.
+    """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> S
 
 
 def _tried(solve: Solve, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
-    """The state, or None where the bodies without these contacts have none."""
+    """Return the state, or None where the bodies without these contacts have no equilibrium."""
     try:
         return solve(fraction, origin, held_open)
     except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
@@ -119,7 +119,7 @@ def _tried(solve: Solve, fraction: float, *, origin: Array, held_open: Mask) -> 
 def _first_touch(
     low: State, high: State | None, fraction: float, solve: Callable[[float], State | None]
 ) -> State | None:
-    """The first state after `low` in which a contact that is held open touches, or None where motion is free."""
+    """Return the first state after `low` in which a contact without an anchor touches, or None for a free motion."""
     if high is None:
         low, high = _furthest(low, fraction, solve)
         if high is None:
@@ -144,7 +144,7 @@ def _first_touch(
 
 
 def _secant(low: State, high: State) -> float:
-    """Where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
+    """Return where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
     falls = high.overlap & (low.gap > high.gap)
     if not np.any(falls):
         return (low.fraction + high.fraction) / 2
@@ -153,7 +153,7 @@ def _secant(low: State, high: State) -> float:
 
 
 def _furthest(low: State, fraction: float, solve: Callable[[float], State | None]) -> tuple[State, State | None]:
-    """A state without overlap, and one with it, between `low` and a fraction that has none."""
+    """Return a state without overlap, and one with it, between `low` and a fraction that has no equilibrium."""
     beyond = fraction
     for _ in range(HALVINGS):
         at = (low.fraction + beyond) / 2
@@ -168,21 +168,21 @@ def _furthest(low: State, fraction: float, solve: Callable[[float], State | None
 
 
 class Stepper(Protocol):
-    """Equilibria along one leg after the other."""
+    """What finds the equilibria along one leg after the other."""
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
-        """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
 
     def accept(self, state: State) -> State:
-        """The state as a step of the path; the next solve starts from it."""
+        """Return the state as a step of the path; the next solve starts from it."""
 
 
 @dataclass(frozen=True, eq=False)
 class UncertifiedStep:
-    """An answer on the contact unknowns that nobody has looked at."""
+    """An answer on the contact unknowns that is neither refined nor certified yet."""
 
     problem: ContactProblem  # with the load and the slip origin of the step
     system: ForceSystem
@@ -193,7 +193,7 @@ class UncertifiedStep:
     meter: Meter
 
     def finish(self) -> Solution:
-        """Refine, expand and certify.
+        """Refine, expand and certify the answer.
 
         Raises
         ------
@@ -215,12 +215,12 @@ class SolvedStep:
     solution: Solution
 
     def finish(self) -> Solution:
-        """The solution."""
+        """Return the solution."""
         return self.solution
 
 
 class PlaneStepper:
-    """In the plane: Newton's method on the condensed unknowns; its factors serve all steps.
+    """Newton's method on the condensed unknowns of a plane problem; its factors serve all steps.
 
     Where Newton fails, what `solve` falls back to.
     """
@@ -235,13 +235,13 @@ class PlaneStepper:
         self._status: Status = np.where(problem.gap > 0, OPEN, STICK).astype(np.int8)
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
         self._leg = start, end
         self._otherwise.turn(start, end)
         self._reduced = self._condensation.reduce_load(start)[0].copy(), self._condensation.reduce_load(end)[0].copy()
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
-        """The equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
         started = time.perf_counter()
         start, end = self._reduced
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
@@ -256,7 +256,7 @@ class PlaneStepper:
         return self._state(step, fraction, origin, held_open)
 
     def accept(self, state: State) -> State:
-        """The state as a step of the path; the next solve starts from its combination."""
+        """Return the state as a step of the path; the next solve starts from its combination of states."""
         self._meter = Meter(self._problem)
         if not isinstance(state.step, UncertifiedStep):
             state = self._otherwise.accept(state)
@@ -289,19 +289,20 @@ class PlaneStepper:
 
 
 class SolveStepper:
-    """Step by step with `solve`: two tangential directions a contact, bodies that are not factorised, a method or an
-    algorithm of the caller's."""
+    """Equilibria by `solve`: for two tangential directions a contact, bodies that are not factorised, and methods or
+    algorithms that the caller chooses.
+    """
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem, self._method, self._options = problem, method, options
         self._before: Solution | None = None
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
         self._leg = start, end
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
-        """The equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
             _refuse_driven(problem)
@@ -311,7 +312,7 @@ class SolveStepper:
         return _state_of(problem, solution, fraction, held_open)
 
     def accept(self, state: State) -> State:
-        """The state as a step of the path, its gaps as they are; the next solve starts from it.
+        """Return the state as a step of the path, with the gaps of the problem; the next solve starts from it.
 
         Raises
         ------
@@ -337,7 +338,7 @@ def _between(start: Vector, end: Vector, fraction: float) -> Vector:
 
 
 def _refuse_driven(problem: ContactProblem) -> None:
-    """Raise where the load drives a body that no contact is to hold: it would move until one does."""
+    """Raise where the load drives a body that no contact constrains: it would move until a contact closes."""
     if problem.ties or iterated(problem) or first_candidates(problem) is not None:
         return
     nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
@@ -346,7 +347,7 @@ def _refuse_driven(problem: ContactProblem) -> None:
 
 
 def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:
-    """With contacts so far away that they cannot close."""
+    """Return the problem with these contacts so far away that they cannot close."""
     if not np.any(held_open):
         return problem
     far = WIDENED * (abs(problem.gap) + float(np.max(abs(problem.gap))))
@@ -354,7 +355,7 @@ def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:
 
 
 def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held_open: Mask) -> State:
-    """What the next step needs of a solution; gaps are those of the problem."""
+    """Return the state of a solution, with the gaps of the problem."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("a path with friction of a problem without tangential rows")
     u = solution.displacement

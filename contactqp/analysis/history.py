@@ -1,12 +1,9 @@
 """A sequence of solutions in time or along a load path, with its energies and its events.
 
-Solutions in time or along a load path that cost their certificate only when they are looked at.
-
-Changes of contact state along one leg of a load path, found exactly.
-
-While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have
-neither gap nor force, which of them close follows from the contact problem in rates: contacts that carry force stay
-closed, those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
+Solutions are certified on first access (`LazySolutions`). The events of a frictionless leg are found exactly: while no
+contact changes its state, displacements and forces are linear in the load. At a load where contacts have neither gap
+nor force, which of them close follows from the contact problem in rates: contacts that carry force stay closed, those
+without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
 """
 
 from __future__ import annotations
@@ -40,7 +37,7 @@ TRIED_ONE_BY_ONE = 12
 
 @dataclass(frozen=True)
 class Energies:
-    """Of one instant, in force times length.
+    """The energies of one instant [force * length].
 
     On a path between whose instants all is linear (exact events), work = elastic + dissipated to rounding; in steps the
     difference shrinks with the steps.
@@ -55,13 +52,13 @@ class Energies:
 
     @property
     def total(self) -> float:
-        """Elastic and kinetic energy."""
+        """Return the sum of elastic and kinetic energy."""
         return self.elastic + self.kinetic
 
 
 @dataclass(frozen=True)
 class Event:
-    """One contact changes its state."""
+    """A change of state of one contact."""
 
     kind: str  # "closed", "opened", "stick" (a contact that slipped), "slip" (one that stuck, or that closes slipping)
     contact: int
@@ -94,7 +91,7 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def events(self) -> tuple[Event, ...]:
-        """The changes of contact state, in the order of their times.
+        """Return the changes of contact state, ordered by time.
 
         "closed" and "opened" say that l_N > 0 begins and ends; "slip" that s = E_T u - slip_origin leaves zero, at a
         contact that stuck or that closes; "stick" that a contact that slipped does so no more.
@@ -104,7 +101,7 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def notes(self) -> tuple[str, ...]:
-        """With friction in steps: where a step has jumped, and where it has taken one of several answers.
+        """Return where a step with friction has jumped, and where it has taken one of several answers.
 
         Each step is followed again from event to event from the state at its start, which costs what exact events
         cost. "It jumps" says that no rates continue the path at the load that is named, a snap: the step ends at an
@@ -116,7 +113,8 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def energies(self) -> tuple[Energies, ...]:
-        """Of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
+        """Return the energies of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has
+        dissipated.
 
         Between exact events work = elastic + dissipated since the start. In steps, of which the friction at the end
         counts, work is at least that: no step and no cycle of steps creates energy.
@@ -147,23 +145,25 @@ class History(ReadOnly, Sequence[Solution]):
 
     @property
     def displacements(self) -> NDArray[np.float64]:
-        """(steps, n) [length]."""
+        """Return the displacements (steps, n) [length]."""
         return read_only(np.array([solution.displacement for solution in self]))
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
-        """(steps, m) [force], positive in compression."""
+        """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([solution.normal_force for solution in self]))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
-        """(steps, m, d-1) [force], or None without tangential rows."""
+        """Return the friction forces (steps, m, d-1) [force], or None without tangential rows."""
         if any(solution.friction_force is None for solution in self):
             return None
         return read_only(np.array([solution.friction_force for solution in self]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: every solution looked at, events and notes found, or why they are not."""
+        """Finish every solution and find events and notes, or the errors that they raise, before copying or
+        pickling.
+        """
         found: dict[str, Any] = dict(_solutions=finish_all(self._solutions), _find_events=_found(lambda: self.events))
         if self._find_energies is not None:
             found["_find_energies"] = _found(lambda: self.energies)
@@ -174,7 +174,9 @@ class History(ReadOnly, Sequence[Solution]):
 
 
 def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
-    """Return what finds it again without looking: it itself, or the error that looking ended in."""
+    """Return a function that gives the result again without computing it, or raises the error that finding it
+    raised.
+    """
     try:
         return partial(tuple, find())
     except ContactQPError as error:
@@ -182,7 +184,7 @@ def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
 
 
 def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:
-    """Energies of a quasi-static sequence.
+    """Return the energies of a quasi-static sequence.
 
     The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between. In
     steps with friction, whose dissipation is taken at their end, it is f_b'v - v'Kv/2, v = u_b - u_a: the same where
@@ -202,7 +204,8 @@ def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[En
 
 
 def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
-    """l_T . s, s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends where all is linear.
+    """Return l_T . s with s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends on linear
+    steps.
 
     Coulomb's law, which the certificate holds, leaves no contact less than zero; what is less is rounding.
     """
@@ -215,25 +218,25 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
 
 
 class Unfinished(Protocol):
-    """An answer that may not have been looked at."""
+    """An answer that may still have to be refined, expanded and certified."""
 
     def finish(self) -> Solution:
-        """Refine, expand and certify it, unless that is done."""
+        """Refine, expand and certify the answer, unless that is done."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """An answer that was refused when it was looked at, and is refused again."""
+    """An answer that was refused on first access, and is refused again."""
 
     error: ContactQPError
 
     def finish(self) -> NoReturn:
-        """Raise the error."""
+        """Raise the error with which the answer was refused."""
         raise self.error
 
 
 def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
-    """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
+    """Return the solutions, all of them finished; those that are refused raise their error again on access."""
     kept: list[Unfinished | Solution] = []
     for k in range(len(solutions)):
         try:
@@ -244,7 +247,7 @@ def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
 
 
 class LazySolutions(Sequence[Solution]):
-    """Answers in order, each finished when it is first looked at, and once; a slice is a list, all of it finished.
+    """Answers in order, each finished once, on first access; a slice is a list of finished solutions.
 
     What `finish` raises is raised where the solution is looked at, and again the next time. A finished answer is let go
     of: the solution takes its place.
@@ -254,7 +257,7 @@ class LazySolutions(Sequence[Solution]):
         self._steps: list[Unfinished | Solution] = list(steps)
 
     def append(self, step: Unfinished | Solution) -> None:
-        """One more at the end."""
+        """Add one answer at the end."""
         self._steps.append(step)
 
     def __len__(self) -> int:
@@ -278,7 +281,7 @@ class LazySolutions(Sequence[Solution]):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """One instant: contacts that carry force, contacts with neither gap nor force."""
+    """The contacts at one instant: those that carry force, and those with neither gap nor force."""
 
     fraction: float
     closed: Indices
@@ -286,7 +289,7 @@ class _State:
 
 
 def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: Solution, method: str) -> list[Event]:
-    """Every event of one leg, its time counted from 0 at the start of the leg to 1 at its end."""
+    """Return every event of one leg, with times from 0 at the start of the leg to 1 at its end."""
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")
     condensation = condense(problem)
@@ -308,7 +311,7 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
 
 
 def _decided(state: _State, chosen: Indices) -> list[Event]:
-    """The events at a state: undecided contacts that were open close, those that carried force open."""
+    """Return the events at a state: undecided contacts that were open close, those that carried force open."""
     events = []
     for i in state.undecided:
         was_closed, is_closed = i in state.closed, i in chosen
@@ -318,7 +321,7 @@ def _decided(state: _State, chosen: Indices) -> list[Event]:
 
 
 def _rates(direction: ContactProblem, condensation: Condensation, state: _State) -> tuple[Indices, OnSet]:
-    """The closed contacts just after a state, and the rates of displacement and force."""
+    """Return the closed contacts just after a state, and the rates of displacement and force."""
     certain = np.setdiff1d(state.closed, state.undecided)
     trial, seen = certain, set()
     while trial.tobytes() not in seen:
@@ -361,7 +364,9 @@ def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, 
 
 
 def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet) -> _State | None:
-    """The next fraction at which an open gap or a contact force reaches zero, and all contacts that do so there."""
+    """Return the next fraction at which an open gap or a contact force reaches zero, with all contacts that do so
+    there.
+    """
     count = len(here.gap)
     is_closed = np.isin(np.arange(count), chosen)
     value = np.where(is_closed, here.normal_force.double(), here.gap.double())

@@ -49,7 +49,7 @@ def large_deformation(
     max_iter: int = 50,
     **options: Any,
 ) -> LargeHistory:
-    """Equilibria of a body at large displacements along a load path.
+    """Find the equilibria of a body at large displacements along a load path.
 
         min  W(u) - f'u   subject to   gap(u) >= 0,  A u = b,
 
@@ -231,7 +231,7 @@ def _program(loaded: LoadedBody, loads: Sequence[ArrayLike], tie_values: Any, st
 
 
 def _times(start: Vector | LargeSolution, end: int, steps: int) -> list[float]:
-    """Load factors of the start and of the steps that are left."""
+    """Return the load factors of the start and of the remaining steps."""
     first = start.load_factor if isinstance(start, LargeSolution) else 0.0
     grid = [leg + (i + 1) / steps for leg in range(end) for i in range(steps)]
     remaining = [t for t in grid if t > first * (1 + 1e-12)]

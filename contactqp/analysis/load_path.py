@@ -131,7 +131,7 @@ def follow_path(
 def _follow_steps(
     solutions: _Steps, problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str
 ) -> History:
-    """The legs from corner to corner, in so many steps each and, if exactly, at every event."""
+    """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event."""
     times, found = [0.0], []
     for leg, (start, end) in enumerate(pairwise(corners)):
         solutions.turn(start, end)
@@ -147,7 +147,7 @@ def _follow_steps(
 
 
 class _Steps(LazySolutions):
-    """The solutions along a path; polished, expanded and certified when they are looked at."""
+    """The solutions along a path; each is polished, expanded and certified on first access."""
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         super().__init__()
@@ -158,14 +158,14 @@ class _Steps(LazySolutions):
         self._step(np.zeros(problem.dimension))
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
         self._leg = start, end
         if not self._whole:
             condensation = condense(self._problem)
             self._reduced = condensation.reduce_load(start), condensation.reduce_load(end)
 
     def go_to(self, fraction: float) -> None:
-        """One more step, to the load at a fraction of the leg."""
+        """Take one more step, to the load at a fraction of the leg."""
         start, end = self._leg
         load = end if fraction == 1 else start + fraction * (end - start)
         if not self._whole:
@@ -195,7 +195,7 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
 
 
 def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
-    """Contacts that carry a force at one step and none at the one before, or the other way round."""
+    """Yield the contacts that carry a force at one step and none at the one before, or the reverse."""
     for (before, now), time in zip(pairwise(solutions), times[1:], strict=True):
         was, carries = before.normal_force > 0, now.normal_force > 0
         for i in np.flatnonzero(was != carries):

@@ -8,7 +8,7 @@ from contactqp.elements.scalars import Number, Numbers
 
 
 def stiffness(modulus: Number, area: Number, length: Number) -> Numbers:
-    """K = (E A / L) [[1, -1], [-1, 1]] on the axial displacements (u_1, u_2).
+    """Return K = (E A / L) [[1, -1], [-1, 1]] on the axial displacements (u_1, u_2) [force / length].
 
     Parameters
     ----------
@@ -30,5 +30,5 @@ def stiffness(modulus: Number, area: Number, length: Number) -> Numbers:
 
 
 def axial_force(modulus: Number, area: Number, length: Number, elongation: Number) -> Number:
-    """N = (E A / L) elongation, positive in tension [force]."""
+    """Return N = (E A / L) elongation, positive in tension [force]."""
     return modulus * area / length * elongation

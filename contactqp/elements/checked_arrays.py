@@ -1,4 +1,4 @@
-"""Numbers as people give them: floats, or one clear line that says what came instead."""
+"""Checks of numbers that a user gives: they become floats, or InvalidProblem says what came instead."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def real_array(what: str, value: Any) -> NDArray[np.float64]:
 
 
 def real_number(what: str, value: Any) -> float:
-    """One finite float.
+    """Return one finite float.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def real_number(what: str, value: Any) -> float:
 
 
 def positive_number(what: str, value: Any, kind: str) -> float:
-    """One finite float above zero; `kind` is what it measures: ``"length"``.
+    """Return one finite float above zero; `kind` is what it measures: ``"length"``.
 
     Raises
     ------

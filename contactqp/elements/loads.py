@@ -1,9 +1,8 @@
-"""Loads on bodies as consistent nodal forces: f_i is the integral of N_i times what acts on the body.
+"""Loads on bodies as consistent nodal forces, and mass matrices.
 
-In plane problems the integrals carry the body's thickness, in axial symmetry the full circle 2 pi r. A load that varies
-is a function of the points (p, d), evaluated at the quadrature points.
-
-Mass matrices: consistent, the integral of rho N_i N_j, and lumped, a diagonal of the same masses.
+f_i is the integral of N_i times what acts on the body. In plane problems the integrals carry the body's thickness, in
+axial symmetry the full circle 2 pi r. A load that varies is a function of the points (p, d), evaluated at the
+quadrature points. A consistent mass matrix is the integral of rho N_i N_j, a lumped one a diagonal of the same masses.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ Field = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 
 class Load(Protocol):
-    """What acts on a body; `body` is its name."""
+    """A load on a body, whose name is `body`."""
 
     @property
     def body(self) -> str: ...
 
     def forces(self, body: Body) -> Vector:
-        """(N d,) nodal forces [force]."""
+        """Return the (N d,) nodal forces [force]."""
         ...
 
 
@@ -174,7 +173,7 @@ class PointLoad:
 
 
 def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
-    """The nodes that a name, a number or numbers stand for, each once.
+    """Return the nodes that a name, a number or numbers stand for, each once.
 
     Raises
     ------
@@ -190,7 +189,7 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
 
 
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
-    """The value of a field at (..., d) positions: (..., *shape).
+    """Return the values of a field at (..., d) positions: (..., *shape).
 
     Raises
     ------
@@ -208,7 +207,7 @@ def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, .
 
 
 def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry], Vector]) -> Vector:
-    """f_i = sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
+    """Return f_i, the sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
 
     `density` is (E, q, d), per area or volume of the reference element.
     """
@@ -223,7 +222,7 @@ def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry
 
 
 def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool = False) -> Numbers:
-    """M = (rho A L / 6) [[2 I, I], [I, 2 I]], lumped (rho A L / 2) [[I, 0], [0, I]].
+    """Return M = (rho A L / 6) [[2 I, I], [I, 2 I]], or lumped (rho A L / 2) [[I, 0], [0, I]].
 
     Parameters
     ----------
@@ -249,7 +248,7 @@ def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool =
 
 
 def solid_mass(body: Body, lumped: bool = False) -> Any:
-    """M of an elastic body: (N d, N d) CSC, symmetric positive definite [force time^2 / length].
+    """Return M of an elastic body: (N d, N d) CSC, symmetric positive definite [force time^2 / length].
 
     Consistent, M_ij = integral of rho N_i N_j, with the body's thickness, or of the full circle. Lumped, the diagonal
     of each element's consistent matrix, scaled to the element's mass: positive for every kind of element, where sums of
@@ -278,7 +277,7 @@ def solid_mass(body: Body, lumped: bool = False) -> Any:
 
 
 def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:
-    """The integrals of rho N_i N_j over each element, (E, n, n), symmetric to the last digit."""
+    """Return the integrals of rho N_i N_j over each element, (E, n, n), symmetric to the last digit."""
     geometry, weights = body.integration(block, block.kind.fine_rule)
     weighted = weights[:, :, None] * (body.material.density * geometry.shape)
     masses = np.matmul(np.swapaxes(weighted, 1, 2), geometry.shape)

@@ -1,6 +1,6 @@
 """A mesh of one body: points, elements, named sets of nodes and named sides of its boundary.
 
-What a mesh must satisfy before it becomes a body; every refusal names the element, the node or the set.
+A mesh is checked before it becomes a body, and every refusal names the element, the node or the set.
 """
 
 from __future__ import annotations
@@ -61,21 +61,21 @@ class Mesh(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """Return d, 2 or 3."""
         return int(self.points.shape[1])
 
     @property
     def elements(self) -> int:
-        """How many elements there are."""
+        """Return the number of elements."""
         return sum(len(block) for block in self.blocks)
 
     @cached_property
     def boundary(self) -> Index:
-        """All boundary facets as (p, 2) pairs (element, local facet)."""
+        """Return all boundary facets as (p, 2) pairs (element, local facet)."""
         return read_only(boundary(self.blocks))
 
     def nodes(self, name: str) -> Index:
-        """The nodes of a node set or of a side, each once, ascending.
+        """Return the nodes of a node set or of a side, each once, ascending.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Mesh(ReadOnly):
         raise self._unknown(name)
 
     def places(self, what: str, numbers: Index) -> Index:
-        """The nodes that have these numbers, ascending; `what` is what an error names first.
+        """Return the nodes that have these numbers, ascending; `what` begins the message of an error.
 
         Raises
         ------
@@ -104,15 +104,15 @@ class Mesh(ReadOnly):
 
     @property
     def total(self) -> int:
-        """How many nodes there are."""
+        """Return the number of nodes."""
         return len(self.points)
 
     def number(self, node: int) -> int:
-        """What messages call a node."""
+        """Return the number by which messages call a node."""
         return int(node)
 
     def side(self, name: str) -> tuple[Block, ...]:
-        """The facets of a side, turned outward, one block for each kind of facet.
+        """Return the facets of a side, turned outward, one block for each kind of facet.
 
         The name of a node set stands for the boundary facets that have all their nodes in the set.
 
@@ -131,7 +131,7 @@ class Mesh(ReadOnly):
         return facets
 
     def nearest(self, point: ArrayLike) -> int:
-        """The number of the node nearest to a point.
+        """Return the number of the node nearest to a point.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Mesh(ReadOnly):
         return int(np.argmin(np.linalg.norm(self.points - x, axis=1)))
 
     def volume(self) -> float:
-        """The area in 2D [length^2], the volume in 3D [length^3]."""
+        """Return the area in 2D [length^2], the volume in 3D [length^3]."""
         total = 0.0
         for block in self.blocks:
             rule = block.kind.fine_rule
@@ -152,7 +152,7 @@ class Mesh(ReadOnly):
         return total
 
     def mapped(self, map_points: Callable[[NDArray[np.float64]], ArrayLike]) -> Mesh:
-        """The same mesh with other coordinates, checked again; `map_points` maps (N, d) to (N, d).
+        """Return the same mesh with other coordinates, checked again; `map_points` maps (N, d) to (N, d).
 
         >>> from contactqp.elements.shapes import rectangle
         >>> turned = rectangle(2.0, 1.0, (2, 1)).mapped(lambda x: -x)
@@ -162,13 +162,15 @@ class Mesh(ReadOnly):
         return Mesh(real_array("mesh: mapped points", map_points(self.points)), self.blocks, self.node_sets, self.sides)
 
     def with_sides(self, sides: Mapping[str, Index]) -> Mesh:
-        """The same mesh with these sides, (element, local facet) each, besides those it has; each facet counts once."""
+        """Return the mesh with these sides, (element, local facet) each, besides those it has; each facet counts
+        once.
+        """
         mesh = copy.copy(self)
         object.__setattr__(mesh, "sides", {**self.sides, **self._checked(sides)})
         return mesh
 
     def with_node_sets(self, node_sets: Mapping[str, ArrayLike]) -> Mesh:
-        """The same mesh with these sets of nodes besides those it has."""
+        """Return the mesh with these sets of nodes besides those it has."""
         sets = {name: read_only(read_whole(f"node set {name!r}", nodes)) for name, nodes in node_sets.items()}
         for name, nodes in sets.items():
             check_set(name, nodes, len(self.points))
@@ -177,7 +179,9 @@ class Mesh(ReadOnly):
         return mesh
 
     def facets_of(self, pairs: Index) -> tuple[Block, ...]:
-        """Blocks of the facets, by kind of facet and, within a kind, in the order of the pairs."""
+        """Return the facets of these pairs as blocks, by kind of facet and, within a kind, in the order of the
+        pairs.
+        """
         found: dict[str, list[Index]] = {}
         first = 0
         for block in self.blocks:
@@ -190,14 +194,14 @@ class Mesh(ReadOnly):
         return tuple(Block(REFERENCES[kind], np.concatenate(facets)) for kind, facets in found.items())
 
     def facets_within(self, nodes: Index) -> tuple[Block, ...]:
-        """Blocks of the boundary facets that have all their nodes among these."""
+        """Return the boundary facets that have all their nodes among these, as blocks."""
         inside = np.zeros(len(self.points), dtype=bool)
         inside[nodes] = True
         facets = [Block(b.kind, b.nodes[inside[b.nodes].all(axis=1)]) for b in self.facets_of(self.boundary)]
         return tuple(block for block in facets if len(block))
 
     def find_facets(self, facets: Index, kind: str) -> Index:
-        """For facets given by their nodes (corners first, in any turn): their rows in `boundary`, or -1."""
+        """Return, for facets given by their nodes (corners first, in any turn), their rows in `boundary`, or -1."""
         place = np.full(len(facets), -1)
         keys, rows = [], []
         first = 0
@@ -230,7 +234,7 @@ def mesh_from_arrays(
     node_sets: Mapping[str, ArrayLike] | None = None,
     sides: Mapping[str, ArrayLike] | None = None,
 ) -> Mesh:
-    """A mesh from plain arrays.
+    """Make a mesh from plain arrays.
 
     Parameters
     ----------
@@ -288,7 +292,7 @@ def _side(mesh: Mesh, name: str, facets: Index) -> Index:
 
 
 def check_mesh(points: Points, blocks: Sequence[Block], node_sets: Mapping[str, Index]) -> None:
-    """All the checks of this file.
+    """Check everything that a mesh must satisfy.
 
     Raises
     ------
@@ -314,7 +318,7 @@ def check_mesh(points: Points, blocks: Sequence[Block], node_sets: Mapping[str, 
 
 
 def describe(block: Block, element: int, first: int) -> str:
-    """``element 12 (quad4, nodes 3, 4, 8, 7)``."""
+    """Describe an element: ``element 12 (quad4, nodes 3, 4, 8, 7)``."""
     return f"element {first + element} ({block.kind.name}, nodes {', '.join(map(str, block.nodes[element]))})"
 
 
@@ -344,7 +348,7 @@ def _check_numbers(points: Points, block: Block, first: int) -> None:
 
 
 def _check_duplicates(blocks: Sequence[Block]) -> None:
-    """No two elements on the same corners, whatever their kinds."""
+    """Refuse two elements on the same corners, whatever their kinds."""
     numbers = np.concatenate([np.arange(len(block)) for block in blocks])
     owner = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     first = np.repeat(np.cumsum([0, *map(len, blocks[:-1])]), [len(block) for block in blocks])
@@ -361,7 +365,7 @@ def _check_duplicates(blocks: Sequence[Block]) -> None:
 
 
 def _check_neighbours(blocks: Sequence[Block]) -> None:
-    """Where a linear element has a quadratic neighbour, the middle node between them would hang loose."""
+    """Refuse a linear element beside a quadratic one: the middle node between them would hang loose."""
     kinds = {block.kind.facet for block in blocks if len(block)}
     if len(kinds) == len({REFERENCES[kind].linear for kind in kinds}):
         return
@@ -387,7 +391,7 @@ def _check_neighbours(blocks: Sequence[Block]) -> None:
 
 
 def _check_jacobians(points: Points, block: Block, first: int) -> None:
-    """det J > 0 at the quadrature points, >= 0 at the nodes, up to the rounding of the coordinates.
+    """Require det J > 0 at the quadrature points, >= 0 at the nodes, up to the rounding of the coordinates.
 
     Where it is uneven the element is looked at on a lattice too: between those points it may still fold.
     """
@@ -431,7 +435,7 @@ def _check_jacobians(points: Points, block: Block, first: int) -> None:
 
 
 def _lattice(kind: Reference) -> Points:
-    """Evenly spaced points of the reference element, its corners included."""
+    """Return evenly spaced points of the reference element, its corners included."""
     simplex = kind.linear.startswith(("tri", "tet"))
     line = np.linspace(0.0 if simplex else -1.0, 1.0, CLOSELY)
     grid = np.stack(np.meshgrid(*[line] * kind.dimension), axis=-1).reshape(-1, kind.dimension)
@@ -452,7 +456,7 @@ def _check_connected(points: Points, blocks: Sequence[Block]) -> None:
 
 
 def check_set(name: str, nodes: Index, count: int) -> None:
-    """A named set of nodes: whole numbers from 0 to count - 1, at least one."""
+    """Check a named set of nodes: whole numbers from 0 to count - 1, at least one."""
     if nodes.ndim != 1 or not np.issubdtype(nodes.dtype, np.integer):
         raise InvalidProblem(f"node set {name!r}: expected whole numbers, got {nodes.dtype} of shape {nodes.shape}")
     if not nodes.size:
@@ -463,7 +467,9 @@ def check_set(name: str, nodes: Index, count: int) -> None:
 
 
 def checked_side(name: str, pairs: Index, blocks: Sequence[Block]) -> Index:
-    """A named side as a set of facets: (element, local facet) pairs that the mesh has, at least one, each once."""
+    """Return a named side as a set of facets: (element, local facet) pairs that the mesh has, at least one, each
+    once.
+    """
     if not len(pairs):
         raise InvalidProblem(f"side {name!r} is empty; expected at least one facet")
     facets = np.repeat([len(block.kind.facets) for block in blocks], [len(block) for block in blocks])

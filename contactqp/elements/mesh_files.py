@@ -1,4 +1,4 @@
-"""Meshes from files and from scikit-fem."""
+"""Meshes from files, by meshlane or by the reader of Abaqus files, and from scikit-fem."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LONGEST_REASON = 200
 
 
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
+    """Read a mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
 
 
 def mesh_from_meshlane(mesh: Any, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
+    """Make a mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
     return mesh_from_cells(_cells_of_meshlane(mesh), part=part, drop_unconnected=drop_unconnected)
 
 
 def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
-    """A mesh from a scikit-fem mesh of triangles, quadrilaterals, tetrahedra or hexahedra, linear or quadratic.
+    """Make a mesh from a scikit-fem mesh of triangles, quadrilaterals, tetrahedra or hexahedra, linear or quadratic.
 
     Its boundaries become sides and its subdomains groups of elements. scikit-fem does not turn its elements in one
     sense: those with a negative Jacobian are mirrored, which changes the order of their nodes only.
@@ -143,7 +143,7 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
 
 
 def _physical(mesh: Any, tags: Any) -> dict[str, list[Index]]:
-    """Gmsh's physical groups from the tags of the cells: tags are counted for each dimension by itself."""
+    """Return Gmsh's physical groups from the tags of the cells: tags are counted for each dimension by itself."""
     names = {(int(tag), int(dimension)): name for name, (tag, dimension) in mesh.field_data.items()}
     groups: dict[str, list[Index]] = {}
     for i, (block, values) in enumerate(zip(mesh.cells, tags, strict=True)):
@@ -162,12 +162,12 @@ def _is_flag(values: Any) -> bool:
 
 
 def _unit(kind: Reference) -> NDArray[np.float64]:
-    """The nodes with the square and the cube on [0, 1]^d, as scikit-fem has them."""
+    """Return the nodes with the square and the cube on [0, 1]^d, as scikit-fem has them."""
     return (kind.nodes + 1) / 2 if kind.linear.startswith(("quad", "hex")) else kind.nodes
 
 
 def _match(kind: Reference, points: NDArray[np.float64]) -> list[int]:
-    """For each node of the kind its place among the points; shorter where a node is not among them."""
+    """Return, for each node of the kind, its place among the points; shorter where a node is not among them."""
     if points.shape[1] != kind.dimension:
         return []
     near = abs(_unit(kind)[:, None] - points).max(axis=2) < 1e-9

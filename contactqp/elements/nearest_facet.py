@@ -1,8 +1,7 @@
-"""Which facet of a surface is nearest to a point, among those that face it; where its surface ends.
+"""The facet of a surface that is nearest to a point, among those that face it; and where the surface ends.
 
-Which facets can be near which points: balls that overlap, in n log n for facets of any sizes.
-
-The point of a facet that is closest to a given point, for straight, bilinear and quadratic facets alike.
+Candidates are found by balls that overlap, in n log n for facets of any sizes. The closest point of a facet is found
+for straight, bilinear and quadratic facets alike.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class Partners:
 
 
 def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float | None) -> Partners:
-    """The facets of `surface` nearest to the points, among those with a normal against the point's.
+    """Find the facets of `surface` nearest to the points, among those with a normal against the point's.
 
     Where the foot is inside a facet the normal is the facet's. On an edge or a corner between facets it is the
     direction of the point from there, the gradient of the distance; and for a point on the edge the facets' mean.
@@ -117,7 +116,7 @@ class _Found:
 def _search(
     active: Places, points: Array, normals: Array, surface: Surface, search: Array, limit: Array
 ) -> Iterator[_Found]:
-    """The facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
+    """Find the facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
     kind, positions, middle = kind_of(surface), surface.points[surface.facets], middle_normals(surface)
     centres, radii = bounding_balls(positions)
     best = np.full(len(points), np.inf)
@@ -139,7 +138,9 @@ def _search(
 
 
 def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
-    """One of the nearest facets of each point, the first; the normal, and the end of the surface, from all of them."""
+    """Choose the first of the nearest facets of each point; normals, and the end of the surface, come from all of
+    them.
+    """
     kind = kind_of(surface)
     p, d = points.shape
     i, j, foot = found.i, found.j, found.foot
@@ -187,7 +188,7 @@ def _over_the_end(
     apart: Array,
     flush: Array,
 ) -> NDArray[np.bool_]:
-    """Whether a point stands outside an edge that belongs to one facet only, (q,)."""
+    """Say whether each point stands outside an edge that belongs to one facet only, (q,)."""
     corners = np.sort(surface.facets[:, kind.edges], axis=2).reshape(-1, kind.edges.shape[1])
     _, inverse, count = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
     last = (count[inverse.ravel()] == 1).reshape(len(surface.facets), -1)
@@ -216,7 +217,8 @@ class Foot:
 
 
 def closest_point(kind: FacetKind, positions: Array, points: Array) -> Foot:
-    """min |x - X(xi)| over the closed facet: the foot of the perpendicular if it is inside, else the best of the edges.
+    """Minimise |x - X(xi)| over the closed facet: the foot of the perpendicular if it is inside, else the best of
+    the edges.
 
     Newton's method with the second derivatives of the facet, Gauss-Newton where they make it indefinite, halved until
     the distance falls, from the best of the nodes and the centre (Konyukhov & Schweizerhof 2013, section 3).
@@ -262,7 +264,7 @@ def _minimise(
     low: Array,
     high: Array,
 ) -> Array:
-    """The minimiser of |x - X(start + s along)| over low <= s <= high, along (a, d-1): its xi, (q, d-1)."""
+    """Return the minimiser of |x - X(start + s along)| over low <= s <= high, along (a, d-1): its xi, (q, d-1)."""
 
     def distance(s: Array, which: NDArray[np.int64]) -> Array:
         return _foot(kind, positions[which], points[which], start + s @ along).distance
@@ -294,7 +296,7 @@ def _minimise(
 
 
 def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, along: Array) -> Array:
-    """-H^-1 gradient of |x - X|^2 / 2 in s, with H made positive definite, (q, a)."""
+    """Return -H^-1 gradient of |x - X|^2 / 2 in s, with H made positive definite, (q, a)."""
     apart = points - np.einsum("qk,qkd->qd", kind.shape(xi), positions)
     tangents = np.einsum("qda,sa->qds", tangent_vectors(positions, kind.derivatives(xi)), along)
     bend = np.einsum("qkab,qkd,qd->qab", kind.second_derivatives(xi), positions, apart)
@@ -311,7 +313,7 @@ def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, al
 
 
 def overlapping_balls(points: Array, reach: Array, centres: Array, radii: Array) -> tuple[Places, Places]:
-    """All (i, j) with |points_i - centres_j| <= reach_i + radii_j, ordered by i, then j.
+    """Return all (i, j) with |points_i - centres_j| <= reach_i + radii_j, ordered by i, then j.
 
     Parameters
     ----------
@@ -336,7 +338,7 @@ def overlapping_balls(points: Array, reach: Array, centres: Array, radii: Array)
 
 
 def bounding_balls(positions: Array) -> tuple[Array, Array]:
-    """Centres (p, d) and radii (p,) of balls that hold facets with nodes at `positions` (p, k, d) [length].
+    """Return centres (p, d) and radii (p,) of balls that hold facets with nodes at `positions` (p, k, d) [length].
 
     A facet is in the hull of its nodes as long as no shape function is negative; those of quadratic facets are down to
     -1/8 on lines, so that the distance to the farthest node is doubled for them.

@@ -21,7 +21,8 @@ class ContactRows:
 
 
 def against_plane(point: Any, plane: Plane) -> ContactRows:
-    """E_N = -n', gap = (x - point).n: moving against the obstacle's normal closes the gap.
+    """Return the rows against a plane, E_N = -n', gap = (x - point).n: moving against the obstacle's normal closes
+    the gap.
 
     Course chapter, Example 2.10: on a floor, n = (0, 1), E_N = (0, -1).
     """
@@ -31,14 +32,15 @@ def against_plane(point: Any, plane: Plane) -> ContactRows:
 
 
 def against_surface(point: Any, obstacle: Obstacle) -> ContactRows:
-    """The same of any obstacle, in floats, with its normal nearest to the point."""
+    """Return the rows against any obstacle, in floats, with its normal nearest to the point."""
     at = np.asarray(point, dtype=float)[np.newaxis, :]
     n = np.array([float(x) for x in obstacle.normals(at)[0]], dtype=object)
     return ContactRows(normal=-n, gap=float(obstacle.distance(at)[0]), tangent=tangents(n))
 
 
 def between_nodes(first: Any, second: Any, direction: Any) -> ContactRows:
-    """E_N = (n', -n'), gap = (x_2 - x_1).n with n = direction / |direction| from the first node to the second.
+    """Return the rows of two nodes, E_N = (n', -n'), gap = (x_2 - x_1).n with n = direction / |direction| from the
+    first to the second.
 
     Course chapter, Example 2.13: E_N = (1, -1) for two bars on one line. The tangents are those of the second node's
     surface, whose normal points back at the first: E_T = (t, -t).

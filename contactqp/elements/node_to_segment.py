@@ -122,7 +122,8 @@ def pair_node_to_segment(
 
 
 def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: float | None) -> NDArray[np.float64]:
-    """The part of each slave facet that stands over the master; asked of those that only some paired nodes have.
+    """Return the part of each slave facet that stands over the master, for facets only some of whose nodes are
+    paired.
 
     Where no point of any facet of a paired node does, a master narrower than a facet, its facets count whole.
     """

@@ -1,7 +1,4 @@
-"""Rigid obstacles: where they are, how far a point is from them, and the directions along them.
-
-A rigid obstacle given by any signed distance function.
-"""
+"""Rigid obstacles by their signed distance, a plane or any distance function, and the directions along a surface."""
 
 from __future__ import annotations
 
@@ -23,16 +20,16 @@ RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
 class Obstacle(Protocol):
-    """A rigid obstacle, known by its signed distance."""
+    """A rigid obstacle, given by its signed distance."""
 
     @property
     def dimension(self) -> int: ...
 
     def distance(self, points: Any) -> Numbers:
-        """The signed distance of each of the (p, dimension) points [length]: the gap, positive when open."""
+        """Return the signed distance of each of the (p, dimension) points [length]: the gap, positive when open."""
 
     def normals(self, points: Any) -> Numbers:
-        """The unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
+        """Return the unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
 
 
 @computes
@@ -66,21 +63,21 @@ class Plane:
         return len(self.point)
 
     def outward(self) -> Numbers:
-        """The unit normal n, out of the obstacle."""
+        """Return the unit normal n, out of the obstacle."""
         return unit_vector(self.normal, "plane normal")
 
     def distance(self, points: Any) -> Numbers:
-        """(x - point).n of each of the (p, dimension) points [length]: the gap, positive when open."""
+        """Return (x - point).n of each of the (p, dimension) points [length]: the gap, positive when open."""
         gap: Numbers = (np.asarray(points) - np.asarray(self.point)) @ self.outward()
         return gap
 
     def normals(self, points: Any) -> Numbers:
-        """n for each of the (p, dimension) points."""
+        """Return n for each of the (p, dimension) points."""
         return np.tile(self.outward(), (len(points), 1))
 
 
 def tangents(normal: Numbers) -> Numbers:
-    """The (dimension - 1, dimension) unit vectors along a surface with the unit normal n.
+    """Return the (dimension - 1, dimension) unit vectors along a surface with the unit normal n.
 
     2D: t = (n_2, -n_1), so that a floor with n = (0, 1) has t = (1, 0). 3D: t_1 is the projection of the axis furthest
     from n, t_2 = n x t_1.
@@ -103,7 +100,7 @@ def tangents(normal: Numbers) -> Numbers:
 
 
 def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
+    """Return `tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
     p, d = normals.shape
     if d == 1:
         return np.zeros((p, 0, 1))
@@ -161,12 +158,12 @@ class SignedDistance:
         positive_number("signed distance: tolerance", self.tolerance, "number")
 
     def distance(self, points: Any) -> NDArray[np.float64]:
-        """function(points), (p,) [length]."""
+        """Return function(points), (p,) [length]."""
         x = real_array("points", points)
         return _values("function", self.function(x), x, (len(x),))
 
     def normals(self, points: Any) -> NDArray[np.float64]:
-        """gradient / |gradient|, (p, dimension)."""
+        """Return gradient / |gradient|, (p, dimension)."""
         x = real_array("points", points)
         if self.gradient is not None:
             gradients = _values("gradient", self.gradient(x), x, x.shape)

@@ -1,6 +1,6 @@
-"""Nodes against rigid obstacles where both are now: gaps, normals and tangents that turn with the motion.
+"""Nodes against rigid obstacles in the current configuration: gaps, normals and tangents that turn with the motion.
 
-How the normal of a rigid obstacle turns from point to point: the Hessian of its signed distance.
+The normal of a curved obstacle turns from point to point by the Hessian of its signed distance.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 @computes
 @dataclass(frozen=True, eq=False)
 class ObstacleContact(ReadOnly):
-    """Nodes that may touch one rigid obstacle: `cq.pair` with the points where they are now.
+    """Nodes that may touch one rigid obstacle: `cq.pair` with the current points.
 
     Parameters
     ----------
@@ -78,15 +78,15 @@ class ObstacleContact(ReadOnly):
 
     @property
     def contacts(self) -> int:
-        """m = p."""
+        """Return the number of contacts m = p."""
         return len(self.points)
 
     def positions(self, displacement: Vector) -> Vector:
-        """(m, d): where the nodes are [length]."""
+        """Return where the nodes are, (m, d) [length]."""
         return np.asarray(self.points + real_array("displacement", displacement)[self.unknowns])
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps and rows there.
+        """Return gaps and rows at a displacement.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class ObstacleContact(ReadOnly):
         return ContactState(found.gap, found.normal, found.tangent, ROUNDING * size)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """- sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
+        """Return minus the sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
         pushing = np.flatnonzero(normal_force)
         places = self.unknowns[pushing]
         blocks = distance_hessians(self.obstacle, self.positions(displacement)[pushing])
@@ -109,7 +109,9 @@ class ObstacleContact(ReadOnly):
         return sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1): t.(x - anchor) along the tangents of now [length]; where the obstacle is curved, of the chord."""
+        """Return t.(x - anchor) along the current tangents, (m, d-1) [length]; where the obstacle is curved, of the
+        chord.
+        """
         x = self.positions(displacement)
         frames = tangent_frames(np.asarray(self.obstacle.normals(x), dtype=float))
         return np.asarray(np.einsum("pij,pj->pi", frames, x - anchor))
@@ -133,11 +135,11 @@ class ContactGroup:
 
     @property
     def contacts(self) -> int:
-        """m of all."""
+        """Return the number of contacts of all geometries."""
         return sum(part.contacts for part in self.parts)
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps and rows of all."""
+        """Return gaps and rows of all geometries."""
         states = [part.state(displacement) for part in self.parts]
         widths = {state.normal.shape[1] for state in states}
         if len(widths) > 1:
@@ -151,7 +153,7 @@ class ContactGroup:
         )
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """The sum over all; None where one does not know it."""
+        """Return the sum over all geometries, or None where one does not know it."""
         total = None
         for part, force in zip(self.parts, self._split(normal_force), strict=True):
             found = part.curvature(displacement, force)
@@ -161,12 +163,12 @@ class ContactGroup:
         return total
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1) of all."""
+        """Return the slips (m, d-1) of all geometries."""
         pairs = zip(self.parts, self._split(anchor), strict=True)
         return np.concatenate([part.slip_since(displacement, where) for part, where in pairs])
 
     def positions(self, displacement: Vector) -> NDArray[np.float64]:
-        """(m, d) of all."""
+        """Return the positions (m, d) of all geometries."""
         return np.concatenate([part.positions(displacement) for part in self.parts])
 
     def _split(self, values: Vector) -> list[Vector]:
@@ -174,7 +176,7 @@ class ContactGroup:
 
 
 def distance_hessians(obstacle: Obstacle, points: Array) -> Array:
-    """d n / d x of each of the (p, d) points, (p, d, d), symmetric [1 / length].
+    """Return d n / d x of each of the (p, d) points, (p, d, d), symmetric [1 / length].
 
     A plane has none; a circle, a sphere or a cylinder has (1 - n n') / r without the part along the axis, r the
     distance from the centre or the axis. Of any other obstacle the normals are differenced.

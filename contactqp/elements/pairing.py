@@ -1,8 +1,7 @@
-"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices.
+"""The rows E_N, E_T and the gaps of nodes and an obstacle, also for users with matrices of their own.
 
-E_N and E_T from relative motions: each contact moves as a weighted sum of node displacements.
-
-Membranes and other scalar fields over an obstacle: one unknown a node, u >= height(x).
+Each contact moves as a weighted sum of node displacements (`contact_rows`). A membrane or another scalar field over an
+obstacle has one unknown a node, u >= height(x) (`pair_scalar`).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ __all__ = ["Pairing", "Plane", "pair"]
 @computes
 @dataclass(frozen=True, eq=False)
 class Pairing(ReadOnly):
-    """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``; unpacks as ``E_N, g, E_T``.
+    """The ``normal``, ``gap`` and ``tangent`` of a ContactProblem; it unpacks as ``E_N, g, E_T``.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ class Pairing(ReadOnly):
         return iter((self.normal, self.gap, self.tangent))
 
     def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
-        """The contact pressure at each node, positive in compression, (p,) [force / area].
+        """Return the contact pressure at each node, positive in compression, (p,) [force / area].
 
         It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), and of a
         mortar the pressure field that it integrates. Where no force pulls, no pressure does. NaN forces are unknown.
@@ -92,7 +91,8 @@ class Pairing(ReadOnly):
         return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
 
     def per_area(self, force: ArrayLike) -> NDArray[np.float64]:
-        """The same projection of one component of nodal forces, of either sign, such as friction, (p,) [force / area].
+        """Return the same projection of one component of nodal forces, of either sign, such as friction, (p,) [force
+        / area].
 
         Raises
         ------
@@ -274,7 +274,8 @@ def pair_scalar(
 def contact_rows(
     contact: Places, weight: Array, unknowns: Places, normals: Array, tangents: Array, shape: tuple[int, int]
 ) -> tuple[Any, Any]:
-    """E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight u_node.
+    """Return E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight
+    u_node.
 
     Entries of one contact add up. A node that meets an obstacle is one entry of weight 1; a node that meets a facet has
     further ones of weight -N_j for the facet's nodes.
@@ -312,7 +313,7 @@ def _sum(entries: tuple[Array, Places, Places], shape: tuple[int, int]) -> Any:
 
 
 def count_unknowns(largest: int, dimension: int | None) -> int:
-    """n: as stated, else one more than the largest number in use.
+    """Return n: as stated, else one more than the largest number in use.
 
     Raises
     ------

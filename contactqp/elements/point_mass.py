@@ -10,7 +10,7 @@ from contactqp.elements.scalars import Number, Numbers
 
 
 def weight(mass: Number, gravity: Any) -> Numbers:
-    """f = m g, (dimension,) [force]; `gravity` is the vector of acceleration, downwards where it points down.
+    """Return f = m g, (dimension,) [force]; `gravity` is the vector of acceleration, downwards where it points down.
 
     >>> weight(2.0, [0.0, -9.81]).tolist()
     [0.0, -19.62]
@@ -20,6 +20,6 @@ def weight(mass: Number, gravity: Any) -> Numbers:
 
 
 def inertia(mass: Number, dimension: int) -> Numbers:
-    """M = m I, (dimension, dimension) [mass]."""
+    """Return M = m I, (dimension, dimension) [mass]."""
     M: Numbers = mass * np.eye(dimension, dtype=int)
     return M

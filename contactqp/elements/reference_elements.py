@@ -1,8 +1,4 @@
-"""Quadrature on the reference shapes: line [-1, 1], square and cube of it, unit triangle and unit tetrahedron.
-
-All weights are positive and all points lie inside. The numbers are closed forms, none is tabulated.
-
-Reference elements: nodes, shape functions, quadrature and facets of every kind of element.
+"""Reference elements: nodes, shape functions, quadrature and facets of every kind of element.
 
 Lines, quadrilaterals and hexahedra live on [-1, 1]^d, triangles and tetrahedra on the unit simplex. Node orders are
 VTK's: corners, middles of edges, centres of faces, centre. The shape functions are the nodal basis of a
@@ -11,6 +7,8 @@ stated polynomial space, so each kind is a list of nodes and a list of monomials
     tri3, tri6, tet4, tet10         complete polynomials of degree 1 and 2
     quad4, quad9, hex8, hex27       products of polynomials of degree 1 and 2 in each coordinate
     quad8, hex20                    those of them with at most one square (serendipity: Arnold & Awanou 2011)
+
+All weights of the quadrature rules are positive and all points lie inside. The numbers are closed forms.
 """
 
 from __future__ import annotations
@@ -28,14 +26,16 @@ from contactqp.model.problem_data import ReadOnly
 
 @dataclass(frozen=True, eq=False)
 class Quadrature(ReadOnly):
-    """Points (q, d) and weights (q,): the integral over the reference shape is the sum of w_q f(x_q)."""
+    """Points (q, d) and weights (q,) of a rule: the integral over the reference shape is the sum of w_q f(x_q)."""
 
     points: NDArray[np.float64]
     weights: NDArray[np.float64]
 
 
 def gauss(order: int, dimension: int) -> Quadrature:
-    """Gauss-Legendre in every direction of [-1, 1]^dimension: exact to degree 2 order - 1 in each coordinate."""
+    """Return the Gauss-Legendre rule in every direction of [-1, 1]^dimension: exact to degree 2 order - 1 in each
+    coordinate.
+    """
     x, w = np.polynomial.legendre.leggauss(order)
     points = np.array(list(itertools.product(x, repeat=dimension)))
     weights = np.prod(list(itertools.product(w, repeat=dimension)), axis=1)
@@ -43,7 +43,7 @@ def gauss(order: int, dimension: int) -> Quadrature:
 
 
 def triangle(points: int) -> Quadrature:
-    """1, 3 or 6 points, exact to degree 1, 2 or 4 (Strang & Fix 1973, table 4.1; Dunavant 1985)."""
+    """Return the rule of 1, 3 or 6 points, exact to degree 1, 2 or 4 (Strang & Fix 1973, table 4.1; Dunavant 1985)."""
     if points == 1:
         return _on_simplex([(1.0, (1 / 3, 1 / 3, 1 / 3))])
     if points == 3:
@@ -59,7 +59,8 @@ def triangle(points: int) -> Quadrature:
 
 
 def tetrahedron(points: int) -> Quadrature:
-    """1, 4, 8 or 15 points, exact to degree 1, 2, 3 or 5 (Stroud 1971, T3: 1-1, 2-1 and 5-1; eight: below).
+    """Return the rule of 1, 4, 8 or 15 points, exact to degree 1, 2, 3 or 5 (Stroud 1971, T3: 1-1, 2-1 and 5-1;
+    eight: below).
 
     The eight points have equal weights: one barycentric coordinate is 1/4 + 3 s, the others 1/4 - s, for two values of
     s. Exact second and third moments ask for s1^2 + s2^2 = 1/40 and s1^3 + s2^3 = 1/480; then S = s1 + s2 solves
@@ -89,7 +90,7 @@ def tetrahedron(points: int) -> Quadrature:
 
 
 def _on_simplex(orbits: list[tuple[float, tuple[float, ...]]]) -> Quadrature:
-    """Every distinct permutation of the barycentric coordinates of each orbit; the weights sum to 1 / d!."""
+    """Return every distinct permutation of the barycentric coordinates of each orbit; the weights sum to 1 / d!."""
     dimension = len(orbits[0][1]) - 1
     points: list[tuple[float, ...]] = []
     weights: list[float] = []
@@ -105,7 +106,7 @@ Nodes = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Reference(ReadOnly):
-    """One kind of element.
+    """The reference element of one kind.
 
     Attributes
     ----------
@@ -143,15 +144,15 @@ class Reference(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """Return d."""
         return int(self.nodes.shape[1])
 
     def shape(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """N_i at the (q, d) points: (q, n) [-]."""
+        """Return N_i at the (q, d) points: (q, n) [-]."""
         return self._monomials(points) @ self._coefficients()
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """dN_i/dxi_a at the (q, d) points: (q, n, d) [-]."""
+        """Return dN_i/dxi_a at the (q, d) points: (q, n, d) [-]."""
         columns = []
         for axis in range(self.dimension):
             lowered = self.exponents.copy()
@@ -164,7 +165,9 @@ class Reference(ReadOnly):
         return _powers(points, self.exponents)
 
     def _coefficients(self) -> NDArray[np.float64]:
-        """Column i holds the coefficients of N_i: multiples of 1/8 for every kind, so rounding makes them exact."""
+        """Return the matrix whose column i holds the coefficients of N_i: multiples of 1/8 for every kind, so
+        rounding makes them exact.
+        """
         inverse = np.linalg.inv(self._monomials(self.nodes))
         return np.asarray(np.round(8 * inverse) / 8, dtype=np.float64)
 
@@ -223,7 +226,9 @@ def _element(
 
 
 def _facet(corners: Nodes, place: dict[frozenset[int], int]) -> Nodes:
-    """Corners, then the middles of the edges between them in the same order, then the centre, as far as they exist."""
+    """Return corners, then the middles of the edges between them in the same order, then the centre, as far as they
+    exist.
+    """
     edges = [frozenset(pair) for pair in zip(corners, corners[1:] + corners[:1], strict=True)]
     extra = [place[cell] for cell in [*edges, frozenset(corners)] if cell in place]
     return (*corners, *dict.fromkeys(extra))

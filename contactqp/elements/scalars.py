@@ -1,4 +1,4 @@
-"""Lengths and directions that stay exact as long as they are rational."""
+"""Lengths and directions in floats or in exact numbers, which stay exact as long as they are rational."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _IRRATIONAL: ContextVar[Callable[[Any], Any]] = ContextVar("_IRRATIONAL", defaul
 
 @contextmanager
 def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
-    """Within it, roots that are irrational are numbers of another kind than floats, as `root` makes them.
+    """Make irrational roots numbers of another kind than floats within a `with` block, as `root` makes them.
 
     The kind must compute with Fractions; formulas of elements then carry it along.
     """
@@ -37,7 +37,8 @@ def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
 
 
 def square_root(square: Number) -> Number:
-    """The root of a number that is not negative: a Fraction where the number is the square of one, a float otherwise.
+    """Return the root of a number that is not negative: a Fraction where the number is the square of one, a float
+    otherwise.
 
     >>> square_root(Fraction(25, 4)), square_root(Fraction(2))
     (Fraction(5, 2), 1.4142135623730951)
@@ -51,7 +52,7 @@ def square_root(square: Number) -> Number:
 
 
 def squared_length(vector: Numbers) -> Number:
-    """The square of a vector's Euclidean length, in the numbers of the vector."""
+    """Return the square of a vector's Euclidean length, in the numbers of the vector."""
     total: Number = np.dot(vector, vector)
     if isinstance(total, Rational):
         return Fraction(total)
@@ -59,7 +60,7 @@ def squared_length(vector: Numbers) -> Number:
 
 
 def unit_vector(vector: Any, what: str) -> Numbers:
-    """n = v / |v|, exact where |v| is rational.
+    """Return n = v / |v|, exact where |v| is rational.
 
     Raises
     ------

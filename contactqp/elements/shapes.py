@@ -13,11 +13,8 @@ exact curve. Every function raises InvalidProblem for a length, a number of divi
     ball                             side sphere; a half is the lower one, with top (z = 0); a quarter also x >= 0,
                                      with left (x = 0); an eighth also y >= 0, with front (y = 0)
 
-Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``.
-
-Graded division of a line.
-
-Discs, balls and cylinders as O-grids: a rounded square or cubic core, and layers from its faces to the circle.
+Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``. They are O-grids: a
+rounded square or cubic core, and layers from its faces to the circle.
 """
 
 from __future__ import annotations
@@ -59,7 +56,7 @@ Towards = Literal["low", "high", "both", "middle"]
 
 
 class Shape(Generic[P]):
-    """What a function says of a mesh: called, the mesh; its `lattice`, the mesh before it is made."""
+    """A function for a shape: called, it returns the mesh; its `lattice` is the mesh before it is made."""
 
     def __init__(self, lattice: Callable[P, Lattice]) -> None:
         self.lattice = lattice
@@ -80,7 +77,7 @@ def rectangle(
     towards: Sequence[str] = ("bottom",),
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The rectangle from `corner`, its lowest x and y, to corner + (width, height).
+    """Mesh the rectangle from `corner`, its lowest x and y, to corner + (width, height).
 
     Parameters
     ----------
@@ -107,7 +104,7 @@ def box(
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
     crown: float | None = None,
 ) -> Lattice:
-    """The box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
+    """Mesh the box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
 
     ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
     higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
@@ -140,7 +137,7 @@ def disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
+    """Mesh a disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
 
     With (n, m) there are 8 n elements along the whole arc and n + m along a radius.
     """
@@ -156,7 +153,7 @@ def half_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The lower half of the disc around `center`, y <= center_y; as `disc`."""
+    """Mesh the lower half of the disc around `center`, y <= center_y; as `disc`."""
     return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
 
 
@@ -169,7 +166,7 @@ def quarter_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
+    """Mesh the lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
     grid = OGrid(("positive", "negative"), *_pair(divisions), grading)
     return _round(grid, radius, center, kind, {"top": 1, "left": 0})
 
@@ -184,7 +181,7 @@ def ball(
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Lattice:
-    """The ball or a part of it; `divisions` as for `disc`."""
+    """Mesh a ball or a part of it; `divisions` as for `disc`."""
     if part not in _BALL_PARTS:
         raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
     halves = _BALL_PARTS[part]
@@ -203,7 +200,7 @@ def cylinder(
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Lattice:
-    """The cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
+    """Mesh the cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
 
     `divisions` are those of `disc` and the elements along z, which get smaller towards the bottom.
     """
@@ -327,11 +324,11 @@ class OGrid:
 
     @property
     def layer(self) -> int:
-        """The component of the key that counts the layers."""
+        """Return the component of the key that counts the layers."""
         return len(self.halves) + (self.extrusion > 0)
 
     def patches(self) -> list[Patch]:
-        """The core, and the layers over each of its faces that is not cut."""
+        """Return the core, and the layers over each of its faces that is not cut."""
         n = 2 * self.core
         limits = {"full": (-n, n), "positive": (0, n), "negative": (-n, 0)}
         axes: list[Index] = [np.arange(limits[half][0], limits[half][1] + 1) for half in self.halves]
@@ -349,7 +346,7 @@ class OGrid:
         return found
 
     def position(self, keys: Index) -> NDArray[np.float64]:
-        """Round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
+        """Return round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
 
         With q in [-1, 1]^d the place in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
         faces), e = d / |d|; the core is at CORE ((1 - ROUNDNESS) q + ROUNDNESS |q|_max e(q / |q|_max)), and the layers
@@ -365,7 +362,7 @@ class OGrid:
         return np.asarray((1 - t) * core + t * unit)
 
     def _core(self, axis: int, keys: Index) -> NDArray[np.float64]:
-        """q in [-1, 1] along one axis: graded to -1 along the axis of the pole, to 0 along the others."""
+        """Return q in [-1, 1] along one axis: graded to -1 along the axis of the pole, to 0 along the others."""
         n = self.core
         if axis < len(self.halves) - 1 or self.halves[axis] == "positive" or self.grading == 1:
             return np.asarray(np.sign(keys) * spacing(n, self.grading, "low")[abs(keys)])
@@ -374,7 +371,8 @@ class OGrid:
 
 
 def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]:
-    """Ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one place.
+    """Return ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one
+    place.
 
     Parameters
     ----------

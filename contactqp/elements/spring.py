@@ -10,7 +10,7 @@ from contactqp.elements.scalars import Number, Numbers, square_root, squared_len
 
 
 def stiffness(constant: Number, direction: Any) -> Numbers:
-    """K = k [[n n', -n n'], [-n n', n n']] between two nodes, n = direction / |direction|.
+    """Return K = k [[n n', -n n'], [-n n', n n']] between two nodes, n = direction / |direction|.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def stiffness(constant: Number, direction: Any) -> Numbers:
 
 
 def to_ground(constant: Number, direction: Any) -> Numbers:
-    """K = k n n' of a spring between a node and the ground, (dimension, dimension) [force / length]."""
+    """Return K = k n n' of a spring between a node and the ground, (dimension, dimension) [force / length]."""
     d = np.asarray(direction)
     unit_vector(d, "spring direction")
     block: Numbers = constant / squared_length(d) * np.outer(d, d)
@@ -39,7 +39,7 @@ def to_ground(constant: Number, direction: Any) -> Numbers:
 
 
 def force(constant: Number, direction: Any, relative: Any) -> Number:
-    """k n.(u_end - u_start), positive in tension [force]; `relative` is u_end - u_start, (dimension,)."""
+    """Return k n.(u_end - u_start), positive in tension [force]; `relative` is u_end - u_start, (dimension,)."""
     d = np.asarray(direction)
     value: Number = constant * np.dot(d, np.asarray(relative)) / square_root(squared_length(d))
     return value

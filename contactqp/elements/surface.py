@@ -1,8 +1,7 @@
 """A part of a body's boundary that may touch something: nodes, facets, and where their displacements stand in u.
 
-Facets of a boundary: reference coordinates, shape functions and their derivatives, surface normals, Gauss points.
-
-Whether a surface can be worked with: one clear error that names the surface, and the facet or the node.
+Facets have reference coordinates, shape functions with their derivatives, normals and Gauss points. A surface that
+cannot be worked with is refused by one error that names the surface, and the facet or the node.
 """
 
 from __future__ import annotations
@@ -70,12 +69,12 @@ class Surface(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """Return d."""
         return int(self.points.shape[1])
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """The nodes of the facets, each once, in ascending order."""
+        """Return the nodes of the facets, each once, in ascending order."""
         return read_only(np.unique(self.facets))
 
 
@@ -112,7 +111,7 @@ class FacetKind:
 
     @property
     def centre(self) -> Array:
-        """The mean of the corners, (d-1,)."""
+        """Return the mean of the corners, (d-1,)."""
         middle: Array = self.nodes[: self.corners].mean(axis=0)
         return middle
 
@@ -121,7 +120,7 @@ class FacetKind:
         return np.asarray(np.linalg.inv(self._monomials(self.nodes, ())), dtype=np.float64)
 
     def _monomials(self, xi: Array, axes: tuple[int, ...]) -> Array:
-        """The monomials at the (q, d-1) points, differentiated once along each of `axes`, (q, k)."""
+        """Return the monomials at the (q, d-1) points, differentiated once along each of `axes`, (q, k)."""
         order = np.bincount(np.array(axes, dtype=int), minlength=self.powers.shape[1])
         factor = np.ones(len(self.powers))
         for axis, times in enumerate(order):
@@ -135,27 +134,29 @@ class FacetKind:
         return values
 
     def _combined(self, monomials: Array) -> Array:
-        """No BLAS: its threads take longer to start than these few columns to multiply."""
+        """Combine monomials to shape functions, without BLAS: its threads take longer to start than these few
+        columns to multiply.
+        """
         values: Array = np.einsum("qm,mk->qk", monomials, self._coefficients)
         return values
 
     def shape(self, xi: Array) -> Array:
-        """N_j at the (q, d-1) points, (q, k)."""
+        """Return N_j at the (q, d-1) points, (q, k)."""
         return self._combined(self._monomials(xi, ()))
 
     def derivatives(self, xi: Array) -> Array:
-        """dN_j / dxi_a, (q, k, d-1)."""
+        """Return dN_j / dxi_a, (q, k, d-1)."""
         axes = range(self.powers.shape[1])
         return np.stack([self._combined(self._monomials(xi, (a,))) for a in axes], axis=2)
 
     def second_derivatives(self, xi: Array) -> Array:
-        """d2N_j / dxi_a dxi_b, (q, k, d-1, d-1)."""
+        """Return d2N_j / dxi_a dxi_b, (q, k, d-1, d-1)."""
         axes = range(self.powers.shape[1])
         rows = [[self._combined(self._monomials(xi, (a, b))) for b in axes] for a in axes]
         return np.moveaxis(np.array(rows), (0, 1), (2, 3))
 
     def inside(self, xi: Array, tolerance: float) -> NDArray[np.bool_]:
-        """Whether the points lie in the reference element, or outside it by at most `tolerance`, (q,)."""
+        """Say whether the points lie in the reference element, or outside it by at most `tolerance`, (q,)."""
         if self.triangular:
             within: NDArray[np.bool_] = (xi.min(axis=1) >= -tolerance) & (xi.sum(axis=1) <= 1 + tolerance)
         else:
@@ -163,7 +164,7 @@ class FacetKind:
         return within
 
     def quadrature(self, points: int) -> tuple[Array, Array]:
-        """Gauss points (q, d-1) and weights (q,) of the reference element, `points` along each direction."""
+        """Return Gauss points (q, d-1) and weights (q,) of the reference element, `points` along each direction."""
         if self.triangular:
             return triangle_quadrature(points)
         at, weight = np.polynomial.legendre.leggauss(points)
@@ -174,7 +175,7 @@ class FacetKind:
 
 
 def triangle_quadrature(points: int) -> tuple[Array, Array]:
-    """Gauss points (q, 2) and weights (q,) on the triangle xi_1, xi_2 >= 0, xi_1 + xi_2 <= 1: q = points^2.
+    """Return Gauss points (q, 2) and weights (q,) on the triangle xi_1, xi_2 >= 0, xi_1 + xi_2 <= 1: q = points^2.
 
     The square's Gauss-Legendre rule collapsed onto the triangle (Stroud 1971): exact to the degree 2 points - 2.
     """
@@ -208,7 +209,7 @@ KINDS = {
 
 
 def kind_of(surface: Surface) -> FacetKind:
-    """The kind of a surface's facets.
+    """Return the kind of a surface's facets.
 
     Raises
     ------
@@ -223,20 +224,20 @@ def kind_of(surface: Surface) -> FacetKind:
 
 
 def tangent_vectors(positions: Array, derivatives: Array) -> Array:
-    """dx / dxi_a of facets with nodes at `positions` (q, k, d): (q, d, d-1) [length]."""
+    """Return dx / dxi_a of facets with nodes at `positions` (q, k, d): (q, d, d-1) [length]."""
     tangents: Array = np.einsum("qkd,qka->qda", positions, derivatives)
     return tangents
 
 
 def normal_vectors(tangents: Array) -> Array:
-    """The outward normals, as long as the surface element: dA = |n| dxi; tangents (q, d, d-1), result (q, d)."""
+    """Return the outward normals, as long as the surface element: dA = |n| dxi; tangents (q, d, d-1), result (q, d)."""
     if tangents.shape[1] == 2:
         return np.stack([tangents[:, 1, 0], -tangents[:, 0, 0]], axis=1)
     return np.cross(tangents[:, :, 0], tangents[:, :, 1])
 
 
 def middle_normals(surface: Surface) -> Array:
-    """The outward unit normal at the centre of each facet, (p, d)."""
+    """Return the outward unit normal at the centre of each facet, (p, d)."""
     kind = kind_of(surface)
     derivatives = np.repeat(kind.derivatives(kind.centre[np.newaxis]), len(surface.facets), axis=0)
     normals = normal_vectors(tangent_vectors(surface.points[surface.facets], derivatives))
@@ -245,7 +246,9 @@ def middle_normals(surface: Surface) -> Array:
 
 
 def solve_small(matrices: Array, vectors: Array) -> Array:
-    """A^-1 b for many A of one or two rows, (q, a, a) and (q, a): Cramer's rule, some 20 times faster than LAPACK."""
+    """Return A^-1 b for many A of one or two rows, (q, a, a) and (q, a), by Cramer's rule, some 20 times faster than
+    LAPACK.
+    """
     if matrices.shape[1] == 1:
         return vectors / matrices[:, 0]
     (a, b), (c, d) = np.moveaxis(matrices, 0, 2)
@@ -255,7 +258,7 @@ def solve_small(matrices: Array, vectors: Array) -> Array:
 
 
 def diameters(positions: Array) -> Array:
-    """The largest distance between two nodes of each facet, positions (q, k, d), result (q,) [length]."""
+    """Return the largest distance between two nodes of each facet, positions (q, k, d), result (q,) [length]."""
     apart = positions[:, :, np.newaxis, :] - positions[:, np.newaxis, :, :]
     longest: Array = np.sqrt((apart**2).sum(axis=3)).max(axis=(1, 2))
     return longest
@@ -320,7 +323,7 @@ def check_distances(reach: float | None, overlap: float | None) -> None:
 
 
 def _refuse_degenerate(surface: Surface) -> None:
-    """The surface element must keep the side and stay away from zero, at the Gauss points and at the nodes."""
+    """Refuse facets whose surface element changes its side or vanishes at a Gauss point or a node."""
     kind = kind_of(surface)
     positions = surface.points[surface.facets]
     middle = normal_vectors(

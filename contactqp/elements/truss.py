@@ -9,7 +9,7 @@ from contactqp.elements.scalars import Number, Numbers, square_root, squared_len
 
 
 def stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers) -> Numbers:
-    """K = (E A / L^3) [[d d', -d d'], [-d d', d d']] with d = end - start and L = |d|.
+    """Return K = (E A / L^3) [[d d', -d d'], [-d d', d d']] with d = end - start and L = |d|.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers) -> Nu
 
 
 def axial_force(modulus: Number, area: Number, start: Numbers, end: Numbers, displacement: Numbers) -> Number:
-    """N = (E A / L^2) d.(u_end - u_start), positive in tension [force]; `displacement` is (u_start, u_end)."""
+    """Return N = (E A / L^2) d.(u_end - u_start), positive in tension [force]; `displacement` is (u_start, u_end)."""
     d = np.asarray(end) - np.asarray(start)
     square = squared_length(d)
     stretch = np.dot(d, displacement[len(d) :] - displacement[: len(d)])

@@ -1,6 +1,7 @@
-"""Newton steps on a set of closed contacts: symmetric indefinite systems, for tangents that are not convex.
+"""Newton steps on a set of closed contacts, for tangents that are not convex: under compressed bars, for instance.
 
-Coulomb friction in the plane by signs: for tangents that are not convex, under compressed bars for instance.
+The systems are symmetric and indefinite. The closed set, and with Coulomb friction in the plane the states of stick and
+slip, are found by the signs of forces and gaps.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ CHANGES = 20
 
 
 def solve_system(matrix: Any, right: Vector) -> Vector:
-    """The solution of a square system, symmetric or not; dense where it is small.
+    """Return the solution of a square system, symmetric or not; dense where it is small.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
 
 
 def determinant_sign(matrix: Any) -> float:
-    """The sign of the determinant of a square matrix, 0 if it is singular."""
+    """Return the sign of the determinant of a square matrix, 0 if it is singular."""
     if matrix.shape[0] <= DENSE_SIZE:
         return float(np.linalg.slogdet(matrix.toarray())[0])
     from scipy.sparse.linalg import splu
@@ -72,7 +73,7 @@ def determinant_sign(matrix: Any) -> float:
 
 
 def _parity(order: Any) -> float:
-    """1 for an even permutation, -1 for an odd one: a cycle of length c is c - 1 exchanges."""
+    """Return 1 for an even permutation, -1 for an odd one: a cycle of length c is c - 1 exchanges."""
     seen, sign = np.zeros(len(order), dtype=bool), 1.0
     for start in range(len(order)):
         at, length = start, 0
@@ -84,7 +85,8 @@ def _parity(order: Any) -> float:
 
 
 def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Vector, closed: Mask) -> Any:
-    """A stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed set.
+    """Find a stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed
+    set.
 
     K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
     with E u > g close, until none does. K need not be definite, and there may be other points.
@@ -129,7 +131,9 @@ def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) ->
 
 
 def positive_semidefinite(K: Any) -> bool:
-    """Whether K is, up to rounding: by eigenvalues where it is small, by the signs of its pivots elsewhere."""
+    """Say whether K is positive semidefinite up to rounding: by eigenvalues where it is small, by the signs of its
+    pivots elsewhere.
+    """
     diagonal = np.asarray(K.diagonal(), dtype=float)
     if np.any(diagonal < 0):
         return False
@@ -145,7 +149,7 @@ def positive_semidefinite(K: Any) -> bool:
 
 
 def negative_on(K: Any, rows: Any) -> int:
-    """How many independent motions with rows u = 0 have negative energy u'Ku: 0 where the equilibrium is stable.
+    """Count the independent motions with rows u = 0 and negative energy u'Ku: none where the equilibrium is stable.
 
     Of a large K only 0 and 1, for none and some, by the pivots of K with stiff springs along the rows.
     """
@@ -157,7 +161,7 @@ def negative_on(K: Any, rows: Any) -> int:
 
 
 def restricted(K: Any, rows: Any) -> Array:
-    """Z'KZ on an orthonormal basis Z of the motions with rows u = 0."""
+    """Return Z'KZ on an orthonormal basis Z of the motions with rows u = 0."""
     from scipy.linalg import null_space
 
     dense = K.toarray()
@@ -168,7 +172,7 @@ def restricted(K: Any, rows: Any) -> Array:
 
 
 def lowest_eigenvalue(K: Any) -> float:
-    """The lowest eigenvalue of K [force / length]; a bound below it for a large K (Gershgorin)."""
+    """Return the lowest eigenvalue of K [force / length], or a bound below it for a large K (Gershgorin)."""
     if K.shape[0] <= DENSE_SIZE:
         return float(np.linalg.eigvalsh(K.toarray())[0])
     diagonal = np.asarray(K.diagonal(), dtype=float)
@@ -186,7 +190,7 @@ class Combination:
 
 
 def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forces) -> tuple[Vector, Forces]:
-    """u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
+    """Find u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
 
     The combination of states is changed where its answer breaks the law: contacts in tension open, overlapping ones
     close and stick, friction beyond mu l_N slips, slip against its friction sticks; all at once until a combination
@@ -226,7 +230,7 @@ def _states(coefficient: Vector, forces: Forces) -> Status:
 
 
 def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combination:
-    """Closed contacts have gap 0, sticking ones slip 0, and slipping ones l_T = +- mu l_N."""
+    """Solve with gap 0 at closed contacts, slip 0 at sticking ones, and l_T = +- mu l_N at slipping ones."""
     n, m, k = problem.dimension, problem.contacts, problem.ties
     B, S = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
     E_N, E_T = sp.csr_array(problem.normal), sp.csr_array(problem.tangent)
@@ -245,7 +249,7 @@ def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combin
 
 
 def _lawful(problem: ContactProblem, answer: Combination, status: Status, slipping: bool) -> Status:
-    """The states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
+    """Return the states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
     u, bound = answer.increment, np.asarray(problem.friction) * answer.normal
     E_T, origin = sp.csr_array(problem.tangent), np.asarray(problem.slip_origin)[:, 0]
     excess, slip = problem.normal @ u - problem.gap, E_T @ u - origin

@@ -1,6 +1,7 @@
 """Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP).
 
-One Newton step of a body in contact: a convex contact problem where the tangent allows, and what to do where not.
+The step is the minimum of a convex contact problem where the tangent allows that; elsewhere the tangent is shifted, or
+the closed set is found by signs (`active_kkt`).
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ RUN_AWAY = 1e50
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What is to be brought into balance."""
+    """The loads, tie values and slip origins that are to be brought into balance."""
 
     load: Vector  # (n,)
     tie_value: Vector  # (k,) A u
@@ -58,7 +59,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class NewtonSettings:
-    """How the steps are solved and when they end."""
+    """How the steps are solved, and when they end."""
 
     method: str = "active-set"
     exact: bool = True  # whether the method enforces contact, not approximates it
@@ -88,7 +89,7 @@ def newton_step(
     before: NewtonStep | None,
     forces: Forces,
 ) -> NewtonStep:
-    """The minimum of 1/2 du'K du - r'du over E_N du <= gap and A du = b - A u, with friction if there is any.
+    """Return the minimum of 1/2 du'K du - r'du over E_N du <= gap and A du = b - A u, with friction if there is any.
 
     Where K is indefinite across the ties alone, stiffness along them makes the problem convex and is no other problem.
     Where K is indefinite but has positive energy on the motions that keep the closed contacts closed, that is a local
@@ -121,7 +122,7 @@ def newton_step(
 
 
 def _stiffness_along_ties(loaded: LoadedBody, K: Any) -> float | None:
-    """c so that K + c A'A is positive semidefinite, or None if no stiffness along the ties does that."""
+    """Return c so that K + c A'A is positive semidefinite, or None if no stiffness along the ties achieves that."""
     square = sp.csc_array(loaded.tie.T @ loaded.tie)
     if not square.nnz:
         return None
@@ -133,14 +134,14 @@ def _stiffness_along_ties(loaded: LoadedBody, K: Any) -> float | None:
 
 
 def slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array | None:
-    """(m, d-1): the slip of the load step so far; None without friction."""
+    """Return the slip of the load step so far, (m, d-1) [length], or None without friction."""
     if loaded.contact is None or target.anchor is None:
         return None
     return loaded.contact.slip_since(now.displacement, target.anchor)
 
 
 def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactProblem:
-    """A problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
+    """Restate a problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
 
     At the end of Newton's method increments are rounding; lengths and forces are to be measured against the whole.
     """
@@ -157,7 +158,8 @@ def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactPro
 
 
 def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, before: NewtonStep | None) -> NewtonStep:
-    """By a method of `solve`; what its certificate refuses is judged again at the end, in the displacement.
+    """Solve by a method of `solve`; an answer that its certificate refuses is judged again at the end, in the
+    displacement.
 
     Without friction the unknown is the increment: what nothing holds stays where it is. With friction it is the
     displacement, against whose size a slip is told from rounding.
@@ -202,7 +204,9 @@ def _indefinite(
 
 
 def _indefinite_with_friction(loaded: LoadedBody, now: Instant, K: Any, target: Target, forces: Forces) -> NewtonStep:
-    """The states of stick and slip by signs; friction has no energy that could tell whether the answer is stable."""
+    """Find the states of stick and slip by signs; friction has no energy that could tell whether the answer is
+    stable.
+    """
     step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
     origin = step.problem.slip_origin
     if origin is not None and origin.shape[1] != 1:
@@ -229,7 +233,7 @@ def _shifted(
 def stationary_step(
     loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces, grazing: int | None = None
 ) -> NewtonStep:
-    """An increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
+    """Return an increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
 
     Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
     r + s du: it has the same balance and the same signs, and says nothing about stability. A contact that grazes, with
@@ -259,7 +263,7 @@ class Balance:
 
     @property
     def shifted(self) -> bool:
-        """Whether the way led through tangents that had no way down."""
+        """Say whether the iterations met tangents without a descent direction."""
         return any(iteration.shift for iteration in self.iterations)
 
 
@@ -267,7 +271,7 @@ class Balance:
 def find_balance(
     loaded: LoadedBody, start: Vector, forces: Forces, target: Target, settings: NewtonSettings
 ) -> Balance:
-    """The equilibrium under a load that lies down the energy from a start, one contact problem an iteration.
+    """Find the equilibrium under a load that lies down the energy from a start, by one contact problem an iteration.
 
     The merit is energy - f'u + w (sum of overlaps + sum of |A u - b|), w above the largest force; steps are halved
     until it falls. Approximate methods and friction have no such merit and take full steps.
@@ -316,7 +320,7 @@ def find_balance(
 
 
 def _sticks(loaded: LoadedBody, now: Instant, forces: Forces, target: Target, settings: NewtonSettings) -> bool:
-    """Whether contacts with friction hold a body where it is, without slip and within their bounds.
+    """Say whether contacts with friction keep a body where it is, without slip and within their bounds.
 
     A step that changes nothing leaves slips of rounding and forces at their bounds, from which no method can tell stick
     from slip.
@@ -350,7 +354,8 @@ def _imbalance_after(
     settings: NewtonSettings,
     step: NewtonStep,
 ) -> Imbalance:
-    """What a step leaves: forces with the rows of its end, and how far gaps and slips are from what it took them for.
+    """Return the imbalance after a step: forces with the rows of its end, and how far gaps and slips are from their
+    linear prediction.
 
     Of contacts that neither push nor overlap no gap matters.
     """
@@ -379,7 +384,7 @@ def _searched(
     weight: float,
     before: Imbalance,
 ) -> tuple[float, Instant, str]:
-    """The fraction of the step that is taken, the body there, and why it is not the whole step."""
+    """Return the fraction of the step that is taken, the body there, and why it is not the whole step."""
     by_merit = settings.exact and target.anchor is None
     start, rounding = _merit(loaded, now, target, weight)
     violation = _violation(loaded, now, target)
@@ -408,7 +413,9 @@ def _searched(
 def _stretched(
     loaded: LoadedBody, now: Instant, target: Target, step: NewtonStep, weight: float, merit: float, new: Instant
 ) -> tuple[float, Instant]:
-    """A shifted step is too short, most of all off a saddle: twice as far as long as that is further down."""
+    """Lengthen a shifted step, which is too short, most of all off a saddle: double it as long as that is further
+    down.
+    """
     fraction = 1.0
     while fraction < LONGEST:
         try:
@@ -436,7 +443,7 @@ def _violation(loaded: LoadedBody, now: Instant, target: Target) -> float:
 
 
 def _merit(loaded: LoadedBody, now: Instant, target: Target, weight: float) -> tuple[float, float]:
-    """energy - f'u + weight * violation, and what rounding may make of it."""
+    """Return energy - f'u + weight * violation, and how much of it rounding may change."""
     elastic, work = loaded.body.energy(now.displacement), float(target.load @ now.displacement)
     penalty = weight * _violation(loaded, now, target)
     size = abs(elastic) + float(abs(target.load) @ abs(now.displacement)) + penalty

@@ -1,8 +1,7 @@
-"""Load control of a large deformation: step after step up the load, jumps told.
+"""Load control of a large deformation: one step after another up the load, with jumps noted.
 
-Where the slips of a load step are counted from, when contacts slide far and close on the way.
-
-From a balance that Newton's method found to a certified solution of the history.
+A balance that Newton's method found becomes a certified solution of the history. Where contacts slide far and close
+within a step, their slips count from anchors.
 """
 
 from __future__ import annotations
@@ -54,11 +53,11 @@ class Program:
 
     @property
     def end(self) -> int:
-        """The last load factor."""
+        """Return the last load factor."""
         return len(self.loads) - 1
 
     def at(self, t: float) -> Target:
-        """Load and tie value, without anchors."""
+        """Return load and tie value at a load factor, without anchors."""
         leg = min(int(t), self.end - 1)
         part = t - leg
         if part == 1:
@@ -76,7 +75,7 @@ class LoadControl:
     settings: NewtonSettings
 
     def follow(self, start: Vector | LargeSolution, times: Sequence[float]) -> LargeHistory:
-        """The equilibria at the load factors, from a displacement or from a solution on the way.
+        """Find the equilibria at the load factors, from a displacement or from a solution of the path.
 
         Raises
         ------
@@ -105,7 +104,7 @@ class LoadControl:
         return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
-        """The equilibrium from which the steps set out, near a displacement."""
+        """Find the equilibrium from which the steps set out, near a displacement."""
         target = self.program.at(t)
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchor = self.loaded.contact.positions(displacement)
@@ -171,7 +170,7 @@ class LoadControl:
         return bool(negative_on(sp.csc_array(K - least * sp.identity(K.shape[0])), self.loaded.tie))
 
     def _jump(self, before: LargeSolution, balance: Balance, t: float) -> Snap | None:
-        """Of a step whose displacement does not shrink with it."""
+        """Return the jump in a step whose displacement does not shrink with it, or None."""
         low, high = before.load_factor, t
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)
@@ -195,7 +194,7 @@ class LoadControl:
 
 
 def forces_of(solution: LargeSolution) -> Forces:
-    """The forces of an equilibrium."""
+    """Return the forces of an equilibrium."""
     friction = solution.friction_force if solution.problem.frictional else None
     return Forces(solution.normal_force, solution.tie_force, friction)
 
@@ -203,7 +202,7 @@ def forces_of(solution: LargeSolution) -> Forces:
 def large_solution(
     loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
 ) -> LargeSolution:
-    """The equilibrium with the certificate of its last Newton step, and whether it is stable.
+    """Return the equilibrium with the certificate of its last Newton step, and say whether it is stable.
 
     Raises
     ------
@@ -257,7 +256,7 @@ def large_solution(
 
 
 def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
-    """How many motions that keep ties, pushing contacts and sticking ones as they are lower the energy."""
+    """Count the motions that lower the energy and leave ties, pushing contacts and sticking ones as they are."""
     K = loaded.hessian(balance.now, balance.forces)
     if positive_semidefinite(K):
         return 0
@@ -272,31 +271,31 @@ def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
 
 @dataclass(frozen=True, eq=False)
 class HeldOpen:
-    """Contacts some of which are too far away to close."""
+    """A contact geometry with gaps that are widened, so that some contacts cannot close."""
 
     geometry: ContactGeometry
     offset: Vector  # (m,) added to the gaps [length]
 
     @property
     def contacts(self) -> int:
-        """m."""
+        """Return the number of contacts m."""
         return self.geometry.contacts
 
     def state(self, displacement: Vector) -> ContactState:
-        """With wider gaps."""
+        """Return the contacts at a displacement, with the wider gaps."""
         state = self.geometry.state(displacement)
         return replace(state, gap=state.gap + self.offset)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Of the geometry."""
+        """Return the curvature of the geometry, which wider gaps leave as it is."""
         return self.geometry.curvature(displacement, normal_force)
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """Of the geometry."""
+        """Return the slips since the anchors, which wider gaps leave as they are."""
         return self.geometry.slip_since(displacement, anchor)
 
     def positions(self, displacement: Vector) -> Vector:
-        """Of the geometry."""
+        """Return the positions of the contacts (m, d) [length]."""
         return self.geometry.positions(displacement)
 
 
@@ -307,7 +306,7 @@ def balance_with_anchors(
     touching: Any,
     solve_with: Callable[[LoadedBody, Array], Balance],
 ) -> tuple[Balance, Array]:
-    """The balance at the end of a step, and the anchors (m, d) of its slips.
+    """Return the balance at the end of a step, and the anchors (m, d) of its slips.
 
     A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
     had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.

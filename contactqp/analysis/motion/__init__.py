@@ -1,6 +1,6 @@
-"""Whether a history or a solution is of a motion, told without importing what makes motions.
+"""Motions with impact; here only whether a history or a solution is of a motion, without importing their modules.
 
-What is of a class has had its module imported: where it is not there, nothing is of the class.
+An object of a class has had the module of the class imported: where that is not there, nothing is of the class.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ _HOME = "contactqp.analysis.motion.motion_history"
 
 
 def is_motion(history: Any) -> TypeGuard[MotionHistory]:
-    """Whether it is a MotionHistory."""
+    """Say whether a history is a MotionHistory."""
     return _HOME in sys.modules and isinstance(history, sys.modules[_HOME].MotionHistory)
 
 
 def is_moving(solution: Any) -> TypeGuard[Moving]:
-    """Whether it is an instant of a motion."""
+    """Say whether a solution is an instant of a motion."""
     return _HOME in sys.modules and isinstance(solution, sys.modules[_HOME].Moving)

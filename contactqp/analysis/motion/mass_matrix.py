@@ -1,6 +1,6 @@
-"""The mass matrix of a motion: what is accepted as one, and mass taken from the nodes that touch.
+"""The mass matrix of a motion: what is accepted as one, mass taken from the nodes that touch, and the critical step.
 
-The longest time step of central differences.
+The critical step is the longest time step of central differences, 2 over the highest frequency.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ DENSE_SIZE = 200
 
 
 def read_mass(mass: Any, n: int) -> Any:
-    """M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one.
+    """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def read_mass(mass: Any, n: int) -> Any:
 
 
 def _refuse_indefinite(M: Any) -> None:
-    """An indefinite mass creates energy, and the stiffness that a step adds may hide it."""
+    """Raise for an indefinite mass: it creates energy, and the stiffness that a step adds may hide it."""
     diagonal = M.diagonal()
     moving = np.flatnonzero(diagonal > 0)
     if not (M - sp.diags(diagonal)).count_nonzero():
@@ -76,12 +76,12 @@ def _refuse_indefinite(M: Any) -> None:
 
 
 def massless(mass: Any) -> NDArray[np.bool_]:
-    """(n,) the unknowns without mass."""
+    """Return which unknowns are without mass, (n,)."""
     return np.asarray(mass.diagonal() == 0)
 
 
 def touched(problem: ContactProblem) -> NDArray[np.intp]:
-    """The unknowns that contacts act on: those of E_N, with friction also those of E_T."""
+    """Return the unknowns that contacts act on: those of E_N, with friction also those of E_T."""
     rows = [problem.normal]
     if problem.frictional and problem.tangent is not None:
         rows.append(problem.tangent)
@@ -90,7 +90,7 @@ def touched(problem: ContactProblem) -> NDArray[np.intp]:
 
 @own_floating_point
 def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
-    """A mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
+    """Return a mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
 
     Their rows and columns become zero. What they had goes to their neighbours, as a diagonal change of least size that
     keeps z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
@@ -137,7 +137,9 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
 def _on_neighbours(
     graph: Any, M: Any, left: Any, bare: NDArray[np.bool_], kept: NDArray[np.bool_], Z: NDArray[np.float64]
 ) -> Vector:
-    """The diagonal change (n,) on one body that keeps Z'MZ, on as few rings of neighbours as can."""
+    """Return the diagonal change (n,) on one body that keeps Z'MZ, on as small a number of rings of neighbours as
+    can.
+    """
     pairs = [(a, b) for a in range(Z.shape[1]) for b in range(a, Z.shape[1])]
     missing = np.array([Z[:, a] @ ((M - left) @ Z[:, b]) for a, b in pairs])
     rows = np.array([Z[:, a] * Z[:, b] for a, b in pairs]).reshape(len(pairs), len(bare))
@@ -160,7 +162,8 @@ def _on_neighbours(
 
 
 def critical_step(mass: Any, stiffness: Any) -> float:
-    """2 / omega, omega the highest frequency of K x = omega^2 M x on the unknowns with mass [time]; inf without any.
+    """Return 2 / omega, omega the highest frequency of K x = omega^2 M x on the unknowns with mass [time]; inf
+    without any.
 
     Unknowns without mass are held: that makes frequencies no lower.
     """

@@ -1,7 +1,4 @@
-"""The states of a motion, and what happened in it: energies at every state, and changes of contact.
-
-The history of a motion: states at equal steps, their energies, events and, when they are looked at, solutions.
-"""
+"""The history of a motion: states at equal steps, energies and events, and solutions that are certified on access."""
 
 from __future__ import annotations
 
@@ -67,7 +64,7 @@ class MotionHistory(History):
         self._resume = resume
 
     def resume(self, duration: float) -> MotionHistory:
-        """This motion and how it goes on, with the same scheme, step and factorisation.
+        """Continue this motion with the same scheme, step and factorisation, and return the longer motion.
 
         Raises
         ------
@@ -79,7 +76,7 @@ class MotionHistory(History):
         return self._resume(self.motion.states, duration)
 
     def __copy__(self) -> MotionHistory:
-        """The same motion, which shares its states and the solutions that were looked at."""
+        """Return the same motion, which shares its states and the solutions that were finished."""
         twin = MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
         twin._solutions = self._solutions
         return twin
@@ -88,27 +85,31 @@ class MotionHistory(History):
         return self.__copy__()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: every instant looked at, and the loads at all of them. It cannot go on from there."""
+        """Return what is pickled: every instant finished, and the loads at all of them. A pickled motion cannot be
+        resumed.
+        """
         return super().__getstate__() | dict(_resume=_refuse_to_go_on)
 
     @property
     def displacements(self) -> NDArray[np.float64]:
-        """(steps, n) [length]."""
+        """Return the displacements (steps, n) [length]."""
         return read_only(np.array([state.displacement for state in self.motion.states]))
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """(steps, n) [length / time]; of central differences those half a step before, after the start's."""
+        """Return the velocities (steps, n) [length / time]; of central differences those half a step before, after
+        the start's.
+        """
         return read_only(np.array([state.velocity for state in self.motion.states]))
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
-        """(steps, m) [force], positive in compression."""
+        """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([state.normal_force for state in self.motion.states]))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
-        """(steps, m, d-1) [force], or None without friction."""
+        """Return the friction forces (steps, m, d-1) [force], or None without friction."""
         problem = self.motion.scheme.body.problem
         if not problem.frictional or problem.slip_origin is None:
             return None
@@ -117,7 +118,7 @@ class MotionHistory(History):
 
     @property
     def tie_forces(self) -> NDArray[np.float64]:
-        """(steps, k) [force]."""
+        """Return the tie forces (steps, k) [force]."""
         return read_only(np.array([state.tie_force for state in self.motion.states]))
 
 
@@ -127,7 +128,7 @@ def _refuse_to_go_on(*_: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Instant:
-    """One state, made a solution and certified when it is looked at."""
+    """One state, made a solution and certified on first access."""
 
     motion: Motion
     number: int
@@ -137,7 +138,7 @@ class _Instant:
 
 
 def _solution_at(motion: Motion, k: int) -> Moving:
-    """Instant k with the certificate of the step that ended there; the start is certified as it was given."""
+    """Return instant k with the certificate of the step that ended there; the start is certified as it was given."""
     body, state = motion.scheme.body, motion.states[k]
     problem = body.problem.replace(load=motion.load(motion.time(k)))
     before = motion.states[max(k - 1, 0)].displacement
@@ -175,7 +176,7 @@ def _shaped(friction: Vector, problem: ContactProblem) -> NDArray[np.float64]:
 
 
 def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
-    """The problem of the step that ends at k. A contact that it may not close gets a gap that stays open."""
+    """Return the problem of the step that ends at k. A contact that it may not close gets a gap that stays open."""
     template = motion.scheme.templates[-1]
     m, ties = template.contacts, template.ties
     tangential = 0 if template.slip_origin is None else template.slip_origin.size
@@ -203,7 +204,7 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
 
 
 def events(motion: Motion) -> Iterator[Event]:
-    """Contacts that begin or cease to push, and, with friction, to slip."""
+    """Return the contacts that begin or cease to push and, with friction, to slip."""
     problem = motion.scheme.body.problem
     slipping = np.zeros(problem.contacts, dtype=bool)
     pairs = enumerate(pairwise(motion.states), start=1)
@@ -233,7 +234,7 @@ def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:
 
 
 def energies(motion: Motion) -> Iterator[Energies]:
-    """Of every state, a block at a time.
+    """Return the energies of every state, computed a block at a time.
 
     What the normal forces take is their work along the scheme's way. A scheme that keeps energy without contact has
     lost to the impact, or made of it, whatever else is missing after a step beside contact forces.
@@ -267,7 +268,7 @@ def energies(motion: Motion) -> Iterator[Energies]:
 
 
 def _stored(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Elastic and kinetic energy, (2, states)."""
+    """Return elastic and kinetic energy, (2, states)."""
     scheme, body = motion.scheme, motion.scheme.body
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
     elastic = np.einsum("ij,ij->i", u, (body.stiffness @ u.T).T) / 2
@@ -280,7 +281,7 @@ def _stored(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> N
 
 
 def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The work of the loads, what normal forces took and what friction took, (3, steps)."""
+    """Return the work of the loads, of normal forces and of friction in each step, (3, steps)."""
     scheme, problem = motion.scheme, motion.scheme.body.problem
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
     ways, weight = scheme.contact_motion(u, v), scheme.contact_weight()
@@ -301,7 +302,7 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
 
 @dataclass(frozen=True, eq=False)
 class TabulatedLoad(ReadOnly):
-    """A load at the instants of a motion."""
+    """The values of a load at the instants of a motion."""
 
     times: tuple[float, ...]
     loads: NDArray[np.float64]
@@ -323,7 +324,7 @@ class Motion:
     work: Callable[[], Any]  # Work so far
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: the states, and of the load its values at their times."""
+        """Return what is copied or pickled: the states, and the load by its values at their times."""
         times = [self.time(k) for k in range(len(self.states))]
         known = TabulatedLoad(tuple(times), np.array([self.load(instant) for instant in times]))
         return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
@@ -332,7 +333,7 @@ class Motion:
         return self.start + k * self.scheme.body.step
 
     def posed(self, k: int) -> tuple[StepProblem, StepResult]:
-        """What the scheme posed last for step k, the step that ends at state k, and its answer."""
+        """Return the problem that the scheme stated last for step k, the step that ends at state k, and its result."""
         before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
         *earlier, found = self.scheme.answered(before, self.states[k])
         return self.scheme.pose(before, load, next_load, tuple(earlier)), found

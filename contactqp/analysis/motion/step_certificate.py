@@ -1,9 +1,9 @@
-"""Many steps of a motion judged at once, by the figures of the certificate.
+"""The certificate of many steps of a motion at once, by the figures of the certificate.
 
 All steps of a scheme share stiffness and rows: the figures of a block of them are those of
 `contactqp.certificate.figures`, formed by products with a whole block. Residuals are in double precision: each entry
-is known to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. It judges what was
-posed; who answered does not matter.
+is exact to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. The problems are
+judged as the scheme states them, whatever found their results.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ class StepFigures:
     tie: Block
 
     def first_above(self, tolerance: float) -> tuple[int, str, float] | None:
-        """The first step with a figure above a tolerance, its worst figure and how large that is; NaN is infinite."""
+        """Return the first step with a figure above a tolerance, its worst figure and the size of that; NaN counts
+        as infinite.
+        """
         values = np.array([getattr(self, name) for name in FIGURES])
         values = np.where(np.isnan(values), np.inf, values)
         beyond = np.flatnonzero(np.any(values > tolerance, axis=0))
@@ -56,7 +58,7 @@ class StepFigures:
 
 
 class StepJudge:
-    """What the figures need of a template."""
+    """The data of a template that the figures need."""
 
     def __init__(self, template: ContactProblem) -> None:
         self._problem = template
@@ -74,13 +76,13 @@ class StepJudge:
     def refused(
         self, posed: list[StepProblem], answered: list[StepResult], tolerance: float
     ) -> tuple[int, str, float] | None:
-        """The first step of a block that is refused, its worst figure and how large that is."""
+        """Return the first step of a block that is refused, its worst figure and the size of that, or None."""
         if self._plainly_right(posed, answered, tolerance):
             return None
         return self.figures(posed, answered).first_above(tolerance)
 
     def _plainly_right(self, posed: list[StepProblem], answered: list[StepResult], tolerance: float) -> bool:
-        """Whether steps without friction or ties are right by less than all of what meets.
+        """Say whether steps without friction or ties are right by less than all of what meets there.
 
         Residuals within tolerance of K_jj |x_j| + |E_N|'l_N, gaps within that of |E_N||x| + |g|: the figures are then
         no larger. Step by step, while a step's vectors are in the cache.
@@ -103,7 +105,7 @@ class StepJudge:
         return True
 
     def _contacts_hold(self, p: StepProblem, a: StepResult, size: Vector, tolerance: float) -> bool:
-        """Whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
+        """Say whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
         room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
         seen = np.ones(len(room), dtype=bool) if p.closable is None else p.closable
         if (a.normal < 0).any() or (pushes & ~seen).any():
@@ -114,7 +116,7 @@ class StepJudge:
         return not (wrong & (abs(room) > tolerance * (self._sizes[1] @ size + abs(p.gap)))).any()
 
     def figures(self, posed: list[StepProblem], answered: list[StepResult]) -> StepFigures:
-        """The figures of a block of steps."""
+        """Return the figures of a block of steps."""
         problem = self._problem
         x, (load, F) = np.column_stack([a.unknown for a in answered]), self._loads(posed)
         normal, tie = np.column_stack([a.normal for a in answered]), np.column_stack([a.tie for a in answered])
@@ -220,5 +222,5 @@ class StepJudge:
 
 
 def _worst(values: Block) -> Block:
-    """The worst of each step, NaN included."""
+    """Return the worst figure of each step, NaN included."""
     return np.asarray(np.max(values, axis=0, initial=0.0))

@@ -1,17 +1,16 @@
 """Contact within one time step: one factorisation for all steps, one back-substitution and a small problem in each.
 
-A scheme poses every step as a `ContactProblem` with the same stiffness and rows,
+A scheme states every step as a `ContactProblem` with the same stiffness and rows,
 
     K x + E_N'l_N + E_T'l_T + A'nu = f,    E_N x <= g,  l_N >= 0,  l_N (g - E_N x) = 0,    A x = b
 
 with Coulomb's law for l_T. x is a displacement or a velocity, l a force or an impulse, whichever the scheme takes.
-
-Contact forces of one time step without friction, from the Delassus operator of the step.
+Without friction the forces follow from the Delassus operator W of the step,
 
     gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
 
-c (m,) is the gap without contact forces. The active set of the step before is where the search starts; any other
-method is given the same minimum as a problem of its own, whose multipliers are the gaps.
+with c (m,) the gap without contact forces. The search starts at the active set of the step before; any other method is
+given the same minimum as a problem of its own, whose multipliers are the gaps.
 """
 
 from __future__ import annotations
@@ -54,7 +53,9 @@ SQUEEZED = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """What one step asks; where there is a base, the load is f - K base, which cancels less than f does."""
+    """The data of one step of a scheme; where there is a base, the load is f - K base, which cancels less than f
+    does.
+    """
 
     load: Vector  # (n,) on x, or on x - base
     gap: Vector  # (m,); has no meaning where a contact is not looked at
@@ -66,7 +67,7 @@ class StepProblem:
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """What a step answers, in the scheme's unknowns."""
+    """The unknown and the forces of one step, in the units of the scheme."""
 
     unknown: Vector  # x (n,)
     normal: Vector  # (m,)
@@ -76,7 +77,7 @@ class StepResult:
 
 
 class StepContact:
-    """The steps of one template, whose stiffness, rows and friction are those of every step."""
+    """The solver of all steps of one template, whose stiffness, rows and friction every step shares."""
 
     def __init__(self, template: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self.template, self._method, self._options = template, method, options
@@ -118,7 +119,7 @@ class StepContact:
         return rows.reshape(-1, self._E.shape[1])
 
     def _refuse_options(self) -> None:
-        """What a method says of its options at the first contact it says before the motion begins."""
+        """Raise for options that the method refuses, before the motion begins."""
         if self._frictional:
             width = 1 + len(self._T) // self.template.contacts
             still, pressed = np.array([OPEN], dtype=np.int8), -np.eye(width)[0]
@@ -145,14 +146,14 @@ class StepContact:
         return np.asarray((self._condensation.schur_factor().solve((right.T * scale).T).T * scale).T)
 
     def _respond(self, right: Array) -> Array:
-        """S^-1 right, without ties."""
+        """Return S^-1 right, without ties."""
         if not len(right) or len(right) > FEW:
             return self._solved(right) if len(right) else right
         x = self._inverse @ right
         return np.asarray(x + self._inverse @ (right - self._condensation.schur @ x))
 
     def _compliance(self, right: Array) -> Array:
-        """The response of the contact unknowns to loads on them, ties held."""
+        """Return the response of the contact unknowns to loads on them, with ties kept."""
         if not right.size:
             return right.copy()
         x = self._respond(right)
@@ -161,7 +162,7 @@ class StepContact:
         return x
 
     def solve(self, posed: StepProblem) -> StepResult:
-        """x and the forces of one step.
+        """Return x and the forces of one step.
 
         Raises
         ------
@@ -196,7 +197,7 @@ class StepContact:
         return StepResult(x if posed.base is None else posed.base + x, normal, friction, tie, x)
 
     def _response(self, normal: Vector, friction: Vector) -> tuple[Vector, Vector]:
-        """What contact forces move, and the tie forces (k,) that they call up."""
+        """Return what contact forces move, and the tie forces (k,) that they cause."""
         pull = self._E.T @ normal
         if self._frictional:
             pull = pull + self._T.T @ friction
@@ -257,7 +258,7 @@ class StepContact:
         return gap - self._E @ base, origin, value - self._A @ base
 
     def respond_closed(self, load: Vector, closed: NDArray[np.intp]) -> Vector:
-        """x under a load with some contacts held closed, E_N x = 0, and ties at zero."""
+        """Return x under a load with some contacts kept closed, E_N x = 0, and ties at zero."""
         condensation = self._condensation
         reduced, inner = condensation.reduce_load(load)
         rows = np.vstack([self._E[closed], self._A])
@@ -269,7 +270,7 @@ class StepContact:
     def _forces(
         self, c: Vector, closable: NDArray[np.bool_] | None, free: Vector, origin: Any
     ) -> tuple[Vector, Vector]:
-        """l_N and l_T of contacts whose gaps without forces are c."""
+        """Return l_N and l_T of contacts whose gaps without forces are c."""
         m = self.template.contacts
         normal, friction = np.zeros(m), np.zeros(self._rubbing)
         closing = c < 0 if closable is None else (c < 0) & closable
@@ -303,7 +304,7 @@ class StepContact:
 
 
 def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, options: dict[str, Any]) -> Vector:
-    """l (m,) [force] of frictionless contacts, started from a guess of those that push."""
+    """Return l (m,) [force] of frictionless contacts, searched from a guess of those that push."""
     if method == "active-set" and not options:
         found = _by_active_set(W, c, start)
         if found is not None:
@@ -322,7 +323,7 @@ def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, op
 
 
 def _by_active_set(W: Array, c: Vector, start: NDArray[np.bool_]) -> Vector | None:
-    """The primal-dual active set (Hintermueller, Ito and Kunisch 2003); None where it cycles or W is singular."""
+    """Run the primal-dual active set (Hintermueller, Ito and Kunisch 2003); None where it cycles or W is singular."""
     pushes = start | (c < 0)
     force = np.zeros(len(c))
     for _ in range(MAX_CHANGES):

@@ -34,7 +34,7 @@ REFINEMENTS = 2
 def frictional_forces(
     W: Array, c: Vector, friction: Vector, start: States, method: str, options: dict[str, Any]
 ) -> tuple[Vector, NDArray[np.float64]]:
-    """l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
+    """Return l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ def frictional_forces(
 
 
 def states_of(normal: Vector, friction: Array, coefficient: Vector) -> States:
-    """The states (m,) of forces in the plane: l_T of a contact that slips on is positive."""
+    """Return the states (m,) of forces in the plane; l_T of a contact in SLIP_ON is positive."""
     slips = abs(friction[:, 0]) >= (1 - ON_CONE) * coefficient * normal
     state = np.where(slips, np.where(friction[:, 0] >= 0, SLIP_ON, SLIP_BACK), STICK)
     return np.where(normal > 0, state, OPEN).astype(np.int8)
 
 
 def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Array) -> Array:
-    """The change (m, d) of forces on the body that takes away what is left (m, d) of gaps and slips.
+    """Return the change (m, d) of forces on the body that removes the residuals (m, d) of gaps and slips.
 
     Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.
     """
@@ -83,7 +83,7 @@ def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Arra
 
 
 def _by_states(W: Array, c: Vector, friction: Vector, start: States) -> Array | None:
-    """Forces (m, 2) on the body whose states agree with what they do, None where the states cycle."""
+    """Return forces (m, 2) on the body that agree with their states, or None where the states cycle."""
     m = len(friction)
     state = start.copy()
     size_of_c, seen = abs(c), set()
@@ -114,7 +114,7 @@ def _by_states(W: Array, c: Vector, friction: Vector, start: States) -> Array | 
 
 
 def _in_states(W: Array, c: Vector, friction: Vector, state: States) -> Array | None:
-    """Forces (m, 2) that close what is not open and stop what sticks; None where they are not determined."""
+    """Return forces (m, 2) that close what is not open and stop what sticks, or None where they are not determined."""
     m = len(friction)
     rows = np.column_stack([state != OPEN, state == STICK]).ravel()
     constrained = np.flatnonzero(rows)
@@ -134,7 +134,7 @@ def _in_states(W: Array, c: Vector, friction: Vector, state: States) -> Array | 
 
 
 def _refined(W: Array, c: Vector, friction: Vector, force: Array) -> Array:
-    """Forces (m, d) on the body whose closed gaps and sticking slips vanish to rounding of their own terms.
+    """Refine forces (m, d) on the body until closed gaps and sticking slips vanish to rounding of their own terms.
 
     A step may hardly move what large forces hold: the answer to the contacts, right to a part of the largest force, is
     then no better than the velocities that are left.

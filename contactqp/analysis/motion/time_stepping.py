@@ -1,11 +1,10 @@
-"""How long a contact lasts: half a period of the slowest vibration that an impact excites.
+"""The steps of a motion: each stated by the scheme, solved, and certified together with its neighbours.
 
-A rod of length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end
-held. On matrices: omega the lowest frequency with the closed contacts held that is not zero and that the velocities at
-the impact excite, time pi / omega. It comes from Lanczos' method on the operator of a time step, which is factorised
-already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
-
-The steps of a motion: each posed by the scheme, solved, and certified with its neighbours.
+A step must resolve how long a contact lasts: half a period of the slowest vibration that an impact excites. A rod of
+length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end fixed. On
+matrices: omega is the lowest frequency with the closed contacts kept closed that is not zero and that the velocities at
+the impact excite, the time is pi / omega. It comes from Lanczos' method on the operator of a time step, which is
+factorised already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ SPANNED = 1e-12
 
 
 class MotionRun:
-    """One motion as it is made."""
+    """One motion while its steps are taken."""
 
     def __init__(
         self, scheme: Scheme, load: Callable[[float], Vector], start: float, method: str, options: dict[str, Any]
@@ -81,7 +80,7 @@ class MotionRun:
         self._motion.states.append(self._scheme.first(u, v, self._load(self._motion.start)))
 
     def lasting(self, duration: float) -> MotionHistory:
-        """The history so far and of the steps that a duration takes."""
+        """Take the steps of a duration and return the history from the start."""
         refuse_not_positive("duration", duration)
         with np.errstate(over="ignore"):
             ratio = float(np.float64(duration) / self._scheme.body.step)
@@ -93,7 +92,7 @@ class MotionRun:
         return self._steps(max(round(ratio) if whole else int(np.ceil(ratio)), 1))
 
     def _resumed(self, states: list[State], duration: float) -> MotionHistory:
-        """What `MotionHistory.resume` asks for: these states and more, the first history untouched."""
+        """Continue from these states for `MotionHistory.resume`, and leave the first history untouched."""
         twin = copy.copy(self)
         twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds), work=twin._work)
         twin._impacts = copy.deepcopy(self._impacts)
@@ -102,7 +101,7 @@ class MotionRun:
         return twin.lasting(duration)
 
     def _steps(self, count: int) -> MotionHistory:
-        """So many steps, certified."""
+        """Take a number of steps and certify them."""
         began, motion = time.perf_counter() - self._motion.seconds[0], self._motion
         first, state = len(motion.states), motion.states[-1]
         load = self._load(motion.time(first - 1))
@@ -141,7 +140,7 @@ class MotionRun:
         return self._scheme.accept(state, answers)
 
     def _steps_since(self, done: int) -> int:
-        """How many of the steps done no block has certified."""
+        """Count the steps so far that no block has certified."""
         return done - self._certified
 
     def _judge(self, last: int) -> None:
@@ -203,7 +202,7 @@ class MotionRun:
         )
 
     def check_critical_step(self, penalty: float | None) -> None:
-        """Refuse an unstable step; of penalty springs warn, since they act in contact only."""
+        """Refuse an unstable step; warn of one that penalty springs make unstable, as they act in contact only."""
         body = self._scheme.body
         limit = critical_step(body.mass, body.stiffness)
         if body.step > limit * (1 + CRITICAL):
@@ -227,7 +226,7 @@ class MotionRun:
 
 
 def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: float, velocity: Vector) -> float | None:
-    """omega [1 / time], or None where all motions are rigid.
+    """Return omega [1 / time], or None where all motions are rigid.
 
     Parameters
     ----------
@@ -262,14 +261,14 @@ def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: f
 
 
 class FirstImpacts:
-    """Which contacts have closed by an impact so far: each is looked at when it does so first."""
+    """The contacts that have closed by an impact so far; each is reported at its first impact."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
         self.awaited = problem.contacts > 0
 
     def new(self, before: State, now: State) -> NDArray[np.intp]:
-        """Contacts that begin to push in a step, approaching, for the first time."""
+        """Return the contacts that begin to push in a step, approaching, for the first time."""
         closing = np.flatnonzero((now.normal_force > 0) & (before.normal_force <= 0) & ~self._met)
         if len(closing):
             closing = closing[self._normal[closing] @ before.velocity > 0]
@@ -279,7 +278,7 @@ class FirstImpacts:
 
 
 def meeting(problem: ContactProblem, mass: Any, contacts: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(n,) the unknowns of the bodies that contacts act on; ties make one body of two. Others are bystanders."""
+    """Return which unknowns belong to the bodies that contacts act on, (n,); ties make one body of two."""
     from scipy.sparse.csgraph import connected_components
 
     tied = abs(problem.tie).T @ abs(problem.tie)

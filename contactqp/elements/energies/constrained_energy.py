@@ -1,6 +1,7 @@
-"""A quadratic energy with parts and constraints, its minimum, and what each part carries there.
+"""A quadratic energy with parts and constraints, its minimum, and the state of each part there.
 
-What a part of a structure adds to a quadratic energy, and what the minimum says about it.
+A part of a structure contributes energy, unknowns of its own and constraints; the multipliers of the minimum are its
+forces.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ DENSE_SIZE = 64
 
 @dataclass(frozen=True)
 class Square:
-    """1/2 stiffness (form(u) - offset)^2."""
+    """The energy 1/2 stiffness (form(u) - offset)^2."""
 
     form: Form
     stiffness: float
@@ -42,7 +43,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Condition:
-    """form(u) <= bound, or = bound in a tie."""
+    """The constraint form(u) <= bound, or form(u) = bound in a tie."""
 
     name: str
     form: Form
@@ -51,7 +52,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a part adds: unknowns of its own, energy, constraints."""
+    """The unknowns, energy and constraints that a part adds."""
 
     internal: tuple[str, ...] = ()
     squares: tuple[Square, ...] = ()
@@ -62,7 +63,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Found:
-    """Unknowns and multipliers of a minimum by their names."""
+    """Unknowns and multipliers of a minimum, by their names."""
 
     unknown: Mapping[str, float]
     multiplier: Mapping[str, float]  # of conditions, one-sided ones not negative
@@ -73,7 +74,7 @@ class Found:
 
 @dataclass(frozen=True)
 class PartState:
-    """One part at the minimum."""
+    """The state of one part at the minimum."""
 
     deformation: float  # elongation, rotation, or the bounded combination of unknowns
     force: float  # what the part resists it with; the docstring of the part says which sign
@@ -88,14 +89,14 @@ class Part(Protocol):
     def name(self) -> str: ...
 
     def contribution(self) -> Contribution:
-        """What it adds."""
+        """Return what the part adds."""
 
     def state(self, found: Found) -> PartState:
-        """What became of it."""
+        """Return the state of the part at a minimum."""
 
 
 def read_form(part: str, given: Any) -> dict[str, float]:
-    """A linear form as its user wrote it, zeros left out.
+    """Read a linear form as its user wrote it, without zeros.
 
     Raises
     ------
@@ -112,7 +113,7 @@ def read_form(part: str, given: Any) -> dict[str, float]:
 
 
 def read_number(what: str, value: Any, *, positive: bool = False, above: float | None = None) -> float:
-    """A finite number.
+    """Read a finite number.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def read_number(what: str, value: Any, *, positive: bool = False, above: float |
 
 
 def plus(form: Form, others: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """A form with unknowns of the part's own."""
+    """Return a form with unknowns of the part's own added."""
     return dict(form) | dict(others)
 
 
@@ -140,7 +141,7 @@ def minus(form: Form) -> dict[str, float]:
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedEnergy:
-    """min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
+    """The problem min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
 
     Parameters
     ----------
@@ -207,12 +208,12 @@ class ConstrainedEnergy:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The user's unknowns."""
+        """Return the user's unknowns."""
         return tuple(self.unknowns)  # type: ignore[arg-type]  # names, since __post_init__
 
     @property
     def all_unknowns(self) -> tuple[str, ...]:
-        """The user's unknowns, and those that parts bring with them."""
+        """Return the user's unknowns, and those that parts bring with them."""
         return (*self.names, *chain.from_iterable(added.internal for added in self._contributions.values()))
 
     @property
@@ -225,7 +226,7 @@ class ConstrainedEnergy:
 
     @property
     def constant(self) -> float:
-        """What the energy is at u = 0: 1/2 k offset^2 of what is prestressed."""
+        """Return the energy at u = 0: 1/2 k offset^2 of the prestressed parts."""
         squares = chain.from_iterable(added.squares for added in self._contributions.values())
         return float(sum(square.stiffness * square.offset**2 / 2 for square in squares))
 
@@ -268,14 +269,14 @@ class ConstrainedEnergy:
         return sp.csc_matrix((entries.data, (entries.row, entries.col)), shape=(n, n))
 
     def solve(self, method: str = "active-set", **options: Any) -> ConstrainedMinimum:
-        """The minimum; parameters and errors as `contactqp.solve`.
+        """Return the minimum; parameters and errors are those of `contactqp.solve`.
 
         A load that nothing resists, such as one beyond the plastic limit, is `NoEquilibrium`.
         """
         return self.read(solve(self.problem, method, **options))
 
     def read(self, solution: Solution) -> ConstrainedMinimum:
-        """What a solution of `problem`, however it was found, says about the parts."""
+        """Return what a solution of `problem`, however it was found, says about the parts."""
         if solution.problem.dof_names != self.problem.dof_names:
             raise InvalidProblem("read: expected a solution of this energy's own problem")
         return ConstrainedMinimum(self, solution)
@@ -284,7 +285,7 @@ class ConstrainedEnergy:
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedMinimum(ReadOnly):
-    """Where the energy is least, and what its parts carry there; `minimum["x"]` is an unknown."""
+    """The minimum of the energy and the state of every part there; `minimum["x"]` is an unknown."""
 
     of: ConstrainedEnergy
     solution: Solution
@@ -295,12 +296,12 @@ class ConstrainedMinimum(ReadOnly):
 
     @property
     def displacement(self) -> Vector:
-        """(n,) the user's unknowns, in their order."""
+        """Return the user's unknowns (n,), in their order."""
         return np.asarray(self.solution.displacement[: len(self.of.names)])
 
     @property
     def energy(self) -> float:
-        """1/2 u'Ku - f'u and the energies of the parts."""
+        """Return 1/2 u'Ku - f'u and the energies of the parts."""
         return self.solution.energy + self.of.constant
 
     def __getitem__(self, name: str) -> float:
@@ -308,12 +309,12 @@ class ConstrainedMinimum(ReadOnly):
 
     @property
     def multiplier(self) -> Mapping[str, float]:
-        """Of every constraint by its name; those of one-sided ones are not negative."""
+        """Return the multiplier of every constraint by its name; those of one-sided ones are not negative."""
         return self._found.multiplier
 
     @cached_property
     def parts(self) -> Mapping[str, PartState]:
-        """What each part carries."""
+        """Return the state of each part by its name."""
         return {part.name: part.state(self._found) for part in self.of.parts}
 
     @cached_property

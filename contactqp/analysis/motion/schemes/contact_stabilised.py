@@ -17,7 +17,7 @@ from contactqp.model.arrays import Vector
 
 
 class ContactStabilised(Scheme):
-    """x = w, then x = u+."""
+    """The scheme with the unknowns x = w, then x = u+."""
 
     name = "deuflhard-krause-ertel"
 
@@ -44,7 +44,7 @@ class ContactStabilised(Scheme):
         return State(found.unknown, v, found.normal, found.friction, found.tie, state.displacement)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
-        """The forces of the projection are not kept."""
+        """Return the results of both problems; the forces of the projection are not kept."""
         (found,) = super().answered(before, after)
         motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))

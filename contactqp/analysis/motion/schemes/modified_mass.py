@@ -24,7 +24,7 @@ from contactqp.model.arrays import Vector
 
 
 class ModifiedMassCentral(TwoStep):
-    """x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
+    """The scheme with x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
 
     name = "modified-mass-central"
 
@@ -48,7 +48,7 @@ class ModifiedMassCentral(TwoStep):
         return {name: value for name, value in self.__dict__.items() if name != "_mass"}
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """a0 where there is mass."""
+        """Return the acceleration at the start where there is mass, 0 elsewhere."""
         del velocity
         acceleration = np.zeros(len(load))
         force = load - self.body.stiffness @ displacement

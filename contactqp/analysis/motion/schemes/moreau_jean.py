@@ -32,7 +32,7 @@ TOUCHING = 64 * np.finfo(float).eps
 
 
 class MoreauJean(Scheme):
-    """x = v+, forces are impulses."""
+    """The scheme with x = v+, whose forces are impulses."""
 
     name = "moreau-jean"
 
@@ -64,7 +64,7 @@ class MoreauJean(Scheme):
         return StepProblem(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
-        """-e E_N v, and nothing where that is no more than a part of what the forces of a step would change."""
+        """Return -e E_N v, and 0 where that is a negligible part of what the forces of a step would change."""
         rebound = -self._restitution * (self._normal @ velocity[self._touched])
         change = self._normal_size @ (abs(force[self._touched]) / self._inertia_of_touched)
         return np.where(abs(rebound) <= NO_REBOUND * change, 0.0, rebound)
@@ -84,7 +84,7 @@ class MoreauJean(Scheme):
         return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
 
     def contact_motion(self, displacements: Block, velocities: Block) -> Block:
-        """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
+        """Return h (v_(k+1) + v_k) / 2: an impulse does the work P'E (v+ + v) / 2."""
         del displacements
         return self.body.step * (velocities[1:] + velocities[:-1]) / 2
 

@@ -23,7 +23,7 @@ from contactqp.model.arrays import Vector
 
 
 class Trapezoidal(Scheme):
-    """x = u+, forces are those at the end of the step."""
+    """The scheme with x = u+, whose forces are those at the end of the step."""
 
     def __init__(self, body: Body, name: str) -> None:
         self.body, self.name = body, name
@@ -40,7 +40,9 @@ class Trapezoidal(Scheme):
         self._tie_share = np.where(body.on_massless("tie", name), 1.0, 0.5)
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """The contact forces of bodies that rest on each other; they count half in the first step."""
+        """Return the start with the contact forces of bodies that rest on each other; they count half in the first
+        step.
+        """
         state = super().first(displacement, velocity, load)
         _, normal_force, friction_force = self.body.starting(displacement, velocity, load)
         return replace(state, normal_force=normal_force, friction_force=friction_force)
@@ -67,12 +69,14 @@ class Trapezoidal(Scheme):
         return (replace(super().answered(before, after)[0], tie=after.tie_force / self._tie_share),)
 
     def contact_weight(self) -> Vector:
-        """Half of a force works before its instant and half after; all of it where there is no mass."""
+        """Return 1/2, as half of a force works before its instant and half after, and 1 where there is no mass."""
         return np.where(self._bare_contacts, 1.0, 0.5)
 
 
 class BackwardEuler(Scheme):
-    """x = u+:  M (v+ - v) / h + K u+ + E'l + A'nu = f+,  u+ = u + h v+,  E_N u+ <= g. It loses energy everywhere."""
+    """The scheme with x = u+: M (v+ - v) / h + K u+ + E'l + A'nu = f+, u+ = u + h v+, E_N u+ <= g. It loses energy
+    everywhere.
+    """
 
     name = "backward-euler"
     keeps_energy = False

@@ -20,7 +20,7 @@ from contactqp.model.arrays import Vector
 
 
 class _Central(TwoStep):
-    """x = u+, forces are those of the start of the step."""
+    """Central differences with x = u+, whose forces are those of the start of the step."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -36,7 +36,7 @@ class _Central(TwoStep):
 
 
 class PaoliSchatzman(_Central):
-    """Contact by a projection, with restitution e."""
+    """Central differences with contact by a projection, with restitution e."""
 
     name = "paoli-schatzman"
 
@@ -54,7 +54,7 @@ class PaoliSchatzman(_Central):
 
 
 class ExplicitPenalty(_Central):
-    """Contact by springs of stiffness beta, which overlap by l_N / beta."""
+    """Central differences with contact springs of stiffness beta, which overlap by l_N / beta."""
 
     name = "penalty"
 
@@ -84,19 +84,21 @@ class ExplicitPenalty(_Central):
         return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """a0 of bodies on contact springs, which hold nothing before they are pressed."""
+        """Return the acceleration at the start of bodies on contact springs, which carry nothing before they are
+        pressed.
+        """
         free = replace(self.body, problem=self.body.problem.with_contacts(np.zeros(0, dtype=np.intp)))
         pushed = load - self.body.problem.normal.T @ self._springs(displacement)
         return free.starting(displacement, velocity, pushed)[0]
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
-        """1/2 v'M v+, v+ with the forces of the springs too."""
+        """Return 1/2 v'Mv+ of every state, with the forces of the springs in v+ too."""
         return super().kinetic(
             displacements, velocities, loads - self._springs(displacements.T).T @ self.body.problem.normal
         )
 
     def _springs(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(m,) forces of one displacement (n,), or (m, steps) of several (n, steps)."""
+        """Return the forces (m,) of one displacement (n,), or (m, steps) of several (n, steps) [force]."""
         problem = self.body.problem
         overlap = (problem.normal @ displacement).T - problem.gap
         return np.asarray(self._penalty * np.maximum(overlap, 0.0).T)
