@@ -21,7 +21,7 @@ import numpy as np
 
 from contactqp.analysis.friction_events import ExactPath, Segment
 from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
-from contactqp.analysis.history import Event, History, LazySolutions
+from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
 from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.figures import holds
 from contactqp.certificate.uniqueness import SEVERAL
@@ -182,11 +182,8 @@ class FrictionSteps(LazySolutions):
         self._states.append((state.pushes, state.slides))
 
     def changes(self, times: Sequence[float]) -> Iterator[Event]:
-        """Yield every change of contact state, at the first step that shows it."""
-        for (before, now), time in zip(pairwise(self._states), times[1:], strict=True):
-            for i in range(self._problem.contacts):
-                for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
-                    yield Event(kind, i, time, self._problem.contact_name(i))
+        """Return every change of contact state, at the first step that shows it."""
+        return contact_changes(self._states, times, self._problem.contact_name)
 
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
@@ -214,16 +211,6 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
     if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
         return PlaneStepper(problem, method, {**options, "algorithm": None})
     return SolveStepper(problem, method, options)
-
-
-def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
-    """Name the events of a contact whose state (pushes, slides) changes from `before` to `now`."""
-    (pushed, slid), (pushes, slides) = before, now
-    if pushed != pushes:
-        return (["closed", "slip"] if slides else ["closed"]) if pushes else ["opened"]
-    if pushed and slid != slides:
-        return ["slip" if slides else "stick"]
-    return []
 
 
 def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from contactqp.errors import ContactQPError, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.polishing import OnSet, answer_on
-from contactqp.model.arrays import Indices, Vector
+from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -171,6 +171,29 @@ class History(ReadOnly, Sequence[Solution]):
 
     def __repr__(self) -> str:
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
+
+
+def contact_changes(
+    states: Iterable[tuple[Mask, Mask]], times: Iterable[float], name: Callable[[int], str]
+) -> Iterator[Event]:
+    """Yield every change of contact state, at the first instant that shows it.
+
+    Parameters
+    ----------
+    states : iterable of pairs of (m,) masks
+        Which contacts push, and which of them slide, at each instant.
+    times : iterable of float
+        The time of each instant; the first one has no events.
+    name : function
+        The name of a contact by its number.
+    """
+    instants = zip(states, times, strict=True)
+    for ((pushed, slid), _), ((pushes, slides), time) in pairwise(instants):
+        for i in np.flatnonzero((pushed != pushes) | (slid != slides)).tolist():
+            if pushed[i] != pushes[i]:
+                yield Event("closed" if pushes[i] else "opened", i, time, name(i))
+            if pushes[i] and slid[i] != slides[i]:
+                yield Event("slip" if slides[i] else "stick", i, time, name(i))
 
 
 def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.friction_path import follow_on_springs, follow_with_friction
-from contactqp.analysis.history import Event, History, LazySolutions, events_of_leg
+from contactqp.analysis.history import Event, History, LazySolutions, contact_changes, events_of_leg
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.idle_rows import acting_rows
@@ -195,9 +195,6 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
 
 
 def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
-    """Yield the contacts that carry a force at one step and none at the one before, or the reverse."""
-    for (before, now), time in zip(pairwise(solutions), times[1:], strict=True):
-        was, carries = before.normal_force > 0, now.normal_force > 0
-        for i in np.flatnonzero(was != carries):
-            kind = "closed" if carries[i] else "opened"
-            yield Event(kind, int(i), time, now.problem.contact_name(int(i)))
+    """Return the contacts that carry a force at one step and none at the one before, or the reverse."""
+    states = ((solution.normal_force > 0, np.zeros(len(solution.normal_force), dtype=bool)) for solution in solutions)
+    return contact_changes(states, times, lambda i: solutions[0].problem.contact_name(i))

@@ -9,16 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
@@ -311,10 +310,9 @@ class _Found:
 
     def events(self) -> Iterator[Event]:
         """Return the contacts that close, open, slip or stick, at the first solution that shows it."""
-        for before, now in pairwise(self.solutions):
-            for i in range(len(now.normal_force)):
-                for kind in _kinds(_doing(before, i), _doing(now, i)):
-                    yield Event(kind, i, now.load_factor, now.problem.contact_name(i))
+        states = (_pushes_and_slides(solution) for solution in self.solutions)
+        times = (solution.load_factor for solution in self.solutions)
+        return contact_changes(states, times, lambda i: self.solutions[0].problem.contact_name(i))
 
     def energies(self) -> Iterator[Energies]:
         """Return the elastic energy of the body, the work of loads and ties by the trapezoidal rule, and the sum of
@@ -333,18 +331,6 @@ class _Found:
             yield Energies(now.elastic, kinetic=0.0, work=work, dissipated=dissipated)
 
 
-def _doing(solution: LargeSolution, i: int) -> str:
-    status = str(solution.contact_status[i])
-    return status if status in ("stick", "slip") else "closed" if solution.normal_force[i] > 0 else "open"
-
-
-def _kinds(before: str, now: str) -> list[str]:
-    """Name the events that lead from one state to the next."""
-    if before == now:
-        return []
-    if now == "open":
-        return ["opened"]
-    closes = ["closed"] if before == "open" else []
-    slips = ["slip"] if now == "slip" else []
-    sticks = ["stick"] if now == "stick" and before == "slip" else []
-    return closes + slips + sticks
+def _pushes_and_slides(solution: LargeSolution) -> tuple[Mask, Mask]:
+    slides = solution.contact_status == "slip"
+    return slides | (solution.contact_status == "stick") | (solution.normal_force > 0), slides

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import Energies, Event, History, LazySolutions
+from contactqp.analysis.history import Energies, Event, History, LazySolutions, contact_changes
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import Unsupported
 from contactqp.linalg.intrinsic_size import stiffness_sizes
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
@@ -206,20 +206,14 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
 def events(motion: Motion) -> Iterator[Event]:
     """Return the contacts that begin or cease to push and, with friction, to slip."""
     problem = motion.scheme.body.problem
-    slipping = np.zeros(problem.contacts, dtype=bool)
-    pairs = enumerate(pairwise(motion.states), start=1)
-    for k, (before, now) in pairs:
-        was, pushes = before.normal_force > 0, now.normal_force > 0
-        slips = _slips(motion, before, now) & pushes
-        for i in np.flatnonzero((was != pushes) | (slips != slipping)):
-            time, name = motion.time(k), problem.contact_name(int(i))
-            if was[i] != pushes[i]:
-                yield Event("closed" if pushes[i] else "opened", int(i), time, name)
-            if slips[i] and not slipping[i]:
-                yield Event("slip", int(i), time, name)
-            elif slipping[i] and not slips[i] and pushes[i]:
-                yield Event("stick", int(i), time, name)
-        slipping = slips
+
+    def states() -> Iterator[tuple[Mask, Mask]]:
+        for start in motion.states[:1]:
+            yield start.normal_force > 0, np.zeros(problem.contacts, dtype=bool)
+        for before, now in pairwise(motion.states):
+            yield now.normal_force > 0, _slips(motion, before, now) & (now.normal_force > 0)
+
+    return contact_changes(states(), map(motion.time, range(len(motion.states))), problem.contact_name)
 
 
 def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:

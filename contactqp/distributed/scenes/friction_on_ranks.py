@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.friction_path import kinds
 from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, step_to
-from contactqp.analysis.history import Energies, Event
+from contactqp.analysis.history import Energies, Event, contact_changes
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
@@ -130,10 +128,7 @@ def changes_of_rubbing(
 ) -> Iterator[Event]:
     """Every change of state, at the first step that shows it. Collective."""
     known = [(one.normal_force > 0, (one.normal_force > 0) & (one.contact_status == "slip")) for one in solutions]
-    for (before, now), time in zip(pairwise(known), times[1:], strict=True):
-        for i, name in enumerate(names):
-            for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
-                yield Event(kind, i, time, name)
+    return contact_changes(known, times, names.__getitem__)
 
 
 def energies_of_rubbing(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
