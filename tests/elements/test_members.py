@@ -1,10 +1,13 @@
-"""The string: exact numbers, its place in space, and a wire over a floor, whose answer on any mesh is known by hand.
+"""Bars, trusses, springs, beams and strings: exact numbers stay exact, forces balance, rigid motions cost nothing.
 
-A wire of length L under the tension T and a load b per length hangs at a height d over a floor. It touches from
+A beam is compared with the textbook's cantilevers in every direction, a string with a wire over a floor. A wire of
+length L under the tension T and a load b per length hangs at a height d over a floor. It touches from
 x_1 = sqrt(2 T d / b) on. On elements of length h it touches from the node X on, X (X - h) <= x_1^2 <= X (X + h): the
 node before does not penetrate, and X is not pulled. Up to X the nodes lie on w = b x^2 / (2 T) - R x / T with the end
 reaction R = T d / X + b X / 2 = b x_1 + b (X - x_1)^2 / (2 X).
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction as F
@@ -13,9 +16,120 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from hypothesis import given
+from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.elements import string
+from contactqp.elements import bar, beam, spring, string, truss
+from contactqp.elements.scalars import square_root, unit_vector
+from contactqp.errors import InvalidProblem
+
+EA = (F(210_000_000), F(15, 10_000))  # kN/m^2, m^2
+ORIGIN = np.array([F(0), F(0)])
+COORDINATE = st.fractions(min_value=-10, max_value=10, max_denominator=100)
+
+
+def test_the_bar_of_example_2_5_is_exact():
+    assert bar.stiffness(*EA, F(2)).tolist() == [[157500, -157500], [-157500, 157500]]
+    assert isinstance(bar.stiffness(*EA, F(2))[0, 0], F)
+    assert bar.axial_force(*EA, F(2), F(1, 1000)) == F(315, 2)
+
+
+def test_a_truss_on_one_axis_is_the_bar():
+    K = truss.stiffness(*EA, np.array([F(1)]), np.array([F(3)]))
+    assert K.tolist() == bar.stiffness(*EA, F(2)).tolist()
+
+
+def test_the_truss_of_example_2_10():
+    left = truss.stiffness(*EA, ORIGIN, np.array([F(-3), F(4)]))[:2, :2]
+    assert left.tolist() == [[22680, -30240], [-30240, 40320]]  # a 3-4-5 triangle is rational
+    right = truss.stiffness(*EA, ORIGIN, np.array([F(3), F(3)]))[:2, :2]
+    assert all(isinstance(k, float) for k in right.ravel())
+    K = (left + right).astype(float)
+    exact = np.array([[22680 + 26250 * np.sqrt(2), 26250 * np.sqrt(2) - 30240], [0, 40320 + 26250 * np.sqrt(2)]])
+    np.testing.assert_allclose(np.triu(K), exact, rtol=4e-16)
+
+
+def test_a_truss_in_space_is_exact_where_its_length_is():
+    K = truss.stiffness(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]))
+    assert K[0, 0] == 1
+    assert K[1, 5] == -4
+    u = np.array([0, 0, 0, 1, 0, 0])
+    assert truss.axial_force(F(27), F(1), np.array([F(0)] * 3), np.array([F(1), F(2), F(2)]), u) == F(3)
+
+
+@given(st.lists(COORDINATE, min_size=2, max_size=2), st.lists(COORDINATE, min_size=2, max_size=2))
+def test_a_truss_resists_no_rigid_motion_and_balances(start, end):
+    a, b = np.array(start, dtype=float), np.array(end, dtype=float)
+    if np.linalg.norm(b - a) < 0.01:
+        return
+    K = truss.stiffness(2.0, 3.0, a, b)
+    turn = np.array([-a[1], a[0], -b[1], b[0]])
+    for motion in ([1, 0, 1, 0], [0, 1, 0, 1], turn):
+        assert np.abs(K @ np.asarray(motion, dtype=float)).max() <= 1e-13 * np.abs(K).max() * np.abs(motion).max()
+    assert np.abs(K - K.T).max() == 0
+
+
+def test_the_axial_force_is_the_stiffness_times_the_displacement():
+    a, b, u = np.array([0.0, 0.0]), np.array([2.0, 1.0]), np.array([0.1, -0.2, 0.3, 0.4])
+    force = truss.stiffness(5.0, 2.0, a, b) @ u
+    n = (b - a) / np.linalg.norm(b - a)
+    assert np.isclose(force[2:] @ n, truss.axial_force(5.0, 2.0, a, b, u))
+    assert truss.axial_force(5.0, 2.0, a, b, np.array([0.0, 0.0, *n])) > 0  # pulled apart: tension
+
+
+def test_springs_are_exact_along_any_rational_direction():
+    K = spring.to_ground(F(10), [F(1), F(1)])
+    assert K.tolist() == [[5, 5], [5, 5]]
+    assert spring.stiffness(F(10), [F(2)]).tolist() == [[10, -10], [-10, 10]]
+    assert spring.force(F(10), [F(3), F(4)], [F(1), F(0)]) == 6
+
+
+def test_no_direction_is_refused():
+    with pytest.raises(InvalidProblem, match="spring direction: expected a vector of positive length"):
+        spring.to_ground(1.0, [0.0, 0.0])
+    with pytest.raises(InvalidProblem):
+        unit_vector([float("nan"), 1.0], "direction")
+
+
+def test_roots_of_squares_are_exact():
+    assert square_root(F(49, 36)) == F(7, 6)
+    assert isinstance(square_root(F(2)), float)
+    assert isinstance(square_root(4.0), float)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 2, 2.5, -1.0])
+def test_a_cantilever_bends_by_the_textbook(angle):
+    """Tip load: w = F L^3 / (3 E I), theta = F L^2 / (2 E I); axial: F L / (E A)."""
+    E, A, inertia, L, force = 7.0, 2.0, 0.3, 1.7, 0.9
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    K = beam.stiffness(E, A, inertia, np.zeros(2), L * along)[3:, 3:]
+    bent = np.linalg.solve(K, [*(force * across), 0.0])
+    np.testing.assert_allclose(bent[:2], force * L**3 / (3 * E * inertia) * across, atol=1e-14)
+    assert np.isclose(bent[2], force * L**2 / (2 * E * inertia))
+    stretched = np.linalg.solve(K, [*(force * along), 0.0])
+    np.testing.assert_allclose(stretched, [*(force * L / (E * A) * along), 0.0], atol=1e-14)
+
+
+def test_a_positive_rotation_turns_the_first_axis_towards_the_second():
+    K = beam.stiffness(1.0, 1.0, 1.0, np.zeros(2), np.array([1.0, 0.0]))[3:, 3:]
+    assert np.linalg.solve(K, [0.0, 1.0, 0.0])[2] > 0
+
+
+def test_rigid_motions_cost_nothing():
+    a, b = np.array([0.5, -0.2]), np.array([1.3, 0.9])
+    K = beam.stiffness(3.0, 2.0, 0.1, a, b)
+    turn = np.array([-a[1], a[0], 1, -b[1], b[0], 1])
+    for motion in ([1, 0, 0, 1, 0, 0], [0, 1, 0, 0, 1, 0], turn):
+        assert np.abs(K @ np.asarray(motion, dtype=float)).max() < 1e-13 * np.abs(K).max()
+
+
+def test_a_beam_of_rational_length_is_exact():
+    K = beam.stiffness(F(5), F(1), F(1), np.array([F(0), F(0)]), np.array([F(3), F(4)]))
+    assert all(isinstance(entry, F | int) for entry in K.ravel())
+    assert K[2, 2] == 4  # 4 E I / L
+    assert (K == K.T).all()
+
 
 EXACT = [method.name for method in cq.methods() if method.exact and method.installed]
 
