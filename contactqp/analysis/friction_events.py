@@ -254,6 +254,19 @@ class Standing:
 def continuation(system: ForceSystem, rates: Lengths, standing: Standing, problem: ContactProblem, at: str) -> Status:
     """Find the combination of open, stick and slip in which the contacts go on.
 
+    Parameters
+    ----------
+    system : ForceSystem
+        Gaps and slips of the contacts in their forces.
+    rates : Lengths
+        Gaps and slips per unit of the leg without contact forces.
+    standing : Standing
+        The states of the contacts, and which are undecided.
+    problem : ContactProblem
+        The problem, for names in messages.
+    at : str
+        The instant, for messages.
+
     Raises
     ------
     NoEquilibrium

@@ -41,7 +41,7 @@ from contactqp.solving.methods.augmented_lagrangian import default_penalty
 from contactqp.solving.solve import Begun
 from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported
 
-# Of `solve`, and what they are if nobody says.
+# Arguments of `solve`, and their values unless stated.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
 ARGUMENTS = tuple(DEFAULTS)
 SAID_BEFORE = "follow_path: "
@@ -53,6 +53,19 @@ def follow_with_friction(
     problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
 ) -> History:
     """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        A problem with tangential rows.
+    corners : sequence of (n,) arrays
+        The loads at the corners of the path, the start included [force].
+    count : int
+        Steps of each leg.
+    exactly : bool
+        Whether every event is found exactly, and is an instant of its own.
+    method, options : str, dict
+        As for `solve`.
 
     Raises
     ------
@@ -274,6 +287,15 @@ def follow_on_springs(
     options: dict[str, Any],
 ) -> History:
     """Follow a path, as `follow_with_friction`, by a method whose `springs` names the stiffnesses of its contacts.
+
+    Parameters
+    ----------
+    problem, corners, count, exactly
+        As for `follow_with_friction`.
+    chosen : Method
+        A method whose `springs` names its stiffnesses.
+    options : dict
+        Its options, these stiffnesses among them.
 
     Raises
     ------

@@ -84,6 +84,17 @@ class Anchors:
 def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
     """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
 
+    Parameters
+    ----------
+    fraction : float
+        The end of the step, as a part of the leg.
+    before : State
+        The state at its start.
+    anchors : Anchors
+        The tangential positions there, and which contacts are anchored.
+    solve : function
+        The equilibrium at a fraction, from slip origins, with contacts that are kept open.
+
     Raises
     ------
     NoEquilibrium, SeveralEquilibria, NotConverged

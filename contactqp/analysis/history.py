@@ -69,7 +69,7 @@ class Event:
 class History(ReadOnly, Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
-    Solutions may be a sequence that expands each one, with its certificate, when it is looked at. With friction each
+    Solutions may be a sequence that expands each one, with its certificate, on first access. With friction each
     solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since;
     with contact springs, where their sliders were then.
     `linear` says that nothing changes its state between two instants.
@@ -272,8 +272,8 @@ def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
 class LazySolutions(Sequence[Solution]):
     """Answers in order, each finished once, on first access; a slice is a list of finished solutions.
 
-    What `finish` raises is raised where the solution is looked at, and again the next time. A finished answer is let go
-    of: the solution takes its place.
+    What `finish` raises is raised on first access, and again the next time. The solution takes the place of the
+    finished answer, which is freed.
     """
 
     def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
@@ -312,7 +312,19 @@ class _State:
 
 
 def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: Solution, method: str) -> list[Event]:
-    """Return every event of one leg, with times from 0 at the start of the leg to 1 at its end."""
+    """Return every event of one leg, with times from 0 at the start of the leg to 1 at its end.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        A problem without friction.
+    start, end : (n,) arrays
+        The loads at both ends of the leg [force].
+    first : Solution
+        The solution at its start.
+    method : str
+        The name of an exact method.
+    """
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")
     condensation = condense(problem)

@@ -75,7 +75,7 @@ def follow_path(
     History
         The start and every step (``steps=40`` gives 41 solutions on one leg), and every event; a contact that closes
         and slips at once has two. Where all contacts are condensed onto, a step runs on the contact unknowns; it is
-        polished, expanded and certified when it is looked at, and refused then if it must be. Very many contacts,
+        polished, expanded and certified on first access, and refused then if it must be. Very many contacts,
         bodies that are not factorised, and friction with two tangential directions are solved step by step at once.
 
     Raises
@@ -88,8 +88,8 @@ def follow_path(
         snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it: `History.notes`
         says where they have jumped.
     SeveralEquilibria
-        With friction and exact events, several rates continue the path, above a critical coefficient. They are told
-        apart where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
+        With friction and exact events, several rates continue the path, above a critical coefficient. They are found
+        where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
         follow one, and `History.notes` says so.
     NotConverged, NotCertified
         As `solve`.

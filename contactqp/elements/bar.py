@@ -30,5 +30,13 @@ def stiffness(modulus: Number, area: Number, length: Number) -> Numbers:
 
 
 def axial_force(modulus: Number, area: Number, length: Number, elongation: Number) -> Number:
-    """Return N = (E A / L) elongation, positive in tension [force]."""
+    """Return N = (E A / L) elongation, positive in tension [force].
+
+    Parameters
+    ----------
+    modulus, area, length : Fraction or float
+        E [force / length^2], A [length^2], L [length], all positive.
+    elongation : Fraction or float
+        u_2 - u_1 [length].
+    """
     return modulus * area / length * elongation

@@ -165,7 +165,7 @@ class Lattice:
 
 
 def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
-    """Elements (E, n) of a patch whose lattice nodes have these numbers."""
+    """Return the elements (E, n) of a patch whose lattice nodes have these numbers."""
     d = nodes.ndim
     counts = [(length - 1) // 2 for length in nodes.shape]
     cells = np.empty((int(np.prod(counts)), *(3,) * d), dtype=np.int64)
@@ -186,7 +186,9 @@ def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
 
 
 def _simplices(kind: Reference, turned: tuple[bool, ...]) -> list[Index]:
-    """Places (n, d) in the 3^d nodes of a cell of each simplex in it, its directions reversed where `turned`."""
+    """Return the places (n, d) in the 3^d nodes of a cell of each simplex in it, its directions reversed where
+    `turned`.
+    """
     found = []
     d = kind.dimension
     for path in itertools.permutations(range(d)):

@@ -191,6 +191,17 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
     """Return the values of a field at (..., d) positions: (..., *shape).
 
+    Parameters
+    ----------
+    what : str
+        What a message calls the field.
+    value : array or function
+        One value for all positions, or a function from (p, d) points to (p, *shape).
+    positions : (..., d) array
+        Where the field is evaluated [length].
+    shape : tuple of int
+        The shape of one value.
+
     Raises
     ------
     InvalidProblem

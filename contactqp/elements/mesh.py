@@ -21,7 +21,7 @@ from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
 Points = NDArray[np.float64]
-# An element whose Jacobian, where it is looked at, falls below this part of its largest is looked at more closely.
+# An element whose Jacobian falls below this part of its largest at a checked point is checked at more points.
 UNEVEN = 0.5
 # Points along each direction of such an element, ends included.
 CLOSELY = 7
@@ -393,7 +393,7 @@ def _check_neighbours(blocks: Sequence[Block]) -> None:
 def _check_jacobians(points: Points, block: Block, first: int) -> None:
     """Require det J > 0 at the quadrature points, >= 0 at the nodes, up to the rounding of the coordinates.
 
-    Where it is uneven the element is looked at on a lattice too: between those points it may still fold.
+    Where it is uneven the element is checked on a lattice too: between those points it may still fold.
     """
     kind = block.kind
     seen = np.vstack([kind.rule.points, kind.fine_rule.points])

@@ -36,7 +36,7 @@ FLUSH = 1e-6
 # A curved side's normal at its end is off the last facet's by about the kink at that facet's other end, by twice that
 # where the facet is much longer than its neighbour. A point in the direction of the true normal stands over the end.
 BENT = 2.0
-# Points times facets looked at together: some 300 MB where every facet has to be looked at.
+# Points times facets searched together: some 300 MB where every facet has to be searched.
 PAIRS = 20_000_000
 NEWTON_STEPS = 50
 HALVINGS = 20
@@ -128,7 +128,7 @@ def _search(
         i, j = i[facing], j[facing]
         found = _Found(i, j, closest_point(kind, positions[j], points[i]))
         np.minimum.at(best, i, found.foot.distance)
-        # A facet beyond the radius of this search may have nearer ones beside it that were not looked at.
+        # A facet beyond the radius of this search may have nearer ones beside it that were not searched.
         done = (best <= search * (1 + SAME)) | (search >= limit)
         near = found.foot.distance <= np.minimum(best[i] + SAME * radii[j], limit[i] * (1 + SAME))
         yield found.only(near & done[i])

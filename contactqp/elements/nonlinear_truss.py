@@ -139,7 +139,7 @@ class LawOfEachBar:
         return values
 
     def _groups(self) -> Iterator[tuple[BarLaw, list[int]]]:
-        """The distinct laws, and the bars that follow them."""
+        """Return the distinct laws, each with the bars that follow it."""
         for law in dict.fromkeys(self.laws):
             yield law, [i for i, other in enumerate(self.laws) if other == law]
 
@@ -415,8 +415,9 @@ class UpdatedTruss:
         return np.asarray(modulus * truss.area / self.area(displacement) * (L / truss.length) ** 3)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """The sum over the bars of A_n L w / J, w / J the energy of a unit of the volume now; inf for a bar of no
-        length."""
+        """Return the sum over the bars of A_n L w / J, w / J the energy of a unit of the current volume; inf for a
+        bar of no length.
+        """
         if np.any(self.length(displacement) == 0):
             return float("inf")
         truss = self.truss

@@ -109,6 +109,21 @@ def box(
     ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
     higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
     flat top.
+
+    Parameters
+    ----------
+    lengths : (float, float, float)
+        Lengths along x, y and z [length].
+    divisions : (int, int, int)
+        Elements along x, y and z.
+    kind : str
+        Kind of element: ``"hex8"``.
+    grading, towards : float, sequence of str
+        As for `rectangle`.
+    corner : (float, float, float)
+        Lowest x, y and z [length].
+    crown : float, optional
+        Radius of curvature of the bottom [length].
     """
     lattice = _box(lengths, divisions, kind, grading, towards, corner)
     if crown is None:
@@ -137,9 +152,21 @@ def disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """Mesh a disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
+    """Mesh a disc.
 
-    With (n, m) there are 8 n elements along the whole arc and n + m along a radius.
+    Parameters
+    ----------
+    radius : float
+        Radius [length].
+    divisions : (int, int)
+        Elements from the centre to the edge of the core, and from there to the arc: 8 n elements along the arc and
+        n + m along a radius for (n, m).
+    kind : str
+        Kind of element: ``"quad4"``.
+    grading : float
+        Ratio of the largest to the smallest element, which is at the pole.
+    center : (float, float)
+        Centre of the whole disc [length].
     """
     return _round(OGrid(("full", "full"), *_pair(divisions), grading), radius, center, kind, {})
 
@@ -153,7 +180,13 @@ def half_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """Mesh the lower half of the disc around `center`, y <= center_y; as `disc`."""
+    """Mesh the lower half of the disc around `center`, y <= center_y; as `disc`.
+
+    Parameters
+    ----------
+    radius, divisions, kind, grading, center
+        As for `disc`.
+    """
     return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
 
 
@@ -166,7 +199,13 @@ def quarter_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """Mesh the lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
+    """Mesh the lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball.
+
+    Parameters
+    ----------
+    radius, divisions, kind, grading, center
+        As for `disc`.
+    """
     grid = OGrid(("positive", "negative"), *_pair(divisions), grading)
     return _round(grid, radius, center, kind, {"top": 1, "left": 0})
 
@@ -181,7 +220,21 @@ def ball(
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Lattice:
-    """Mesh a ball or a part of it; `divisions` as for `disc`."""
+    """Mesh a ball or a part of it; `divisions` as for `disc`.
+
+    Parameters
+    ----------
+    radius, divisions : float, (int, int)
+        As for `disc`.
+    kind : str
+        Kind of element: ``"hex8"``.
+    part : str
+        ``"full"``, ``"half"``, ``"quarter"`` or ``"eighth"``.
+    grading : float
+        Ratio of the largest to the smallest element.
+    center : (float, float, float)
+        Centre of the whole ball [length].
+    """
     if part not in _BALL_PARTS:
         raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
     halves = _BALL_PARTS[part]
@@ -203,6 +256,21 @@ def cylinder(
     """Mesh the cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
 
     `divisions` are those of `disc` and the elements along z, which get smaller towards the bottom.
+
+    Parameters
+    ----------
+    radius, height : float
+        Radius and height [length].
+    divisions : (int, int, int)
+        Those of `disc`, and the elements along z, which get smaller towards the bottom.
+    kind : str
+        Kind of element: ``"hex8"``.
+    part : str
+        ``"full"``, ``"half"`` or ``"quarter"``.
+    grading : float
+        Ratio of the largest to the smallest element.
+    center : (float, float, float)
+        Middle of the bottom of the whole cylinder [length].
     """
     if part not in _CYLINDER_PARTS:
         raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {part!r}")

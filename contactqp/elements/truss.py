@@ -38,7 +38,17 @@ def stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers) -> Nu
 
 
 def axial_force(modulus: Number, area: Number, start: Numbers, end: Numbers, displacement: Numbers) -> Number:
-    """Return N = (E A / L^2) d.(u_end - u_start), positive in tension [force]; `displacement` is (u_start, u_end)."""
+    """Return N = (E A / L^2) d.(u_end - u_start), positive in tension [force]; `displacement` is (u_start, u_end).
+
+    Parameters
+    ----------
+    modulus, area : Fraction or float
+        E [force / length^2] and A [length^2], positive.
+    start, end : (dimension,) arrays
+        The two nodes [length], apart from each other.
+    displacement : (2 dimension,) array
+        (u_start, u_end) [length].
+    """
     d = np.asarray(end) - np.asarray(start)
     square = squared_length(d)
     stretch = np.dot(d, displacement[len(d) :] - displacement[: len(d)])

@@ -91,6 +91,19 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
     K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
     with E u > g close, until none does. K need not be definite, and there may be other points.
 
+    Parameters
+    ----------
+    K : (n, n) matrix
+        Symmetric, definite or not.
+    load : (n,) array
+        f.
+    normal, gap : (m, n) matrix, (m,) array
+        E and g.
+    tie, value : (k, n) matrix, (k,) array
+        A and b.
+    closed : (m,) mask
+        The contacts that are closed at first.
+
     Raises
     ------
     NotConverged
@@ -196,6 +209,17 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
     close and stick, friction beyond mu l_N slips, slip against its friction sticks; all at once until a combination
     comes back, then one contact at a time, which closes slipping as it moved. It starts from the states that
     `forces` show. Rows, gaps, slip origins and ties are those of `problem`, which has one tangent a contact.
+
+    Parameters
+    ----------
+    K : (n, n) matrix
+        Symmetric, definite or not.
+    problem : ContactProblem
+        Rows, gaps, slip origins, friction and ties.
+    load : (n,) array
+        f.
+    forces : Forces
+        Forces that show the states at first.
 
     Raises
     ------

@@ -96,6 +96,23 @@ def newton_step(
     minimum: its closed set is found by signs. Where it has not, no step leads to a minimum; K is then shifted,
     K + shift 1, which leads down and leaves every equilibrium where it is. The step says so.
 
+    Parameters
+    ----------
+    loaded : LoadedBody
+        The body with its contacts and ties.
+    now : Instant
+        The body at the displacement of the iteration.
+    K : (n, n) matrix
+        Its tangent, with the curvature of the contacts.
+    target : Target
+        Loads, tie values and slip origins.
+    settings : NewtonSettings
+        Method, options and tolerance.
+    before : NewtonStep or None
+        The step before, whose solution starts this one.
+    forces : Forces
+        The forces of the iteration.
+
     Raises
     ------
     Unsupported
@@ -238,6 +255,15 @@ def stationary_step(
     Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
     r + s du: it has the same balance and the same signs, and says nothing about stability. A contact that grazes, with
     no force at gap 0, has a gap that is wider by its rounding: on the other side of zero it would have a force.
+
+    Parameters
+    ----------
+    loaded, now, K, target, forces
+        As for `newton_step`.
+    du : (n,) array
+        The increment.
+    grazing : int, optional
+        A contact with no force at gap 0.
     """
     springs = 0.0 if positive_semidefinite(K) else BEYOND * -lowest_eigenvalue(K)
     stiff = sp.csc_array(K + springs * sp.identity(K.shape[0])) if springs else K
@@ -275,6 +301,19 @@ def find_balance(
 
     The merit is energy - f'u + w (sum of overlaps + sum of |A u - b|), w above the largest force; steps are halved
     until it falls. Approximate methods and friction have no such merit and take full steps.
+
+    Parameters
+    ----------
+    loaded : LoadedBody
+        The body with its contacts and ties.
+    start : (n,) array
+        The displacement from which the iterations start.
+    forces : Forces
+        The forces there.
+    target : Target
+        Loads, tie values and slip origins.
+    settings : NewtonSettings
+        Method, options and tolerance.
 
     Raises
     ------
@@ -430,8 +469,9 @@ def _stretched(
 
 
 def _weight(loaded: LoadedBody, now: Instant, K: Any, target: Target, step: NewtonStep) -> float:
-    """Enough for the step to lead down the merit, also where K has negative energy across the constraints (Nocedal and
-    Wright 2006, 18.36)."""
+    """Return a weight large enough for the step to lead down the merit, also where K has negative energy across the
+    constraints (Nocedal and Wright 2006, 18.36).
+    """
     du, violation = step.increment, _violation(loaded, now, target)
     rise = -float((target.load - now.internal) @ du) + max(float(du @ (K @ du)), 0.0) / 2
     return max(WEIGHT * step.forces.largest, WEIGHT * rise / violation if violation > 0 else 0.0)

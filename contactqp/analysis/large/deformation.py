@@ -239,7 +239,7 @@ class Snap:
 
     low: float
     high: float
-    located: bool  # whether it is known to a small part of the step
+    located: bool  # whether the bracket is a small part of the step
     unknown: int  # the one that jumps furthest
     before: float  # its displacement [length]
     after: float

@@ -30,9 +30,9 @@ from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.solution import Work
 
-# Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
+# Halvings of a step in search of a jump: they bracket its load factor to a millionth of the step.
 HALVINGS = 20
-# A load factor is told if it is known to this part of the step.
+# The load factor of a jump counts as located where its bracket is below this part of the step.
 KNOWN = 1e-3
 # What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
 JUMP = 0.3
@@ -145,8 +145,9 @@ class LoadControl:
         return solution
 
     def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
-        """Whether a crest of the energy lies between two equilibria: a negative motion, on the way between their
-        displacements, that keeps ties and the contacts that push at both ends."""
+        """Say whether a crest of the energy lies between two equilibria: a negative motion, between their
+        displacements, that keeps ties and the contacts that push at both ends.
+        """
         start, motion = before.displacement, balance.now.displacement - before.displacement
         if before.negative or not np.any(motion):
             return False
@@ -161,8 +162,9 @@ class LoadControl:
         return False
 
     def _slack(self, before: LargeSolution) -> bool:
-        """Whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the first
-        load, and what moves far then has not snapped."""
+        """Say whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the
+        first load, and what moves far then has not snapped.
+        """
         if np.any(before.load) or np.any(before.normal_force):
             return False
         K = sp.csc_array(self.loaded.body.tangent(before.displacement))
@@ -203,6 +205,19 @@ def large_solution(
     loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
 ) -> LargeSolution:
     """Return the equilibrium with the certificate of its last Newton step, and say whether it is stable.
+
+    Parameters
+    ----------
+    loaded : LoadedBody
+        The body with its contacts and ties.
+    balance : Balance
+        The equilibrium and its iterations.
+    target : Target
+        Loads, tie values and slip origins.
+    load_factor : float
+        The load factor t.
+    settings : NewtonSettings
+        The settings that found it.
 
     Raises
     ------

@@ -34,7 +34,7 @@ HALVINGS = 12
 TENSION = 1e-12
 # An unknown moves if this part of the path is along it.
 STILL = 1e-12
-# An unknown has reached its value when this part of its whole way is left.
+# An unknown has reached its value when this part of its whole change remains.
 REACHED = 1e-13
 
 

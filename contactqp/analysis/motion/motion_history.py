@@ -220,18 +220,18 @@ def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:
     body, problem = motion.scheme.body, motion.scheme.body.problem
     if not problem.frictional or problem.friction is None:
         return np.zeros(problem.contacts, dtype=bool)
-    way = now.displacement - before.displacement
+    moved = now.displacement - before.displacement
     size = np.linalg.norm(now.friction_force.reshape(problem.contacts, -1), axis=1)
-    slip = np.max(abs(body.tangent @ way).reshape(problem.contacts, -1), axis=1)
+    slip = np.max(abs(body.tangent @ moved).reshape(problem.contacts, -1), axis=1)
     at_cone = size >= (1 - SLIPS) * problem.friction * now.normal_force
-    return np.asarray(at_cone & (slip > SLIPS * np.max(abs(body.tangent) @ abs(way))))
+    return np.asarray(at_cone & (slip > SLIPS * np.max(abs(body.tangent) @ abs(moved))))
 
 
 def energies(motion: Motion) -> Iterator[Energies]:
     """Return the energies of every state, computed a block at a time.
 
-    What the normal forces take is their work along the scheme's way. A scheme that keeps energy without contact has
-    lost to the impact, or made of it, whatever else is missing after a step beside contact forces.
+    What the normal forces take is their work along the contact motion of the scheme. A scheme that keeps energy without
+    contact has lost to the impact, or gained from it, whatever else is missing after a step beside contact forces.
     """
     scheme, states = motion.scheme, motion.states
     first: float | None = None
@@ -278,15 +278,15 @@ def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDA
     """Return the work of the loads, of normal forces and of friction in each step, (3, steps)."""
     scheme, problem = motion.scheme, motion.scheme.body.problem
     u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
-    ways, weight = scheme.contact_motion(u, v), scheme.contact_weight()
+    motions, weight = scheme.contact_motion(u, v), scheme.contact_weight()
 
     def along(force: Vector, rows: Any) -> Vector:
         share = np.repeat(weight, force.shape[1] // max(len(weight), 1))
         acting = share * force[1:] + (1 - share) * force[:-1]
-        return np.asarray(np.einsum("ij,ij->i", acting, (rows @ ways.T).T))
+        return np.asarray(np.einsum("ij,ij->i", acting, (rows @ motions.T).T))
 
     work = np.einsum("ij,ij->i", (loads[1:] + loads[:-1]) / 2, np.diff(u, axis=0))
-    taken = rubbed = np.zeros(len(ways))
+    taken = rubbed = np.zeros(len(motions))
     if scheme.springs is None:
         taken = along(np.array([s.normal_force for s in block]), problem.normal)
     if problem.frictional:

@@ -154,7 +154,9 @@ class StepJudge:
         )
 
     def _loads(self, posed: list[StepProblem]) -> tuple[Block, Block]:
-        """f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x - base."""
+        """Return f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x -
+        base.
+        """
         load = np.column_stack([p.load for p in posed])
         bases = [p.base for p in posed if p.base is not None]
         if not bases:
@@ -163,7 +165,7 @@ class StepJudge:
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
     def _intrinsic_size(self, load: Block, x: Block) -> Vector:
-        """(steps,) the size of each step, as in `contactqp.linalg.intrinsic_size`: loads and |x|_K, inertia
+        """Return the size of each step, (steps,), as in `contactqp.linalg.intrinsic_size`: loads and |x|_K, inertia
         included.
         """
         D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)
@@ -171,11 +173,11 @@ class StepJudge:
         return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))
 
     def _no_length(self, name: str, length: Block, whole: Vector) -> Block:
-        """The lengths of rows up to which there are none, beside those that meet there."""
+        """Return the lengths of rows below which they count as none, beside those that meet there."""
         return np.maximum(NOTHING * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
 
     def _forces(self, force: Block, F: Block, none: Block) -> Block:
-        """max_j |E_ij l_i| / F_j (m, steps), without what is nothing."""
+        """Return max_j |E_ij l_i| / F_j, (m, steps), where negligible forces count as none."""
         measure = np.zeros_like(force)
         acting = np.any(force != 0, axis=1)[self._entries.row]
         row, column, size = self._entries.row[acting], self._entries.col[acting], self._entries.data[acting]
@@ -185,7 +187,9 @@ class StepJudge:
     def _coulomb(
         self, posed: list[StepProblem], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
     ) -> tuple[Block, Block]:
-        """|l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its lengths."""
+        """Return |l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its
+        lengths.
+        """
         steps, m = x.shape[1], len(normal)
         if self._T is None or not len(friction):
             return np.zeros(steps), np.zeros(steps)
@@ -209,7 +213,9 @@ class StepJudge:
         return _worst(cone.reshape(m, steps)), _worst(direction.reshape(m, steps))
 
     def _meeting_at_tangents(self, F: Block) -> Block:
-        """(m, steps) the least F_j / |E_T|_ij, the length of column j, of what the rows of a contact touch."""
+        """Return the least F_j / |E_T|_ij, |E_T|_ij the length of column j, over the unknowns that the rows of a
+        contact touch, (m, steps).
+        """
         assert self._T is not None
         squares = sp.coo_matrix(self._T.multiply(self._T))
         width = self._T.shape[0] // self._N.shape[0]

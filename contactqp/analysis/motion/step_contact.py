@@ -58,7 +58,7 @@ class StepProblem:
     """
 
     load: Vector  # (n,) on x, or on x - base
-    gap: Vector  # (m,); has no meaning where a contact is not looked at
+    gap: Vector  # (m,); has no meaning where a contact is not closable
     closable: NDArray[np.bool_] | None = None  # (m,) contacts that the step may close; None: all
     slip_origin: Vector | None = None  # ((d-1) m,)
     tie_value: Vector | None = None  # (k,); None: zero
@@ -111,7 +111,9 @@ class StepContact:
         return self._condensation.back_substitutions
 
     def _local_rows(self) -> Array:
-        """(d m, p): contact by contact -E_N before E_T; they map x to gap and slip, forces on the body to loads."""
+        """Return the rows (d m, p), contact by contact -E_N before E_T; they map x to gap and slip, forces on the
+        body to loads.
+        """
         m = self.template.contacts
         width = len(self._T) // max(m, 1)
         rows = np.empty((m, 1 + width, self._E.shape[1]))
@@ -138,7 +140,7 @@ class StepContact:
 
     @cached_property
     def _inverse(self) -> Array:
-        """S^-1 of few unknowns: a product costs less than LAPACK's door."""
+        """Return S^-1 of a small number of unknowns: a product costs less than a call of LAPACK."""
         return self._solved(np.eye(len(self._condensation.schur)))
 
     def _solved(self, right: Array) -> Array:
@@ -208,7 +210,8 @@ class StepContact:
         return response - self._of_ties @ change, change
 
     def _without_dust(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
-        """Forces without those that move their own contact by less than the rounding of what moves it in all.
+        """Return the forces without those that move their own contact by less than the rounding of what moves it in
+        all.
 
         All rows of a contact are in one unit of length, and so are the effects of its forces.
         """
@@ -227,7 +230,8 @@ class StepContact:
     def _sharpened(
         self, normal: Vector, friction: Vector, x: Vector, gap: Vector, origin: Any
     ) -> tuple[Vector, Vector] | None:
-        """Forces corrected by what is left at contacts that push and do not slip, or None where nothing is to be had.
+        """Return forces corrected by the residuals of contacts that push and do not slip, or None where that gains
+        nothing.
 
         Forces are known to some roundings of the largest, such as a weight. Where others are all that acts on a body
         that comes to rest, that moves it, by a rounding that is as large as anything that moves there.
@@ -247,7 +251,7 @@ class StepContact:
         return sharp_normal, sharp_friction
 
     def _limits(self, posed: StepProblem) -> tuple[Vector, Any, Any]:
-        """Gap, slip origin and tie value of x - base."""
+        """Return gap, slip origin and tie value of x - base."""
         gap, origin = posed.gap, 0.0 if posed.slip_origin is None else posed.slip_origin
         value = 0.0 if posed.tie_value is None else posed.tie_value
         if posed.base is None:
@@ -304,7 +308,19 @@ class StepContact:
 
 
 def normal_forces(W: Array, c: Vector, start: NDArray[np.bool_], method: str, options: dict[str, Any]) -> Vector:
-    """Return l (m,) [force] of frictionless contacts, searched from a guess of those that push."""
+    """Return l (m,) [force] of frictionless contacts, searched from a guess of those that push.
+
+    Parameters
+    ----------
+    W : (m, m) array
+        The Delassus operator of the step.
+    c : (m,) array
+        Gaps without contact forces.
+    start : (m,) mask
+        Contacts that are taken to push at first.
+    method, options : str, dict
+        As for `solve`.
+    """
     if method == "active-set" and not options:
         found = _by_active_set(W, c, start)
         if found is not None:

@@ -69,6 +69,17 @@ def correction(W: Array, force: Array, sticks: NDArray[np.bool_], residual: Arra
     """Return the change (m, d) of forces on the body that removes the residuals (m, d) of gaps and slips.
 
     Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.
+
+    Parameters
+    ----------
+    W : (m d, m d) array
+        The Delassus operator of the step.
+    force : (m, d) array
+        Forces on the body, contact by contact in the order (N, T).
+    sticks : (m,) mask
+        Contacts that stick.
+    residual : (m, d) array
+        Gaps and slips that should vanish.
     """
     m, d = force.shape
     rows = np.zeros((m, d), dtype=bool)

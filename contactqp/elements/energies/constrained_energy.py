@@ -115,6 +115,17 @@ def read_form(part: str, given: Any) -> dict[str, float]:
 def read_number(what: str, value: Any, *, positive: bool = False, above: float | None = None) -> float:
     """Read a finite number.
 
+    Parameters
+    ----------
+    what : str
+        What a message calls the number.
+    value : object
+        The number as the user gave it.
+    positive : bool
+        Whether it must be above zero.
+    above : float, optional
+        A number that it must be above.
+
     Raises
     ------
     InvalidProblem

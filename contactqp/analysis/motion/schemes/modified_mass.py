@@ -44,7 +44,7 @@ class ModifiedMassCentral(TwoStep):
         return factorise(self.body.mass[self._moving][:, self._moving])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Factors are not pickled; they are made again where they are needed."""
+        """Return the state without factors, which are not pickled; they are made again where they are needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_mass"}
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
