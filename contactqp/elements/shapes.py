@@ -36,6 +36,8 @@ from contactqp.model.problem_data import is_whole
 
 P = ParamSpec("P")
 Part = Literal["full", "half", "quarter", "eighth"]
+Half = Literal["full", "positive", "negative"]
+Towards = Literal["low", "high", "both", "middle"]
 _AXIS_SIDES = {2: (("left", "right"), ("bottom", "top")), 3: (("left", "right"), ("front", "back"), ("bottom", "top"))}
 _CYLINDER_PARTS: dict[str, tuple[Half, ...]] = {
     "full": ("full", "full"),
@@ -48,11 +50,9 @@ _BALL_PARTS: dict[str, tuple[Half, ...]] = {
     "quarter": ("positive", "full", "negative"),
     "eighth": ("positive", "positive", "negative"),
 }
-Half = Literal["full", "positive", "negative"]
 # Half-width of the core over the radius, and how round it is (0 square, 1 circular): at these the angles of a
 # uniform disc's cells lie between 68 and 127 degrees.
 CORE, ROUNDNESS = 0.5, 0.5
-Towards = Literal["low", "high", "both", "middle"]
 
 
 class Shape(Generic[P]):

@@ -33,7 +33,7 @@ from contactqp.model.solution import Work
 # Halvings of a step in search of a jump: they bracket its load factor to a millionth of the step.
 HALVINGS = 20
 # The load factor of a jump counts as located where its bracket is below this part of the step.
-KNOWN = 1e-3
+LOCATED = 1e-3
 # What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
 JUMP = 0.3
 # A motion of less stiffness than this part of the largest has none.
@@ -191,7 +191,7 @@ class LoadControl:
         if np.linalg.norm(end - start) < JUMP * whole:
             return None
         j = int(np.argmax(abs(end - start)))
-        located = high - low <= KNOWN * (t - before.load_factor)
+        located = high - low <= LOCATED * (t - before.load_factor)
         return Snap(low, high, located, j, float(start[j]), float(end[j]))
 
 

@@ -42,7 +42,7 @@ STICKS = 1e-12
 # A slip that should be none is sharpened beyond this part of the lengths that meet there.
 SHARP = 1e-11
 # Up to so many contact unknowns have their inverse formed; a correction makes its answers as good as those of factors.
-FEW = 60
+MOST_INVERTED = 60
 # Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.
 MAX_CHANGES = 30
 # Forces and gaps of this part of the largest are rounding.
@@ -149,7 +149,7 @@ class StepContact:
 
     def _respond(self, right: Array) -> Array:
         """Return S^-1 right, without ties."""
-        if not len(right) or len(right) > FEW:
+        if not len(right) or len(right) > MOST_INVERTED:
             return self._solved(right) if len(right) else right
         x = self._inverse @ right
         return np.asarray(x + self._inverse @ (right - self._condensation.schur @ x))

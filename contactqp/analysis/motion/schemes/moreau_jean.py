@@ -26,7 +26,7 @@ from contactqp.model.arrays import Vector
 # A rebound of this part of what the forces of a step change is lost in their rounding.
 NO_REBOUND = 1e-6
 # Up to so many unknowns that contacts touch their rows are kept dense.
-FEW = 60
+MOST_DENSE = 60
 # A predicted gap that is this part of its own lengths is none.
 TOUCHING = 64 * np.finfo(float).eps
 
@@ -45,7 +45,7 @@ class MoreauJean(Scheme):
         self._from_state = sp.csr_matrix(sp.hstack([velocities, -body.step * body.stiffness]))
         self._touched = np.unique(body.problem.normal.indices)
         self._normal: Any = body.problem.normal[:, self._touched]
-        if len(self._touched) <= FEW:
+        if len(self._touched) <= MOST_DENSE:
             self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
         self._normal_size = abs(self._normal)
         self._touching_gap = TOUCHING * abs(body.problem.gap)
