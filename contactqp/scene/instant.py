@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis import is_motion
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.motion import is_motion
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from contactqp.analysis import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.analysis.motion import is_moving
 from contactqp.model.solution import Solution
 from contactqp.model.verdicts import FIGURES_ALONE, STATE, Certificate
 from contactqp.scene.building import NodeModel
