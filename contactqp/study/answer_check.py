@@ -13,8 +13,8 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.refusal import naming, wrong
 from contactqp.model.problem import ContactProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
-from contactqp.scene.loading import load_scene
-from contactqp.scene.models import build
+from contactqp.scene.building import build
+from contactqp.scene.scene import load_scene
 from contactqp.study.check_options import CheckOptions, Order, read_areas, read_order
 from contactqp.study.verdict import Verdict
 

@@ -15,7 +15,7 @@ from contactqp.pictures.contact_fields import HELD, ContactFields, contact_field
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.pictures.membrane_drawing import MembraneFields
 from contactqp.scene.building import exact_problem
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import ROTATION, of_node
 
@@ -59,7 +59,7 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
 
 def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
     """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
-    from contactqp.scene.bodies import body_model
+    from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
     structure, pairings = model.structure, [contact.pairing for contact in model.contacts]
@@ -79,7 +79,7 @@ def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
 
 
 def _fields_of_bodies(scene: SceneData, solution: Solution) -> ContactFields:
-    from contactqp.scene.bodies import body_model
+    from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
     pairings, names = [c.pairing for c in model.contacts], [c.name for c in model.contacts]

@@ -15,7 +15,7 @@ from contactqp.oracle.exact.enclosure import enclose
 from contactqp.oracle.exact.fixed_point import fixed
 from contactqp.oracle.exact.free_motions import carried, hold
 from contactqp.oracle.exact.refinement import refine
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 

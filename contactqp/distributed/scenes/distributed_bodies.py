@@ -27,10 +27,9 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
-from contactqp.scene.bodies import sum_of
-from contactqp.scene.contact_entries import ContactEntries
-from contactqp.scene.corners import factors_at, has_corners
-from contactqp.scene.meshing import near_enough, nearest_to
+from contactqp.scene.body_model import ContactEntries, sum_of
+from contactqp.scene.geometry import near_enough, nearest_to
+from contactqp.scene.unknowns import factors_at, has_corners
 
 if TYPE_CHECKING:
     from contactqp.distributed.solution import DistributedSolution

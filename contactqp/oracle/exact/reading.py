@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.exchange.problem_files import read_problem
-from contactqp.scene.loading import load_scene
-from contactqp.scene.scene import Scene
+from contactqp.scene.scene import Scene, load_scene
 
 
 def read_case(path: str) -> Any:

@@ -16,7 +16,7 @@ from contactqp.distributed.certificate import certify_distributed, contact_statu
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.model.verdicts import FIGURES, Answer
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
 # Residuals in double precision differ from those in extended precision by a few dozen roundings.

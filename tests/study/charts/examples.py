@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from contactqp.scene.explanation import Explanation
+from contactqp.scene.explaining import Explanation
 from contactqp.study import rows
 from contactqp.study.report.case_record import CaseRecord, Sizes
 from contactqp.study.report.report_data import ReportData
