@@ -18,7 +18,7 @@ class Member:
     Attributes
     ----------
     kind : str
-        "bar", "spring", "beam", "string" or "matrix".
+        "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called.
     nodes : tuple of int
         Those it connects, as places in FrameFields.nodes; a single one is connected to the ground.
     path, displacement : (k, d) arrays

@@ -25,16 +25,15 @@ from numpy.typing import NDArray
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.kinds import is_motion
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
-from contactqp.elements import spring, truss
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
 from contactqp.model.solution import Solution
 from contactqp.scene import building
-from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
+from contactqp.scene.blocks import element_quantities
+from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.claims import Claim, uniqueness_in_words
 from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import of_node, point
 
 if TYPE_CHECKING:
     from contactqp.analysis.motion.history import MotionHistory
@@ -223,7 +222,13 @@ class Answer:
         return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
 
     def of_node(self, node: str) -> np.ndarray[Any, Any]:
-        return np.array([self.displacement(name) for name in of_node(self.scene, node)])
+        return np.array([self.displacement(name) for name in self.scene.displacements(node)])
+
+    def bar_force_now(self, name: str) -> float:
+        """Return the true axial force of a bar at large displacements, positive in tension [force]."""
+        from contactqp.scene.deforming import DeformableModel
+
+        return DeformableModel(self.model).bar_force(name, self.solution.displacement)
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:
@@ -264,27 +269,12 @@ def _reaction(claim: Claim, answer: Answer) -> float:
     return stiffness + constraints - float(answer.model.exact_load_at(answer.instant.time).get(at, 0))
 
 
-def _bar_force(claim: Claim, answer: Answer) -> float:
-    scene = answer.scene
-    if scene.large:
-        from contactqp.scene.deforming import DeformableModel
-
-        return DeformableModel(answer.model).bar_force(str(claim.at), answer.solution.displacement)
-    item = next(bar for bar in scene.bars if bar.name == claim.at)
-    start, end = (point(scene, node) for node in item.nodes)
-    displacement = np.concatenate([answer.of_node(node) for node in item.nodes])
-    modulus, area = scene.system.value(item.modulus), scene.system.value(item.area)
-    return float(truss.axial_force(modulus, area, start, end, displacement))
-
-
-def _spring_force(claim: Claim, answer: Answer) -> float:
-    """A spring to the ground is stretched by its node's displacement."""
-    scene = answer.scene
-    item = next(item for item in scene.springs if item.name == claim.at)
-    relative = answer.of_node(item.nodes[-1])
-    if len(item.nodes) == 2:
-        relative = relative - answer.of_node(item.nodes[0])
-    return float(spring.force(scene.system.value(item.stiffness), spring_direction(scene, item), relative))
+def _of_element(claim: Claim, answer: Answer) -> float:
+    """Return what the element that the claim names is asked."""
+    measure = claim.measure
+    element = next(element for element in answer.scene.elements_named(str(measure.at)) if element.name == claim.at)
+    assert measure.read is not None  # quantities of elements have their own readers
+    return measure.read(element, answer)
 
 
 def _closing(claim: Claim, answer: Answer) -> float:
@@ -334,8 +324,7 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "slip": lambda claim, answer: _along_axis(claim, answer, answer.model.along_axes(answer.solution.slip)),
     "tie force": _tie_force,
     "reaction": _reaction,
-    "bar force": _bar_force,
-    "spring force": _spring_force,
+    **dict.fromkeys(element_quantities(), _of_element),
     "energy": lambda _, answer: answer.solution.energy,
     "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,

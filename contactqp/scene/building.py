@@ -27,32 +27,25 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import beam, node_contact, point_mass, spring, string, truss
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements import node_contact, point_mass
+from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
 from contactqp.errors import SceneError
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle
-from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import (
     GRAVITY,
-    ROTATION,
     Factors,
     Unknowns,
-    displacements,
     end_time,
-    ends,
     factors_at,
-    of_node,
     of_scene,
-    point,
-    value,
 )
 
 if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
-    from contactqp.scene.schema import Bar, Beam, Contact, SceneData, Spring
+    from contactqp.scene.schema import Contact, SceneData
 
 # A linear form of the unknowns by their names; what is zero is left out.
 Row = Mapping[str, Number]
@@ -62,33 +55,24 @@ def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
     """The loads at their full values by their names; what has mass weighs by the name of gravity."""
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
-        total[load.name][load.unknown] += value(scene, load.value)
+        total[load.name][load.unknown] += scene.value(load.value)
+    strings = {string.name: string for string in scene.strings}
     for line_load in scene.line_loads:
-        per_length = np.array([value(scene, b) for b in line_load.value])
-        for segment in scene.string(line_load.string).segments:
-            forces = string.uniform_load(per_length, *ends(scene, segment))
-            for name, force in zip(displacements(scene, segment), forces, strict=True):
-                total[line_load.name][name] += force
+        for name, force in line_load.forces(scene, strings[line_load.string]):
+            total[line_load.name][name] += force
     for name, force in _weights(scene):
         total[GRAVITY][name] += force
     return {name: dict(row) for name, row in total.items()}
 
 
 def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
-    """What weighs at each unknown; half of a bar at each end, which is M g of either mass matrix."""
+    """Yield what gravity pulls with at each unknown of a node that has mass."""
     if scene.gravity is None:
         return
-    gravity = np.array([value(scene, g) for g in scene.gravity])
-    at_nodes: list[tuple[str, Number]] = [(mass.node, value(scene, mass.mass)) for mass in scene.masses]
-    for bar in scene.bars:
-        if bar.density is not None:
-            per_length = value(scene, bar.density) * value(scene, bar.area)
-            for segment in bar.segments:
-                start, end = ends(scene, segment)
-                half = per_length * square_root(squared_length(end - start)) / 2
-                at_nodes += [(node, half) for node in segment]
-    for node, mass in at_nodes:
-        yield from zip(of_node(scene, node), point_mass.weight(mass, gravity), strict=True)
+    gravity = np.array([scene.value(g) for g in scene.gravity])
+    for _, element in scene.elements:
+        for node, mass in element.weights(scene):
+            yield from zip(scene.displacements(node), point_mass.weight(mass, gravity), strict=True)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
@@ -164,12 +148,12 @@ def exact_problem(scene: SceneData) -> ExactProblem:
     loads = exact_loads(scene)
     return ExactProblem(
         unknowns=of_scene(scene),
-        stiffness=assembled(_element_matrices(scene)),
+        stiffness=assembled(part for _, element in scene.elements for part in element.stiffnesses(scene)),
         load=sum_of(loads, factors_at(scene, end_time(scene))),
         loads=loads,
         contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
         ties=tuple(
-            TieForm(tie.name, {term.unknown: value(scene, term.factor) for term in tie.terms}, value(scene, tie.value))
+            TieForm(tie.name, {term.unknown: scene.value(term.factor) for term in tie.terms}, scene.value(tie.value))
             for tie in scene.ties
         ),
     )
@@ -247,45 +231,6 @@ def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
     return _matrix(entries, (len(rows), len(place)))
 
 
-def spring_direction(scene: SceneData, item: Spring) -> Numbers:
-    """As stated, or from the first node to the second; along the axis of a scene that has only one."""
-    if item.direction is not None:
-        return np.array(item.direction)
-    if len(item.nodes) == 1:
-        return np.array([Fraction(1)])
-    return point(scene, item.nodes[1]) - point(scene, item.nodes[0])
-
-
-def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
-    """The unknowns and the stiffness of every element."""
-    for bar in scene.bars:
-        for segment in bar.segments:
-            yield displacements(scene, segment), _bar_stiffness(scene, bar, segment)
-    for item in scene.springs:
-        formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
-        stiffness = formula(value(scene, item.stiffness), spring_direction(scene, item))
-        yield displacements(scene, item.nodes), stiffness
-    for girder in scene.beams:
-        names = tuple(name for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}"))
-        yield names, _beam_stiffness(scene, girder)
-    for wire in scene.strings:
-        tension = value(scene, wire.tension)
-        for segment in wire.segments:
-            yield displacements(scene, segment), string.stiffness(tension, *ends(scene, segment))
-    for matrix in scene.matrices:
-        unit = read_unit(matrix.unit)[0] / read_unit(scene.system.label(KINDS["stiffness"].dimension))[0]
-        yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
-
-
-def _bar_stiffness(scene: SceneData, item: Bar, segment: Iterable[str]) -> Numbers:
-    return truss.stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
-
-
-def _beam_stiffness(scene: SceneData, item: Beam) -> Numbers:
-    modulus, area, inertia = (value(scene, q) for q in (item.modulus, item.area, item.inertia))
-    return beam.stiffness(modulus, area, inertia, *ends(scene, item.nodes))
-
-
 def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
     """The sum of element matrices by the names of their unknowns; what is zero is left out."""
     total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
@@ -299,14 +244,14 @@ def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[s
 
 def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
     if contact.node is not None and contact.obstacle is not None:
-        rows = _against(scene, point(scene, contact.node), contact.obstacle)
+        rows = _against(scene, scene.point(contact.node), contact.obstacle)
     else:
-        first, second = (point(scene, node) for node in contact.touched)
+        first, second = (scene.point(node) for node in contact.touched)
         direction = second - first if contact.direction is None else np.array(contact.direction)
         rows = node_contact.between_nodes(first, second, direction)
-    names = displacements(scene, contact.touched)
+    names = scene.displacements(*contact.touched)
     along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
-    origin = [value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
+    origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
     return ContactForm(
         name=contact.name,
         normal=_row(names, rows.normal),
@@ -325,7 +270,7 @@ def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.Contac
     """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
     item = scene.obstacle(name)
     if item.kind == "plane":
-        plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+        plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
         return node_contact.against_plane(where, plane)
     return node_contact.against_surface(where, obstacle(scene, name))
 

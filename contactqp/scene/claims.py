@@ -6,14 +6,16 @@ What a case can say of its answer: each quantity by its name, the kind of number
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.scene import fields
+from contactqp.scene.blocks import element_quantities
+from contactqp.scene.blocks.element import Measure
 from contactqp.scene.fields import Block, KnobStiffness, Name, Number, unknown
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
 
@@ -24,31 +26,6 @@ ONE_ANSWER = "one answer"
 def uniqueness_in_words(findings: Iterable[str]) -> str:
     """A certificate's findings as the value of "uniqueness"."""
     return "; ".join(findings) or ONE_ANSWER
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One row of the vocabulary of ``quantity``."""
-
-    meaning: str
-    kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
-    words: tuple[str, ...] = ()  # that its value may be of; several are joined by "; ", and all must be said
-    at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie", "body"
-    along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
-    near: bool = False  # ``near`` is a point: the node there is meant
-    component: bool = False  # ``component`` is one of COMPONENTS
-    matrix: bool = False  # its value is ``rows``
-    solved: bool = True  # needs a solution; otherwise read off the problem
-    path: bool = False  # needs the load path, or a motion
-    motion: bool = False  # needs a motion
-    statics: bool = False  # means nothing in a motion
-    large: bool = False  # needs large deformations
-    small: bool = False  # means nothing at large deformations
-    counted: bool = False  # there are several of it: ``occurrence`` says which
-    event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
-    friction: bool = False  # needs a contact with friction
-    whole_way: bool = False  # of the whole load path, not of an instant of it
-    of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
 
 
 def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
@@ -101,8 +78,7 @@ QUANTITIES = {
     ),
     "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support", statics=True),
-    "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
-    "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
+    **element_quantities(),
     "energy": Measure(
         "1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones; elastic energy - f'u where it is large",
         ("energy",),
@@ -318,15 +294,15 @@ class Claim(Block):
     perturbation: KnobStiffness | None = None
     update: Literal["simultaneous", "uzawa"] | None = None
 
-    @property
+    @cached_property
     def measure(self) -> Measure:
         return QUANTITIES[self.quantity]
 
-    @property
+    @cached_property
     def kinds(self) -> list[Kind]:
         return [KINDS[name] for name in self.measure.kinds]
 
-    @property
+    @cached_property
     def knobs(self) -> dict[str, Quantity | str]:
         """The options of the method that are stated."""
         stated = {name: getattr(self, name) for name in (*KNOBS, "update")}
@@ -404,7 +380,7 @@ class Expectation(Claim):
                 raise ValueError('tolerance: expected one with a unit such as "1e-15 m", since the value is zero')
         return self
 
-    @property
+    @cached_property
     def targets(self) -> list[Quantity]:
         """The exact values, row by row."""
         texts = [self.value] if self.rows is None else [f"{text} {self.unit}" for row in self.rows for text in row]
@@ -435,7 +411,7 @@ class Published(Claim):
         self.target, self.half_digit  # noqa: B018  refused here if they cannot be read
         return self
 
-    @property
+    @cached_property
     def target(self) -> Quantity:
         return read_quantity(self.printed, self.kinds)
 
@@ -443,7 +419,7 @@ class Published(Claim):
     def stated(self) -> list[Quantity]:
         return [self.target]
 
-    @property
+    @cached_property
     def half_digit(self) -> Quantity:
         """Half a unit of the last printed digit."""
         number, _, unit = self.printed.partition(" ")

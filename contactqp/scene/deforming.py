@@ -23,7 +23,7 @@ from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel
 from contactqp.scene.geometry import obstacle
-from contactqp.scene.unknowns import end_time, of_node, point
+from contactqp.scene.unknowns import end_time
 
 # Steps of a path that states none.
 DEFAULT_STEPS = 10
@@ -47,7 +47,7 @@ class DeformableModel:
         bars = [(bar, segment) for bar in scene.bars for segment in bar.segments]
         laws = [bar.law or "green" for bar, _ in bars]
         return NonlinearTruss(
-            nodes=[[float(x) for x in point(scene, node)] for node in nodes],
+            nodes=[[float(x) for x in scene.point(node)] for node in nodes],
             bars=[[place[node] for node in segment] for _, segment in bars],
             modulus=[float(scene.system.value(bar.modulus)) for bar, _ in bars],
             area=[float(scene.system.value(bar.area)) for bar, _ in bars],
@@ -71,9 +71,9 @@ class DeformableModel:
         for name, group in groupby(scene.contacts, lambda contact: str(contact.obstacle)):
             nodes = [str(contact.node) for contact in group]
             yield ObstacleContact(
-                points=[[float(x) for x in point(scene, node)] for node in nodes],
+                points=[[float(x) for x in scene.point(node)] for node in nodes],
                 obstacle=obstacle(scene, name),
-                unknowns=np.array([[place[unknown] for unknown in of_node(scene, node)] for node in nodes]),
+                unknowns=np.array([[place[unknown] for unknown in scene.displacements(node)] for node in nodes]),
                 dimension=len(place),
             )
 

@@ -9,6 +9,7 @@ An explanation on a screen.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,6 +22,7 @@ from rich.markup import escape
 from contactqp.elements.exact import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.building import ExactProblem, NodeModel, Row, build
 from contactqp.scene.schema import Contact, SceneData
@@ -154,14 +156,6 @@ def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
 
 MOST_NAMES = 12
 _EXACT = "exact rational numbers"
-_ELEMENTS = (
-    ("bars", "axial bars"),
-    ("springs", "springs"),
-    ("beams", "plane Euler-Bernoulli beams"),
-    ("strings", "strings under constant tension"),
-    ("masses", "point masses"),
-    ("matrices", "stiffness matrices from elsewhere"),
-)
 
 
 def explain(scene: SceneData) -> Explanation:
@@ -200,9 +194,9 @@ def _explained(scene: SceneData) -> Explanation:
 
 
 def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
-    for key, name in _ELEMENTS:
+    for key, kind in BLOCKS.items():
         count = len(getattr(scene, key))
-        yield BuildingBlock(name, count > 0, f"{count} in the scene" if count else "none in the scene")
+        yield BuildingBlock(kind.title, count > 0, f"{count} in the scene" if count else "none in the scene")
     yield _rotations(exact)
     yield _supports(exact)
     yield counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
@@ -211,7 +205,7 @@ def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
     yield _condensation(exact)
     yield path_block(scene)
     yield from motion_blocks(scene, _masses(scene))
-    kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
+    kinds = ", ".join(kind.title for key, kind in BLOCKS.items() if getattr(scene, key)) or "contacts alone"
     yield newton_block(scene, kinds)
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
     yield BuildingBlock(_EXACT, False, "large displacements are in floats") if scene.large else _exactness(exact)
@@ -219,11 +213,10 @@ def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
 
 
 def _masses(scene: SceneData) -> str:
-    bars, masses = sum(bar.density is not None for bar in scene.bars), len(scene.masses)
+    heavy = Counter(element.noun for _, element in scene.elements if element.has_mass)
     if scene.motion is None:
-        return "masses only weigh" if bars or masses else "the scene has no masses"
-    kinds = ((bars, "bar", "bars"), (masses, "point mass", "point masses"))
-    counts = (f"{count} {many if count > 1 else one}" for count, one, many in kinds if count)
+        return "masses only weigh" if heavy else "the scene has no masses"
+    counts = (f"{count} {noun}{'s' * (count > 1)}" for noun, count in heavy.items())
     return f"of {' and '.join(counts)}; nothing else has any"
 
 

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.impact import impact
 from contactqp.analysis.motion.history import MotionHistory
-from contactqp.elements import point_mass
-from contactqp.elements.exact import Number, Numbers
-from contactqp.elements.mass import bar_mass, solid_mass
+from contactqp.elements.exact import Number
+from contactqp.elements.mass import solid_mass
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
-from contactqp.scene.unknowns import displacements, ends, of_node, started, value
+from contactqp.scene.unknowns import started
 from contactqp.solving.methods import find
 
 if TYPE_CHECKING:
@@ -30,20 +29,9 @@ if TYPE_CHECKING:
 
 
 def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:
-    """M on all unknowns by their names, in the scene's units; what is zero is left out."""
-    return assembled(_element_masses(scene))
-
-
-def _element_masses(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+    """Return M on all unknowns by their names, in the scene's units; what is zero is left out."""
     lumped = scene.motion is not None and scene.motion.mass == "lumped"
-    for bar in scene.bars:
-        if bar.density is not None:
-            for segment in bar.segments:
-                start, end = ends(scene, segment)
-                density, area = value(scene, bar.density), value(scene, bar.area)
-                yield displacements(scene, segment), bar_mass(density, area, start, end, lumped)
-    for mass in scene.masses:
-        yield of_node(scene, mass.node), point_mass.inertia(value(scene, mass.mass), len(scene.axes))
+    return assembled(part for _, element in scene.elements for part in element.masses(scene, lumped))
 
 
 def mass_on_all(model: Model) -> Any:
@@ -154,8 +142,8 @@ def _along(model: Model, axis: str, part: str | None) -> list[str]:
         return [name for name, _ in _places(model) if name.rpartition(".")[2] == axis]
     if not isinstance(model, NodeModel):
         return [f"{part}.{axis}"]
-    nodes = {bar.name: bar.chain for bar in scene.bars} | {mass.name: (mass.node,) for mass in scene.masses}
-    return [f"{node}.{axis}" for node in nodes[part]]
+    nodes = next(element.chain for _, element in scene.elements if element.inertial and element.name == part)
+    return [f"{node}.{axis}" for node in nodes]
 
 
 def _places(model: Model) -> Iterator[tuple[str, NDArray[np.int64]]]:

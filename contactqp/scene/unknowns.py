@@ -9,21 +9,17 @@ What the parts of a scene start a motion with, unknown by unknown.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from math import ceil
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from contactqp.elements.exact import Numbers
-from contactqp.scene.units import Quantity
+from contactqp.scene.blocks.element import ROTATION
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, StartDisplacement, StartVelocity
-
-ROTATION = "theta"
 
 
 @dataclass(frozen=True)
@@ -33,11 +29,11 @@ class Unknowns:
     names: tuple[str, ...]
     fixed: frozenset[str]
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         return tuple(name for name in self.names if name not in self.fixed)
 
-    @property
+    @cached_property
     def place(self) -> dict[str, int]:
         return {name: i for i, name in enumerate(self.names)}
 
@@ -46,36 +42,15 @@ def is_rotation(unknown: str) -> bool:
     return unknown.endswith("." + ROTATION)
 
 
-def of_node(scene: SceneData, node: str) -> tuple[str, ...]:
-    """The displacements of a node, one for each axis."""
-    return tuple(f"{node}.{axis}" for axis in scene.axes)
-
-
 def of_scene(scene: SceneData) -> Unknowns:
     """Displacements of all nodes, and a rotation where a beam ends."""
-    turning = {node for beam in scene.beams for node in beam.nodes}
+    turning = {node for _, element in scene.elements for node in element.turning}
     by_node = {
-        node: of_node(scene, node) + ((f"{node}.{ROTATION}",) if node in turning else ()) for node in scene.every_node
+        node: scene.displacements(node) + ((f"{node}.{ROTATION}",) if node in turning else ())
+        for node in scene.every_node
     }
     fixed = {unknown for entry in scene.fixed for unknown in by_node.get(entry, (entry,))}
     return Unknowns(tuple(name for names in by_node.values() for name in names), frozenset(fixed))
-
-
-def value(scene: SceneData, quantity: Quantity) -> Fraction:
-    return scene.system.value(quantity)
-
-
-def point(scene: SceneData, node: str) -> Numbers:
-    """Where a node stands, exactly, in the scene's unit of length."""
-    return np.array([value(scene, x) for x in scene.node(node).at])
-
-
-def displacements(scene: SceneData, nodes: Iterable[str]) -> tuple[str, ...]:
-    return tuple(name for node in nodes for name in of_node(scene, node))
-
-
-def ends(scene: SceneData, nodes: Iterable[str]) -> Iterator[Numbers]:
-    return (point(scene, node) for node in nodes)
 
 
 # What masses and bodies weigh goes by this name.
@@ -130,15 +105,15 @@ def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
 
 def started(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
     """Every unknown that the entry speaks of, with its number in the scene's units; of a body ``body.axis``."""
-    value = [scene.system.value(component) for component in item.value]
+    value = [scene.value(component) for component in item.value]
     bar = next((bar for bar in scene.bars if bar.name == item.of), None)
     if bar is not None:
-        end = value if item.to is None else [scene.system.value(component) for component in item.to]
+        end = value if item.to is None else [scene.value(component) for component in item.to]
         for i, node in enumerate(bar.chain):
             part = Fraction(i, bar.divisions)
             between = [a + part * (b - a) for a, b in zip(value, end, strict=True)]
-            yield from zip(of_node(scene, node), between, strict=True)
+            yield from zip(scene.displacements(node), between, strict=True)
     elif scene.meshed or item.of in scene.every_node:
-        yield from zip(of_node(scene, item.of), value, strict=True)
+        yield from zip(scene.displacements(item.of), value, strict=True)
     else:
         yield item.of, value[0]

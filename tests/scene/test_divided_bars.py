@@ -36,7 +36,7 @@ def test_a_divided_bar_is_the_bar():
 def test_the_nodes_inside_are_exact_and_can_be_named():
     scene = Scene(**WALL | {"contacts": [{"name": "tip", "node": "rod 5", "obstacle": "wall"}]})
     assert list(scene.every_node) == ["a", "b", "rod 1", "rod 2", "rod 3", "rod 4", "rod 5"]
-    assert scene.node("rod 5").at[0].si == F(5, 3)
+    assert scene.every_node["rod 5"][0].si == F(5, 3)
     exact = exact_problem(scene)
     assert exact.rational
     assert exact.stiffness["rod 5.x", "b.x"] == -6 * 157500
