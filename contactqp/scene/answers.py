@@ -29,7 +29,6 @@ from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
 from contactqp.model.solution import Solution
 from contactqp.scene import building
-from contactqp.scene.blocks import element_quantities
 from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.claims import Claim, uniqueness_in_words
 from contactqp.scene.geometry import obstacle
@@ -215,8 +214,15 @@ class Answer:
     def exact(self) -> ExactProblem:
         return self.model.exact
 
+    def value_of(self, claim: Claim) -> Any:
+        """Return the claim's quantity in the scene's units: a number, words, or the numbers of a matrix row by row."""
+        measure = claim.measure
+        if measure.read is None:
+            return READERS[claim.quantity](claim, self)
+        return measure.read(next(e for e in self.scene.elements_named(str(measure.at)) if e.name == claim.at), self)
+
     def displacement(self, unknown: str) -> float:
-        """Of any unknown, fixed ones included."""
+        """Return the displacement or rotation of any unknown; 0 where it is fixed."""
         if unknown in self.exact.unknowns.fixed:
             return 0.0
         return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
@@ -269,14 +275,6 @@ def _reaction(claim: Claim, answer: Answer) -> float:
     return stiffness + constraints - float(answer.model.exact_load_at(answer.instant.time).get(at, 0))
 
 
-def _of_element(claim: Claim, answer: Answer) -> float:
-    """Return what the element that the claim names is asked."""
-    measure = claim.measure
-    element = next(element for element in answer.scene.elements_named(str(measure.at)) if element.name == claim.at)
-    assert measure.read is not None  # quantities of elements have their own readers
-    return measure.read(element, answer)
-
-
 def _closing(claim: Claim, answer: Answer) -> float:
     """The load factor at which the contact first closes."""
     return _event_time(claim.model_copy(update={"event": "closed"}), answer)
@@ -324,7 +322,6 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "slip": lambda claim, answer: _along_axis(claim, answer, answer.model.along_axes(answer.solution.slip)),
     "tie force": _tie_force,
     "reaction": _reaction,
-    **dict.fromkeys(element_quantities(), _of_element),
     "energy": lambda _, answer: answer.solution.energy,
     "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,

@@ -32,7 +32,7 @@ from contactqp.errors import (
 )
 from contactqp.model.engines import SERIAL, engine_named
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import READERS, Answer, Instant
+from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
 from contactqp.scene.scene import built, run_model
@@ -62,7 +62,7 @@ def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | No
 
 def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
     """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
-    value = READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
+    value = answer.value_of(claim)
     if isinstance(value, str):
         return value
     return tuple(value) if isinstance(value, list | tuple) else (value,)

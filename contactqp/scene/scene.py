@@ -12,18 +12,23 @@ import tomllib
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
+from types import GenericAlias
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
-from contactqp.errors import SceneError, Unsupported
+from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.linalg.stages import READ, STEPS, stage
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
+from contactqp.scene.blocks import BLOCKS, Frame
+from contactqp.scene.blocks.element import Element
 from contactqp.scene.building import build
 from contactqp.scene.checking import check
+from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_error
 from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import end_time
@@ -60,6 +65,34 @@ class Scene(SceneData):
             A mesh file that needs meshlane, which is not installed.
         """
         return build(self).problem
+
+
+def register_block(key: str, kind: type[Element]) -> None:
+    """Add a block of one's own elements to case files: they are loaded, checked, solved, explained and drawn.
+
+    Parameters
+    ----------
+    key : str
+        What the list is called in a case file, as in ``springs``.
+    kind : type
+        A subclass of `contactqp.scene.blocks.element.Element` with a `title`, a `noun` and its keys.
+
+    Raises
+    ------
+    InvalidProblem
+        The key, the noun or a quantity is one that something else has.
+    """
+    nouns = {other.noun for other in BLOCKS.values()} | {str(measure.at) for measure in QUANTITIES.values()}
+    taken = [f"quantity {name!r}" for name in kind.quantities if name in QUANTITIES]
+    taken += [f"noun {kind.noun!r}"] * (kind.noun in nouns)
+    if hasattr(Scene, key) or key in Scene.model_fields or taken:
+        raise InvalidProblem(f"{key}: expected a block with names of its own, got {', '.join(taken) or repr(key)}")
+    BLOCKS[key] = kind
+    QUANTITIES.update(kind.quantities)
+    entries: Any = GenericAlias(tuple, (kind, ...))
+    for model in (Frame, SceneData, Scene):
+        model.model_fields[key] = FieldInfo.from_annotated_attribute(entries, ())
+        model.model_rebuild(force=True)
 
 
 # Bytes; the parser takes about a second for each of a million.

@@ -14,6 +14,7 @@ from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
 from contactqp.solving.friction.local_algorithms import ALGORITHMS
+from tests.block_registry import registered_blocks
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
 
@@ -66,7 +67,8 @@ def page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
         monkeypatch.setattr(module, table, copy.copy(getattr(module, table)))
     tables: tuple[dict[str, Any], ...] = (solve_function, ALGORITHMS)
     before = [dict(table) for table in tables]
-    yield PageRun(tmp_path, lambda: "".join(capsys.readouterr()), NOT_RUN)
+    with registered_blocks():
+        yield PageRun(tmp_path, lambda: "".join(capsys.readouterr()), NOT_RUN)
     for table, entries in zip(tables, before, strict=True):
         table.clear()
         table.update(entries)
