@@ -1,14 +1,7 @@
-"""The quantities of quantities.QUANTITIES, read off a scene and its answer.
+"""The quantities that claims ask of scenes of nodes, read off a solution at one instant of its path or motion.
 
-The quantities of large deformations: loads where the path is, limit points and snaps.
-
-The quantities of motions that nodes and bodies have alike: energies and momenta.
-
-Where on the load path or in the motion of its scene an answer stands.
-
-What the quantities of a scene of nodes, bars and springs are read off.
-
-Friction forces along the axes of a scene.
+`READERS` has a function for each of `contactqp.scene.claims.QUANTITIES` by its name, but for quantities of elements,
+which the elements read themselves.
 """
 
 from __future__ import annotations
@@ -66,7 +59,7 @@ def _snap(claim: Claim, answer: Answer) -> Snap:
 
 
 def _numbered(claim: Claim, points: Sequence[Point], what: str, known: Sequence[str]) -> Point:
-    """Counted from 1, or from the end.
+    """Return the point that the claim counts to, from 1 or from the end.
 
     Raises
     ------
@@ -117,7 +110,7 @@ OF_MOTIONS: Mapping[str, Callable[[Claim, Any], float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """A pseudo-time; without a path, the factor on all loads. `step` is its place in the history, if it is in it.
+    """A pseudo-time of the path, or without a path the factor on all loads; `step` is its place in the history.
 
     In a motion, whose loads are constant, `time` is 1, and `step` says when.
     """
@@ -128,11 +121,11 @@ class Instant:
 
     @property
     def events(self) -> Sequence[Event]:
-        """All changes of contact along the path."""
+        """Return all changes of contact along the path."""
         return () if self.history is None else self.history.events
 
     def energies(self, claim: Claim) -> Energies:
-        """Since the path set out.
+        """Return the energies since the start of the path.
 
         Raises
         ------
@@ -144,7 +137,7 @@ class Instant:
         return self.history.energies[self.step]
 
     def event(self, claim: Claim, contacts: Sequence[int]) -> Event:
-        """The event that the claim speaks of, of the problem's contacts that are one contact of the scene.
+        """Return the event that the claim names, among those of the contacts that are one contact of the scene.
 
         Raises
         ------
@@ -168,7 +161,7 @@ class Instant:
         return [event for event in self.events if event.contact in contacts]
 
     def impulses(self) -> NDArray[np.float64]:
-        """(m,) what each normal force has given since the motion set out [force time]."""
+        """Return what each normal force has given since the start of the motion, (m,) [force time]."""
         motion = self.motion
         force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
         acting = weight * force[1:] + (1 - weight) * force[:-1]
@@ -176,18 +169,19 @@ class Instant:
 
     @property
     def motion(self) -> MotionHistory:
+        """Return the history of the motion, which claims of motions are asked of."""
         history = self.history
         assert is_motion(history)  # claims of motions are asked in motions only
         return history
 
     @property
     def velocity(self) -> Any:
-        """(n,) of the free unknowns [length / time]."""
+        """Return the velocities of the free unknowns, (n,) [length / time]."""
         return self.motion.motion.states[self.step or 0].velocity
 
 
 def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Event]:
-    """When the first of several contacts closes and the last opens."""
+    """Yield an event when the first of several contacts closes, and when the last of them opens."""
     members, closed = set(map(int, contacts)), set[int]()
     for time, together in groupby(events, lambda event: event.time):
         was = bool(closed)
@@ -208,10 +202,12 @@ class Answer:
 
     @property
     def scene(self) -> SceneData:
+        """Return the scene that was solved."""
         return self.model.scene
 
     @property
     def exact(self) -> ExactProblem:
+        """Return the exact numbers of the problem that was solved."""
         return self.model.exact
 
     def value_of(self, claim: Claim) -> Any:
@@ -228,6 +224,7 @@ class Answer:
         return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
 
     def of_node(self, node: str) -> np.ndarray[Any, Any]:
+        """Return the displacement of a node, (dimension,) [length]."""
         return np.array([self.displacement(name) for name in self.scene.displacements(node)])
 
     def bar_force_now(self, name: str) -> float:
@@ -238,7 +235,10 @@ class Answer:
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:
-    """lambda_T of each contact along the axes, (m, d), with tangents that at large deformations are those of now."""
+    """Return lambda_T of each contact along the axes, (m, d) [force].
+
+    At large deformations the tangents are those of the displaced node.
+    """
     force = solution.friction_force
     if not isinstance(solution, LargeSolution) or force is None or solution.position is None:
         return model.along_axes(force)
@@ -259,7 +259,7 @@ def _tie_force(claim: Claim, answer: Answer) -> float:
 
 
 def _reaction(claim: Claim, answer: Answer) -> float:
-    """r = K u + E_N' l_N + E_T' l_T + A' nu - f at a fixed unknown: the force of the support on the body."""
+    """Return the force of the support on the body at a fixed unknown, r = K u + E_N' l_N + E_T' l_T + A' nu - f."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
     if isinstance(solution, LargeSolution):
         from contactqp.scene.deforming import DeformableModel
@@ -276,7 +276,7 @@ def _reaction(claim: Claim, answer: Answer) -> float:
 
 
 def _closing(claim: Claim, answer: Answer) -> float:
-    """The load factor at which the contact first closes."""
+    """Return the load factor at which the contact first closes."""
     return _event_time(claim.model_copy(update={"event": "closed"}), answer)
 
 

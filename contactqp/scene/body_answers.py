@@ -1,7 +1,4 @@
-"""The quantities of quantities.QUANTITIES that are asked of elastic bodies, read off a model and its solution.
-
-The answer of a scene of bodies in a few lines: its unknowns and contacts are too many to list.
-"""
+"""The answer of a scene of elastic bodies: what claims ask of it, and a summary of what is too long to list."""
 
 from __future__ import annotations
 
@@ -32,21 +29,22 @@ class BodyAnswer:
     instant: Instant
 
     def value_of(self, claim: Claim) -> float | str:
-        """The claim's quantity in the scene's units, or words.
+        """Return the claim's quantity in the scene's units, or words.
 
         NaN where nothing presses and a width is asked for, and for the pressure at a node that supports hold.
         """
         return _READERS[claim.quantity](claim, self)
 
     def contact(self, claim: Claim) -> PairedContact:
+        """Return the entry of the scene's contacts that the claim names."""
         return self.model.contacts[self.model.place(str(claim.at))]
 
     def near(self, claim: Claim) -> NDArray[np.float64]:
-        """The point of the claim, in the scene's unit of length."""
+        """Return the point of the claim, in the scene's unit of length."""
         return np.array(vector(self.scene.system, claim.near or ()))
 
     def node(self, claim: Claim) -> int:
-        """The node of the claim's body at its point."""
+        """Return the node of the claim's body at its point."""
         return self._node_at(claim, str(claim.at))
 
     def _node_at(self, claim: Claim, body: str) -> int:
@@ -56,7 +54,7 @@ class BodyAnswer:
             raise SceneError(f"{claim}: {error}") from None
 
     def contact_node(self, claim: Claim) -> int:
-        """The place among a contact's nodes of the one at the claim's point."""
+        """Return the place, among a contact's nodes, of the one at the claim's point."""
         contact = self.contact(claim)
         node = self._node_at(claim, contact.body)
         place = np.flatnonzero(contact.pairing.nodes == node)
@@ -80,7 +78,7 @@ def _stress(claim: Claim, answer: BodyAnswer) -> float:
 
 
 def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
-    """The sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
+    """Return the sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
     forces = answer.model.resultant(str(claim.at), answer.solution)
     axes = answer.model.structure.body(answer.contact(claim).body).axes
     return float(forces[axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
@@ -92,7 +90,7 @@ def _half_width(claim: Claim, answer: BodyAnswer, nodes: NDArray[np.bool_]) -> f
 
 
 def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
-    """lambda_T of each paired node along the claim's axis, (p,)."""
+    """Return lambda_T of each paired node along the claim's axis, (p,) [force]."""
     vectors = answer.model.friction_vectors(str(claim.at), answer.solution)
     return np.asarray(vectors[:, answer.scene.axes.index(str(claim.along))])
 
@@ -107,7 +105,7 @@ def _energy(_: Claim, answer: BodyAnswer) -> float:
 
 
 def _support_force(claim: Claim, answer: BodyAnswer) -> float:
-    """Summed over the nodes of the support; a node that two supports hold along one axis counts in both."""
+    """Return the sum over the nodes of the support; a node that two supports hold along one axis counts in both."""
     i = [support.name for support in answer.scene.supports].index(str(claim.at))
     return answer.model.support_force(i, answer.solution, answer.instant.time)
 
@@ -171,7 +169,7 @@ Table = tuple[list[str], list[list[str | float]]]
 
 
 def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
-    """For each body how far it moves and how fast, for each contact of the scene its force, peak pressure and gap."""
+    """Yield two tables: how far and how fast each body moves, and each contact's force, peak pressure and gap."""
     system = model.scene.system
     length, force = system.length, system.force
     pressure = system.label(KINDS["pressure"].dimension)
@@ -194,7 +192,7 @@ def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
 
 
 def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
-    """Each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
+    """Return each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
 
     The motions of a solution are any basis; here each is told with a body that the others leave where it is.
     """
@@ -204,7 +202,7 @@ def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
 
 
 def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
+    """Return the reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
     rows = rows.copy()
     places = []
     for i in range(len(rows)):
@@ -230,7 +228,7 @@ def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
 
 
 def summary_data(model: BodyModel, solution: Any) -> dict[str, Any]:
-    """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
+    """Return the contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
     return {
         "contacts": _contacts(model, solution),
         "contact_notes": model.notes,

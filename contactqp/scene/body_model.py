@@ -1,8 +1,7 @@
-"""The contacts of a scene of bodies, entry by entry: what the forces and gaps of its problem are at their nodes.
+"""From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
 
-What holds and loads the bodies of a scene: its supports and loads, made from their keys.
-
-From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
+An entry of the scene's contacts becomes many contacts of the problem, one for each paired node; `ContactEntries` finds
+the forces and gaps of an entry among those of the problem.
 """
 
 from __future__ import annotations
@@ -51,16 +50,20 @@ class ContactAnswer(Protocol):
     """What is asked of a solution: contact by contact of the problem, all of them."""
 
     @property
-    def normal_force(self) -> Vector: ...
+    def normal_force(self) -> Vector:
+        """Return lambda_N, (m,) [force]."""
 
     @property
-    def friction_force(self) -> NDArray[np.float64] | None: ...
+    def friction_force(self) -> NDArray[np.float64] | None:
+        """Return lambda_T, (m, d-1) [force]."""
 
     @property
-    def gap(self) -> Vector: ...
+    def gap(self) -> Vector:
+        """Return the gaps, (m,) [length]."""
 
     @property
-    def contact_status(self) -> Any: ...
+    def contact_status(self) -> Any:
+        """Return the statuses, (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,35 +94,37 @@ class ContactEntries(ABC):
     @property
     @abstractmethod
     def kept(self) -> NDArray[np.int64]:
-        """Which rows of all pairings are contacts of the problem: those that a free unknown moves."""
+        """Return which rows of all pairings are contacts of the problem: those that a free unknown moves."""
 
     @property
     def row_names(self) -> list[str]:
-        """``floor 12`` for each row of all pairings: its entry in the scene and its node."""
+        """Return ``floor 12`` for each row of all pairings: its entry in the scene and its node."""
         return [f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes]
 
     @property
     def row_friction(self) -> Vector | None:
-        """The coefficient of each row of all pairings; None where nothing rubs."""
+        """Return the coefficient of each row of all pairings; None where nothing has friction."""
         each = [np.full(len(contact.pairing.gap), float(contact.friction)) for contact in self.contacts]
         friction = np.concatenate([np.zeros(0), *each])
         return friction if friction.any() else None
 
     @property
     def notes(self) -> list[str]:
-        """What the pairings say of themselves, entry by entry."""
+        """Return the notes of the pairings, entry by entry."""
         return [f"{contact.name}: {note}" for contact in self.contacts for note in contact.pairing.notes]
 
     def place(self, name: str) -> int:
-        """The place of an entry of the scene's contacts among them."""
+        """Return the place of an entry of the scene's contacts among them."""
         return [contact.name for contact in self.contacts].index(name)
 
     def normal_forces(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
+        """Return lambda_N of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
         return self.of_entry(name, solution.normal_force, 0.0)
 
     def pressures(self, name: str, solution: ContactAnswer) -> Vector:
-        """At each paired node of one entry, (p,) [force / length^2], positive in compression; `Pairing.pressure`.
+        """Return the pressure at each paired node of one entry, (p,) [force / length^2], positive in compression.
+
+        NaN where only supported nodes meet, whose forces are not known; see `Pairing.pressure`.
 
         NaN where only supported nodes meet, whose forces nobody knows.
         """
@@ -127,42 +132,55 @@ class ContactEntries(ABC):
         return self.contacts[self.place(name)].pairing.pressure(known)
 
     def friction_tractions(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda_T per area of each paired node along the axes, (p, d) [force / length^2]; NaN where unknown."""
+        """Return lambda_T per area of each paired node along the axes, (p, d) [force / length^2].
+
+        NaN where only supported nodes meet.
+        """
         unknown = np.isnan(self.of_entry(name, solution.normal_force, np.nan))
         vectors = np.where(unknown[:, np.newaxis], np.nan, self.friction_vectors(name, solution))
         pairing = self.contacts[self.place(name)].pairing
         return np.column_stack([pairing.per_area(component) for component in vectors.T])
 
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
+        """Return lambda_T of each paired node of one entry along the axes, (p, d) [force].
+
+        It is what the node does to what it touches.
+        """
         pairing = self.contacts[self.place(name)].pairing
         frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
         return np.asarray(np.einsum("pk,pkd->pd", along, frames))
 
     def closed(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press, (p,)."""
+        """Return which paired nodes of one entry press, (p,)."""
         return self._has_status(name, solution, "closed", "stick", "slip")
 
     def stuck(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press and stick, (p,)."""
+        """Return which paired nodes of one entry press and stick, (p,)."""
         return self._has_status(name, solution, "stick")
 
     def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> NDArray[np.bool_]:
         return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: ContactAnswer) -> Vector:
-        """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
+        """Return the gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes
+        meet.
+        """
         return self.of_entry(name, solution.gap, np.nan)
 
     def tangential(self, name: str, values: Any) -> Vector:
-        """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
+        """Return values (m, d-1) of the problem's contacts at each paired node of one entry, (p, d-1).
+
+        0 where only supported nodes meet, and without friction.
+        """
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:
             return np.zeros((len(self.contacts[self.place(name)].pairing.gap), width))
         return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
 
     def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
-        """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
+        """Return the values (m,) of the problem's contacts that belong to one entry, (p,); `otherwise` where there is
+        none.
+        """
         sizes = [len(contact.pairing.gap) for contact in self.contacts]
         every = np.full(sum(sizes), otherwise)
         every[self.kept] = values
@@ -176,7 +194,7 @@ NodeAt = Callable[[Part, ArrayLike, str], int]
 
 @contextmanager
 def at_key(where: str) -> Iterator[None]:
-    """What the elements refuse is refused with the key that they were made from."""
+    """Refuse what the elements refuse, with the key that they were made from."""
     try:
         yield
     except InvalidProblem as error:
@@ -191,6 +209,7 @@ def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_
 
 
 def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
+    """Yield the supports of a scene as the structure takes them."""
     for i, support in enumerate(scene.supports):
         with at_key(f"supports[{i}] ({support.name!r})"):
             nodes = _nodes(scene, whole, support, node_at)
@@ -199,7 +218,7 @@ def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_no
 
 
 def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
-    """Every load with its name; what bodies weigh is called gravity."""
+    """Yield every load with its name; what bodies weigh is called gravity."""
     for i, traction in enumerate(scene.tractions):
         with at_key(f"tractions[{i}] ({traction.name!r})"):
             whole.body(traction.body).mesh.side(traction.nodes)
@@ -226,14 +245,16 @@ class Surfaces(Protocol):
     """Sides of bodies, numbered in one u."""
 
     @property
-    def size(self) -> int: ...
+    def size(self) -> int:
+        """Return the number of unknowns."""
 
-    def surface(self, body: str, side: str) -> Surface: ...
+    def surface(self, body: str, side: str) -> Surface:
+        """Return a side of a body."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModel(ContactEntries):
-    """What a scene of bodies is made into, all numbers in the scene's units."""
+    """The structure, supports, loads and pairs of a scene of bodies, all numbers in the scene's units."""
 
     scene: SceneData
     structure: Structure
@@ -243,7 +264,7 @@ class BodyModel(ContactEntries):
 
     @cached_property
     def problem(self) -> ContactProblem:
-        """On the free unknowns."""
+        """Return the contact problem on the free unknowns."""
         with stage(BUILD):
             return self.system.problem(
                 [contact.pairing for contact in self.contacts],
@@ -254,73 +275,73 @@ class BodyModel(ContactEntries):
 
     @property
     def kept(self) -> NDArray[np.int64]:
-        """Which rows of all pairings are contacts of the problem."""
+        """Return which rows of all pairings are contacts of the problem."""
         return self.system.free_contacts([contact.pairing for contact in self.contacts])
 
     def load_on_all(self, time: Fraction) -> Vector:
-        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
         if not has_corners(self.scene):
             return float(time) * self.system.load
         return sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
 
     def load_at(self, time: Fraction) -> Vector:
-        """The right-hand side under that load; prescribed displacements stay."""
+        """Return the right-hand side under that load; prescribed displacements stay."""
         return np.asarray((self.load_on_all(time) - self.structure.stiffness @ self.system.given)[self.system.free])
 
     def displacement(self, solution: Solution) -> Vector:
-        """u of all unknowns, prescribed ones included."""
+        """Return u of all unknowns, prescribed ones included."""
         return self.system.expand(solution.displacement)
 
     def node_at(self, body: str, point: ArrayLike) -> int:
-        """The node of a body at a point."""
+        """Return the node of a body at a point."""
         return nearest_node(self.structure.body(body), point, f"the body {body!r}")
 
     def displacement_at(self, body: str, node: int, solution: Solution) -> Vector:
-        """(d,) of a node of a body."""
+        """Return the displacement of a node of a body, (d,) [length]."""
         return np.asarray(self.structure.displacements(body, self.displacement(solution))[node])
 
     def stress_at(self, body: str, node: int, solution: Solution) -> Vector:
-        """(6,) at a node of a body, the mean over its elements."""
+        """Return the stress at a node of a body, (6,), the mean over its elements."""
         u = self.structure.displacements(body, self.displacement(solution))
         return np.asarray(stress_at_nodes(self.structure.solid(body), u.ravel())[node])
 
     def resultant(self, name: str, solution: Solution) -> Vector:
-        """(d,) the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave."""
+        """Return the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave, (d,)."""
         contact = self.contacts[self.place(name)]
         forces = -(contact.pairing.normal.T @ self.normal_forces(name, solution))
         return np.asarray(self.structure.displacements(contact.body, forces).sum(axis=0))
 
     def ranges(self, body: str, field: Vector) -> Vector:
-        """(d, 2) the lowest and the highest value of a field on all unknowns, at the nodes of a body."""
+        """Return the lowest and the highest value of a field on all unknowns, at the nodes of a body, (d, 2)."""
         values = self.structure.displacements(body, field)
         return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
 
     def free_motions(self, solution: Solution) -> NDArray[np.float64]:
-        """(q, all unknowns) the directions of the solution's free motions; supports stand still."""
+        """Return the directions of the solution's free motions, (q, all unknowns); supports stand still."""
         return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
 
     def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
-        """The column of some fields (q, all unknowns) where field i is largest, and its place."""
+        """Return the column of some fields (q, all unknowns) where field i is largest, and its place."""
         at = int(np.argmax(np.abs(rows[i])))
         return rows[:, at].copy(), at
 
     def energy(self, solution: Solution, time: Fraction) -> float:
-        """1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
+        """Return 1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
         u = self.displacement(solution)
         return float(u @ (self.structure.stiffness @ u) / 2 - self.load_on_all(time) @ u)
 
     def support_force(self, support: int, solution: Solution, time: Fraction) -> float:
-        """What an entry of the scene's supports does to its body, along its axis."""
+        """Return what an entry of the scene's supports does to its body, along its axis [force]."""
         return float(self.support_forces(solution, time)[self.held_by(support)].sum())
 
     def velocity(self, free: Vector) -> Vector:
-        """v of all unknowns from that of the free ones; supports stand still."""
+        """Return v of all unknowns from that of the free ones; supports stand still."""
         every = np.zeros(self.structure.size)
         every[self.system.free] = free
         return every
 
     def support_forces(self, solution: Solution, time: Fraction) -> Vector:
-        """What the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
+        """Return what the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
         pressed = self.system.load - self.load_on_all(time)
         for contact in self.contacts:
             pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
@@ -330,14 +351,14 @@ class BodyModel(ContactEntries):
         return self.system.support_forces(self.displacement(solution), pressed)
 
     def held_by(self, support: int) -> NDArray[np.int64]:
-        """The places in u of the unknowns that an entry of the scene's supports holds."""
+        """Return the places in u of the unknowns that an entry of the scene's supports holds."""
         held = self.supports[support]
         body = self.structure.body(held.body)
         return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
 
 
 def body_model(scene: SceneData) -> BodyModel:
-    """Meshes, structure, supports, loads and pairs of a scene.
+    """Return the meshes, structure, supports, loads and pairs of a scene.
 
     Raises
     ------
@@ -374,12 +395,12 @@ def body_model(scene: SceneData) -> BodyModel:
 
 
 def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
-    """The loads times their factors."""
+    """Return the sum of the loads times their factors, (size,) [force]."""
     return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
 def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
-    """An elastic body of the scene on its mesh."""
+    """Return an elastic body of the scene on its mesh."""
     density = 0.0 if body.density is None else number(scene.system, body.density)
     material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
     thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
@@ -387,12 +408,12 @@ def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
 
 
 def sides_of(contact: Contact) -> list[tuple[str, str]]:
-    """The bodies and sides of an entry of the scene's contacts."""
+    """Return the bodies and sides of an entry of the scene's contacts."""
     return [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
 
 
 def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> PairedContact:
-    """An entry of the scene's contacts between sides of bodies, or one side and an obstacle."""
+    """Return the pairing of an entry of the scene's contacts: two sides of bodies, or one side and an obstacle."""
     ends = sides_of(contact)
     surfaces = [whole.surface(*end) for end in ends]
     overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
@@ -411,7 +432,7 @@ def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> Paire
 
 
 def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
-    """A side may start inside an obstacle as little as inside another body, unless the case says how much."""
+    """Refuse a side that starts deeper inside an obstacle than inside another body, unless the case says how much."""
     allowed = OVERLAP * diameters(surface.points[surface.facets]).max() if overlap is None else overlap
     i = int(np.argmin(found.gap))
     if found.gap[i] < -allowed:
@@ -423,7 +444,7 @@ def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float 
 
 
 def _membrane_contact(scene: SceneData, whole: Structure, contact: Contact, name: str) -> PairedContact:
-    """All free nodes of a membrane over an obstacle; where the obstacle has no height there is no contact."""
+    """Pair all free nodes of a membrane with an obstacle; where the obstacle has no height there is no contact."""
     membrane = whole.body(name)
     if not isinstance(membrane, Membrane) or contact.obstacle is None:
         raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")

@@ -1,15 +1,11 @@
-"""From a Scene to the numbers of its contact problem: first exact, then the ContactProblem.
+"""From a scene to the numbers of its contact problem: first exact, then rounded once.
 
-The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers.
-
-Ties as matrices, in exact numbers: A, its rank, and the problem that is left on the masters.
+Ties are also eliminated exactly, for claims about the problem that is left on the masters::
 
     A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
     K^ = T'K T,    f^ = T'(f - K c)
 
 (course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
-
-From a scene to what it is computed with.
 """
 
 from __future__ import annotations
@@ -34,14 +30,7 @@ from contactqp.errors import SceneError
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle
-from contactqp.scene.unknowns import (
-    GRAVITY,
-    Factors,
-    Unknowns,
-    end_time,
-    factors_at,
-    of_scene,
-)
+from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
@@ -52,7 +41,7 @@ Row = Mapping[str, Number]
 
 
 def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
-    """The loads at their full values by their names; what has mass weighs by the name of gravity."""
+    """Return the loads at their full values by their names; what masses weigh is called gravity."""
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
         total[load.name][load.unknown] += scene.value(load.value)
@@ -76,6 +65,7 @@ def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    """Return the sum of the loads times their factors, by the names of the unknowns."""
     total: defaultdict[str, Number] = defaultdict(Fraction)
     for name, row in loads.items():
         for unknown, force in row.items():
@@ -127,7 +117,7 @@ class ExactProblem:
 
     @property
     def rational(self) -> bool:
-        """Whether every number is a Fraction."""
+        """Return whether every number is a Fraction."""
         return all(isinstance(number, Rational) for number in self._numbers())
 
     def _numbers(self) -> Iterator[Number]:
@@ -147,7 +137,7 @@ def exact_problem(scene: SceneData) -> ExactProblem:
     """Assemble the scene in exact numbers, in its own units."""
     loads = exact_loads(scene)
     return ExactProblem(
-        unknowns=of_scene(scene),
+        unknowns=unknowns_of(scene),
         stiffness=assembled(part for _, element in scene.elements for part in element.stiffnesses(scene)),
         load=sum_of(loads, factors_at(scene, end_time(scene))),
         loads=loads,
@@ -161,14 +151,14 @@ def exact_problem(scene: SceneData) -> ExactProblem:
 
 @dataclass(frozen=True, eq=False)
 class NodeModel:
-    """What a scene of nodes is made into."""
+    """A scene of nodes with its exact numbers, and the contact problem that they round to."""
 
     scene: SceneData
     exact: ExactProblem
 
     @cached_property
     def problem(self) -> ContactProblem:
-        """On the free unknowns, in the scene's units; every number is rounded once.
+        """Return the contact problem on the free unknowns, in the scene's units; every number is rounded once.
 
         Tangential rows are there only if a contact has friction.
         """
@@ -176,7 +166,7 @@ class NodeModel:
             return _rounded(self.scene, self.exact)
 
     def along_axes(self, tangential: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
+        """Return sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
         axes = self.scene.axes
         vectors = np.zeros((len(self.exact.contacts), len(axes)))
         for i, contact in enumerate(self.exact.contacts if tangential is not None else ()):
@@ -186,11 +176,11 @@ class NodeModel:
         return vectors
 
     def exact_load_at(self, time: Fraction) -> Row:
-        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
         return sum_of(self.exact.loads, factors_at(self.scene, time))
 
     def load_at(self, time: Fraction) -> NDArray[np.float64]:
-        """The same on the free unknowns, rounded."""
+        """Return the same on the free unknowns, rounded, (n,) [force]."""
         load = self.exact_load_at(time)
         return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])
 
@@ -225,14 +215,14 @@ def _matrix(entries: Iterable[tuple[tuple[int, int], Number]], shape: tuple[int,
 
 
 def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
-    """The rows on the free unknowns."""
+    """Return the rows on the free unknowns."""
     rows = list(rows)
     entries = [((i, place[name]), value) for i, row in enumerate(rows) for name, value in row.items() if name in place]
     return _matrix(entries, (len(rows), len(place)))
 
 
 def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
-    """The sum of element matrices by the names of their unknowns; what is zero is left out."""
+    """Return the sum of element matrices by the names of their unknowns; what is zero is left out."""
     total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
     for names, matrix in matrices:
         for i, row in zip(names, matrix, strict=True):
@@ -267,7 +257,7 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
 
 
 def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
-    """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
+    """Return a node's row against an obstacle, exact for planes; round ones occur at large deformations alone."""
     item = scene.obstacle(name)
     if item.kind == "plane":
         plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
@@ -279,18 +269,18 @@ Rows = list[list[Fraction]]
 
 
 def tie_matrix(exact: ExactProblem, columns: Sequence[str]) -> list[Number]:
-    """A on the given unknowns, row by row."""
+    """Return A on the given unknowns, row by row."""
     return [tie.row.get(name, Fraction(0)) for tie in exact.ties for name in columns]
 
 
 def rank(exact: ExactProblem) -> int:
-    """The number of independent ties."""
+    """Return the number of independent ties."""
     free = exact.unknowns.free
     return len(_eliminate([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
 
 
 def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
-    """K^ = T'KT, row by row in the order of the masters."""
+    """Return K^ = T'KT, row by row in the order of the masters."""
     T, _ = _transformation(exact, masters)
     K = exact.stiffness
     return [
@@ -301,7 +291,7 @@ def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Numbe
 
 
 def reduced_load(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
-    """f^ = T'(f - K c)."""
+    """Return f^ = T'(f - K c)."""
     T, c = _transformation(exact, masters)
     residual = {name: Fraction(exact.load.get(name, 0)) for name in T}
     for (i, j), k in exact.stiffness.items():
@@ -313,7 +303,7 @@ def reduced_load(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
 def _transformation(
     exact: ExactProblem, masters: Sequence[str]
 ) -> tuple[dict[str, list[Fraction]], dict[str, Fraction]]:
-    """T and c of u = T u_m + c, by the names of the unknowns."""
+    """Return T and c of u = T u_m + c, by the names of the unknowns."""
     slaves = [name for name in exact.unknowns.free if name not in masters]
     order = [*slaves, *masters]
     rows = [[Fraction(tie.row.get(name, 0)) for name in order] + [Fraction(tie.value)] for tie in exact.ties]
@@ -331,7 +321,7 @@ def _transformation(
 
 
 def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
-    """Gauss-Jordan on the first columns, exactly; the rows with pivots come first."""
+    """Return the rows after Gauss-Jordan on the first columns, exactly, and the pivots; rows with pivots come first."""
     rows = [list(row) for row in rows]
     pivots: list[int] = []
     for column in range(columns):
@@ -353,7 +343,7 @@ if TYPE_CHECKING:
 
 
 def build(scene: SceneData) -> Model:
-    """Nodes with bars and springs in exact numbers, or elastic bodies and membranes in floats.
+    """Return the model of a scene: nodes in exact numbers, or elastic bodies and membranes in floats.
 
     Raises
     ------

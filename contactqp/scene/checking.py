@@ -10,9 +10,9 @@ from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import ROTATION, refuse_zero_direction, refuse_zero_length
 from contactqp.scene.checking_bodies import check_bodies, check_no_bodies, obstacles_exist_in
 from contactqp.scene.checking_claims import claims_fit
-from contactqp.scene.fields import unknown
+from contactqp.scene.fields import no_such
 from contactqp.scene.units import KINDS, Dimension
-from contactqp.scene.unknowns import Unknowns, is_rotation, load_names, of_scene, started
+from contactqp.scene.unknowns import Unknowns, is_rotation, load_names, start_values, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, Tie
@@ -47,7 +47,7 @@ def check(scene: SceneData) -> None:
     check_no_bodies(scene)
     _nodes_exist(scene)
     _elements_fit(scene)
-    unknowns = of_scene(scene)
+    unknowns = unknowns_of(scene)
     parts = (
         _fixed_exist, _matrices_fit, _ties_fit, _contacts_fit, _loads_fit, _nothing_hangs, control_fits, motion_fits,
         claims_fit,
@@ -106,7 +106,7 @@ def _nodes_exist(scene: SceneData) -> None:
 
 def _node_exists(key: str, name: str, stated: Iterable[str], every: Container[str]) -> None:
     if name not in every:
-        raise SceneError(f"{key}: {unknown(name, stated, 'node')}")
+        raise SceneError(f"{key}: {no_such(name, stated, 'node')}")
 
 
 def _elements_fit(scene: SceneData) -> None:
@@ -131,7 +131,7 @@ def _known_unknown(key: str, name: str, scene: SceneData, unknowns: Unknowns) ->
     node, _, axis = name.rpartition(".")
     if axis == ROTATION and node in scene.every_node:
         raise SceneError(f"{key}: node {node!r} has no rotation, since no beam ends there")
-    raise SceneError(f"{key}: {unknown(name, unknowns.names, 'unknown')}")
+    raise SceneError(f"{key}: {no_such(name, unknowns.names, 'unknown')}")
 
 
 def _fixed_exist(scene: SceneData, unknowns: Unknowns) -> None:
@@ -180,7 +180,7 @@ def _ties_fit(scene: SceneData, unknowns: Unknowns) -> None:
 
 
 def _tie_dimensions(where: str, tie: Tie) -> None:
-    """In a row of lengths, displacements have numbers as factors and rotations lengths; a row of rotations, numbers."""
+    """Check the factors: in a row of lengths numbers for displacements and lengths for rotations, else numbers."""
     number, length = KINDS["number"].dimension, KINDS["length"].dimension
     angular = all(is_rotation(term.unknown) for term in tie.terms) and tie.value.dimension == number
     for j, term in enumerate(tie.terms):
@@ -199,7 +199,7 @@ def _contacts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     for i, contact in enumerate(scene.contacts):
         if contact.obstacle is not None and contact.obstacle not in known:
             raise SceneError(
-                f"contacts[{i}].obstacle ({contact.name!r}): {unknown(contact.obstacle, known, 'obstacle')}"
+                f"contacts[{i}].obstacle ({contact.name!r}): {no_such(contact.obstacle, known, 'obstacle')}"
             )
         touched = {name for node in contact.touched for name in scene.displacements(node)}
         if unknowns.fixed.issuperset(touched):
@@ -226,7 +226,7 @@ def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
     for i, line_load in enumerate(scene.line_loads):
         if line_load.string not in strings:
             raise SceneError(
-                f"line_loads[{i}].string ({line_load.name!r}): {unknown(line_load.string, strings, 'string')}"
+                f"line_loads[{i}].string ({line_load.name!r}): {no_such(line_load.string, strings, 'string')}"
             )
     for name in {load.name for load in scene.loads}:
         _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
@@ -236,7 +236,7 @@ def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
 
 
 def _nothing_hangs(scene: SceneData, unknowns: Unknowns) -> None:
-    """A free node that nothing holds or touches is a slip of the pen."""
+    """Refuse a free node that nothing holds or touches, which is a slip of the pen."""
     attached = {name for _, element in scene.elements for name in element.chain}
     attached |= {name for contact in scene.contacts for name in contact.touched}
     attached |= {term.unknown.rpartition(".")[0] for tie in scene.ties for term in tie.terms}
@@ -310,7 +310,7 @@ def control_fits(scene: SceneData, unknowns: Unknowns) -> None:
             )
     if path.controlled is not None and path.controlled not in unknowns.free:
         fixed = " among those that are free" if path.controlled in unknowns.fixed else ""
-        raise SceneError(f"path.controlled: {unknown(path.controlled, unknowns.free, 'unknown')}{fixed}")
+        raise SceneError(f"path.controlled: {no_such(path.controlled, unknowns.free, 'unknown')}{fixed}")
 
 
 def motion_fits(scene: SceneData, unknowns: Unknowns) -> None:
@@ -365,7 +365,7 @@ def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
                     raise SceneError(f"{where}.{name} ({item.of!r}): expected {expected} components, got {len(vector)}")
             if item.to is not None and item.of not in {bar.name for bar in scene.bars}:
                 raise SceneError(f"{where}.to ({item.of!r}): expected of a bar only, along which it is linear")
-            for name, value in started(scene, item):
+            for name, value in start_values(scene, item):
                 if name in seen:
                     raise SceneError(f"{where} ({item.of!r}): expected {name!r} once, got it in {seen[name]} too")
                 seen[name] = where
@@ -381,7 +381,7 @@ def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> N
     kinds = [kind for kind, names in known.items() if name in names]
     if not kinds:
         raise SceneError(
-            f"{where}: {unknown(name, [n for names in known.values() for n in names], ' or '.join(known))}"
+            f"{where}: {no_such(name, [n for names in known.values() for n in names], ' or '.join(known))}"
         )
     if len(kinds) > 1:
         raise SceneError(f"{where}: expected a name of one thing, got {name!r}, a {' and a '.join(kinds)}")
@@ -406,7 +406,7 @@ def path_fits(scene: SceneData) -> None:
     for i, corner in enumerate(scene.path.corners):
         for name in corner:
             if name not in known:
-                raise SceneError(f"path.corners[{i}]: {unknown(name, known, 'load')}")
+                raise SceneError(f"path.corners[{i}]: {no_such(name, known, 'load')}")
     for key, name in loads:
         if not any(name in corner for corner in scene.path.corners):
             raise SceneError(

@@ -1,11 +1,4 @@
-"""What the parts of a scene of elastic bodies must have in common; meshes are only looked at when they are built.
-
-Whether a scene fits large deformations: bars between nodes, obstacles, and a load path with its control.
-
-Whether a scene's motion fits its parts: what has mass, and what starts with which displacement and velocity.
-
-Whether a scene's load path fits its loads, and what it says of its answer the path.
-"""
+"""Whether the parts of a scene of elastic bodies fit each other; meshes are not read before the scene is built."""
 
 from __future__ import annotations
 
@@ -14,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
-from contactqp.scene.fields import unknown
+from contactqp.scene.fields import no_such
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData
@@ -64,7 +57,7 @@ def check_bodies(scene: SceneData) -> None:
     _obstacles_exist(scene)
     for i, support in enumerate(scene.supports):
         if support.axis not in scene.axes:
-            raise SceneError(f"supports[{i}].axis ({support.name!r}): {unknown(support.axis, scene.axes, 'axis')}")
+            raise SceneError(f"supports[{i}].axis ({support.name!r}): {no_such(support.axis, scene.axes, 'axis')}")
         if scene.path is not None and support.value is not None and support.value.si:
             raise SceneError(
                 f"supports[{i}].value ({support.name!r}): expected 0 with a load path, which makes loads grow and "
@@ -76,7 +69,7 @@ def check_bodies(scene: SceneData) -> None:
 
 
 def _membranes_fit(scene: SceneData) -> None:
-    """A membrane lies in the plane z = 0 of a scene in space, alone or with other membranes."""
+    """Refuse membranes outside of the plane z = 0 of a scene in space, and beside bodies."""
     if scene.bodies:
         raise SceneError("membranes: expected none beside bodies, which are not offered together")
     if len(scene.axes) != 3:
@@ -110,7 +103,7 @@ def _models_fit(scene: SceneData) -> None:
 
 
 def _places(scene: SceneData) -> Iterator[tuple[str, str]]:
-    """Every place that names an elastic body, and the body."""
+    """Yield every key that names an elastic body, and the body."""
     for key, name in (("point_loads", "on"), ("tractions", "side"), ("pressures", "side")):
         for i, item in enumerate(getattr(scene, key)):
             yield f"{key}[{i}].{name} ({item.name!r})", item.body
@@ -124,17 +117,17 @@ def _bodies_exist(scene: SceneData) -> None:
     known = [body.name for body in scene.bodies]
     for key, name in _places(scene):
         if name not in known:
-            raise SceneError(f"{key}: {unknown(name, known, 'body')}")
+            raise SceneError(f"{key}: {no_such(name, known, 'body')}")
     meshed = [body.name for body in scene.meshed]
     for i, support in enumerate(scene.supports):
         if support.body not in meshed:
-            raise SceneError(f"supports[{i}].on ({support.name!r}): {unknown(support.body, meshed, 'body')}")
+            raise SceneError(f"supports[{i}].on ({support.name!r}): {no_such(support.body, meshed, 'body')}")
     for i, contact in enumerate(scene.contacts):
         if contact.membrane is not None:
             membranes = [membrane.name for membrane in scene.membranes]
             if contact.membrane not in membranes:
                 raise SceneError(
-                    f"contacts[{i}].membrane ({contact.name!r}): {unknown(contact.membrane, membranes, 'membrane')}"
+                    f"contacts[{i}].membrane ({contact.name!r}): {no_such(contact.membrane, membranes, 'membrane')}"
                 )
 
 
@@ -156,7 +149,7 @@ def _obstacles_exist(scene: SceneData) -> None:
         if contact.touched:
             raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
         if contact.obstacle is not None and contact.obstacle not in known:
-            raise SceneError(f"{where}.obstacle ({contact.name!r}): {unknown(contact.obstacle, known, 'obstacle')}")
+            raise SceneError(f"{where}.obstacle ({contact.name!r}): {no_such(contact.obstacle, known, 'obstacle')}")
         if contact.sides is not None:
             _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
 

@@ -11,7 +11,7 @@ from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import QUANTITIES, Claim
-from contactqp.scene.fields import unknown
+from contactqp.scene.fields import no_such
 from contactqp.scene.units import Quantity
 from contactqp.scene.unknowns import Unknowns, end_time
 from contactqp.solving.methods import Method, methods
@@ -61,12 +61,12 @@ def claims_fit(scene: SceneData, unknowns: Unknowns) -> None:
 
 def _method_exists(key: str, name: str, known: Mapping[str, Method]) -> Method:
     if name not in known:
-        raise SceneError(f"{key}: {unknown(name, known, 'method')}")
+        raise SceneError(f"{key}: {no_such(name, known, 'method')}")
     return known[name]
 
 
 def _method_fits(where: str, name: str, knobs: Mapping[str, object], known: Mapping[str, Method]) -> None:
-    """The method exists, and its knobs are its own, of values that it can have."""
+    """Refuse a method that does not exist, and knobs that it has not or of values that it cannot have."""
     method = _method_exists(f"{where}.method", name, known)
     own = [*method.options, *(["tolerance"] if method.knob == "tolerance" else [])]
     for knob, stated in knobs.items():
@@ -107,7 +107,7 @@ def _claim_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
     _places_fit(where, claim, measure, claimable)
     for j, name in enumerate(claim.unknowns or ()):
         if name not in places["unknown"]:
-            raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
+            raise SceneError(f"{where}.unknowns[{j}]: {no_such(name, places['unknown'], 'unknown')}")
     _motion_fits(where, claim, measure, scene)
     _large_fits(where, claim, measure, claimable)
     if measure.path and scene.path is None and scene.motion is None:
@@ -127,11 +127,11 @@ def _places_fit(where: str, claim: Claim, measure: Measure, claimable: _Claimabl
     if claim.near is not None and len(claim.near) != len(scene.axes):
         raise SceneError(f"{where}.near: expected {len(scene.axes)} components, got {len(claim.near)}")
     if measure.at is not None and claim.at not in places[measure.at]:
-        raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
+        raise SceneError(f"{where}.at: {no_such(claim.at, places[measure.at], measure.at)}")
     if measure.at == "bar" and any(bar.divisions > 1 for bar in scene.bars if bar.name == claim.at):
         raise SceneError(f"{where}.at: expected a bar in one piece, got {claim.at!r}, each part of which has its own")
     if measure.along is not None and claim.along not in places[measure.along]:
-        raise SceneError(f"{where}.along: {unknown(claim.along, places[measure.along], measure.along)}")
+        raise SceneError(f"{where}.along: {no_such(claim.along, places[measure.along], measure.along)}")
 
 
 def _large_fits(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:

@@ -1,6 +1,6 @@
-"""What a case says about its answer: exact expectations, printed numbers with our verdict, and the knobs to sweep.
+"""What a case claims of its answer, and the vocabulary of quantities that it can claim.
 
-What a case can say of its answer: each quantity by its name, the kind of number it is, and what it is asked of.
+An expectation has an exact value, a published number our verdict on it; a study names the knobs that a report sweeps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.scene import fields
 from contactqp.scene.blocks import element_quantities
 from contactqp.scene.blocks.element import Measure
-from contactqp.scene.fields import Block, KnobStiffness, Name, Number, unknown
+from contactqp.scene.fields import Block, KnobStiffness, Name, Number, no_such
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
 
 STATUSES = ("open", "closed", "grazing", "stick", "slip")
@@ -24,7 +24,7 @@ ONE_ANSWER = "one answer"
 
 
 def uniqueness_in_words(findings: Iterable[str]) -> str:
-    """A certificate's findings as the value of "uniqueness"."""
+    """Return a certificate's findings as the value of "uniqueness"."""
     return "; ".join(findings) or ONE_ANSWER
 
 
@@ -147,11 +147,7 @@ QUANTITIES = {
     "snap-through load": _of_large("load on an unknown where load control jumps", "force", at="unknown", **_POINT),
     "snap-throughs": _of_large("number of jumps on the path", "number", whole_way=True),
     "node displacement": _of_bodies(
-        "displacement of the node of a body at `near`, along an axis",
-        "length",
-        at="body",
-        along="axis",
-        near=True,
+        "displacement of the node of a body at `near`, along an axis", "length", at="body", along="axis", near=True
     ),
     "node velocity": _of_bodies(
         "velocity of the node at `near`, along an axis", "velocity", at="body", along="axis", near=True, motion=True
@@ -198,15 +194,10 @@ QUANTITIES = {
     ),
     "sticking contacts": _of_bodies("number of nodes of a contact that stick", "number", at="contact", friction=True),
     "peak pressure": _of_bodies(
-        "largest pressure at the nodes of a contact: forces projected onto its side",
-        "pressure",
-        at="contact",
+        "largest pressure at the nodes of a contact: forces projected onto its side", "pressure", at="contact"
     ),
     "contact pressure": _of_bodies(
-        "pressure at the contact's node at `near`: forces projected onto its side",
-        "pressure",
-        at="contact",
-        near=True,
+        "pressure at the contact's node at `near`: forces projected onto its side", "pressure", at="contact", near=True
     ),
     "contact half-width": _of_bodies(
         "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True
@@ -226,12 +217,12 @@ KNOBS = ("penalty", "perturbation")
 
 def _known_quantity(value: str) -> str:
     if value not in QUANTITIES:
-        raise ValueError(unknown(value, QUANTITIES, "quantity"))
+        raise ValueError(no_such(value, QUANTITIES, "quantity"))
     return value
 
 
 def _text(value: Any) -> str:
-    """Numbers are kept as they were written: their digits say how exact they are."""
+    """Return a number as it was written: its digits say how exact it is."""
     if isinstance(value, bool | list | tuple | dict):
         raise ValueError(f'expected a number with its unit such as "41/31500 m", got {value}')
     return str(value)
@@ -249,7 +240,7 @@ def _tolerance(value: Any) -> Quantity:
 
 
 def _instant(value: Any) -> Fraction | Quantity:
-    """A pseudo-time is a number, a time has its unit."""
+    """Return a pseudo-time, which is a number, or a time, which has its unit."""
     time = read_quantity(value, [KINDS["number"], KINDS["time"]], roots=True)
     return time if any(time.dimension) else time.si
 
@@ -296,21 +287,23 @@ class Claim(Block):
 
     @cached_property
     def measure(self) -> Measure:
+        """Return the row of the vocabulary that the quantity is."""
         return QUANTITIES[self.quantity]
 
     @cached_property
     def kinds(self) -> list[Kind]:
+        """Return the kinds of numbers that its value can be."""
         return [KINDS[name] for name in self.measure.kinds]
 
     @cached_property
     def knobs(self) -> dict[str, Quantity | str]:
-        """The options of the method that are stated."""
+        """Return the options of the method that are stated."""
         stated = {name: getattr(self, name) for name in (*KNOBS, "update")}
         return {name: value for name, value in stated.items() if value is not None}
 
     @property
     def stated(self) -> list[Quantity]:
-        """The numbers that are claimed."""
+        """Return the numbers that are claimed."""
         return []
 
     @model_validator(mode="after")
@@ -373,7 +366,7 @@ class Expectation(Claim):
         if not self.kinds:
             for word in str(self.value).split("; "):
                 if word not in self.measure.words:
-                    raise ValueError(f"value: {unknown(word, self.measure.words, self.quantity)}")
+                    raise ValueError(f"value: {no_such(word, self.measure.words, self.quantity)}")
             return self
         for target in self.targets:
             if target.si == 0 and self.tolerance.dimension != target.dimension and not self.measure.matrix:
@@ -382,12 +375,13 @@ class Expectation(Claim):
 
     @cached_property
     def targets(self) -> list[Quantity]:
-        """The exact values, row by row."""
+        """Return the exact values, row by row."""
         texts = [self.value] if self.rows is None else [f"{text} {self.unit}" for row in self.rows for text in row]
         return [read_quantity(text, self.kinds, roots=True) for text in texts]
 
     @property
     def stated(self) -> list[Quantity]:
+        """Return the numbers that are claimed; none for words."""
         return self.targets if self.kinds else []
 
 
@@ -413,15 +407,17 @@ class Published(Claim):
 
     @cached_property
     def target(self) -> Quantity:
+        """Return the printed number."""
         return read_quantity(self.printed, self.kinds)
 
     @property
     def stated(self) -> list[Quantity]:
+        """Return the printed number."""
         return [self.target]
 
     @cached_property
     def half_digit(self) -> Quantity:
-        """Half a unit of the last printed digit."""
+        """Return half a unit of the last printed digit."""
         number, _, unit = self.printed.partition(" ")
         mantissa, _, exponent = number.lower().partition("e")
         digits = len(mantissa.partition(".")[2])
@@ -459,12 +455,12 @@ class Study(Block):
 
     @property
     def knob(self) -> tuple[str, tuple[Quantity | Fraction, ...]]:
-        """Its name and values."""
+        """Return its name and values."""
         return next((name, getattr(self, name)) for name in (*KNOBS, "tolerance") if getattr(self, name))
 
     @property
     def options(self) -> dict[str, str]:
-        """What the method is told besides its knob."""
+        """Return the options of the method besides its knob."""
         return {} if self.update is None else {"update": self.update}
 
 

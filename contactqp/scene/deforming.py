@@ -34,13 +34,13 @@ _BY_PLACE = re.compile(r"\bunknown (\d+)\b")
 
 @dataclass(frozen=True, eq=False)
 class DeformableModel:
-    """The bars and obstacles of a scene as they are at large displacements; its unknowns are those of the model."""
+    """The bars and obstacles of a scene at large displacements; its unknowns are those of the model."""
 
     model: NodeModel
 
     @cached_property
     def truss(self) -> NonlinearTruss:
-        """On all unknowns."""
+        """Return the bars on all unknowns."""
         scene = self.model.scene
         nodes = list(scene.every_node)
         place = {node: i for i, node in enumerate(nodes)}
@@ -56,13 +56,13 @@ class DeformableModel:
 
     @cached_property
     def body(self) -> Supported:
-        """On the free unknowns."""
+        """Return the bars on the free unknowns."""
         unknowns = self.model.exact.unknowns
         return Supported(self.truss, held={unknowns.place[name]: 0.0 for name in unknowns.fixed})
 
     @cached_property
     def contact(self) -> ContactGeometry | None:
-        """All contacts in the order of the scene, over all unknowns; None if there are none."""
+        """Return all contacts in the order of the scene, over all unknowns; None if there are none."""
         parts = list(self._contacts())
         return ContactGroup(parts) if parts else None
 
@@ -78,7 +78,7 @@ class DeformableModel:
             )
 
     def bar_force(self, name: str, displacement: Array) -> float:
-        """The true axial force of a bar in one piece, positive in tension."""
+        """Return the true axial force of a bar in one piece, positive in tension [force]."""
         first = 0
         for bar in self.model.scene.bars:
             if bar.name == name:
@@ -87,7 +87,7 @@ class DeformableModel:
         return float(self.truss.axial_force(self.body.expand(displacement))[first])
 
     def support_forces(self, solution: LargeSolution) -> Array:
-        """What supports do to the body at fixed unknowns, at all unknowns: f_int + E_N' l_N + E_T' l_T - f.
+        """Return the forces of the supports on the body, at all unknowns: f_int + E_N' l_N + E_T' l_T - f.
 
         At free unknowns it is what Newton's method left out of balance.
         """
@@ -104,7 +104,7 @@ class DeformableModel:
 
 
 def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
-    """The path that the scene states, at large deformations.
+    """Follow the path that the scene states, at large deformations.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
 
 
 def _of_scene(model: NodeModel, history: LargeHistory) -> LargeHistory:
-    """The same with the names and units of the scene."""
+    """Return the history with the names and units of the scene."""
     names = [contact.name for contact in model.exact.contacts]
     return LargeHistory(
         [_solution_of_scene(model, solution) for solution in history if isinstance(solution, LargeSolution)],
@@ -166,6 +166,6 @@ def _solution_of_scene(model: NodeModel, solution: LargeSolution) -> LargeSoluti
 
 
 def _named(model: NodeModel, text: str) -> str:
-    """Unknowns by their names in place of their numbers."""
+    """Return a text with unknowns by their names in place of their numbers."""
     free = model.exact.unknowns.free
     return _BY_PLACE.sub(lambda found: free[int(found[1])], text)

@@ -1,11 +1,4 @@
-"""What a scene is made into: its unknowns and constraints, the blocks it got and those it did not, and why.
-
-What an explanation consists of, and the parts that scenes of nodes and of bodies share.
-
-A scene of elastic bodies in words.
-
-An explanation on a screen.
-"""
+"""A scene in words: its unknowns and constraints, the blocks that its problem has and those it has not, and why."""
 
 from __future__ import annotations
 
@@ -56,7 +49,7 @@ class Explanation:
 
 
 def path_block(scene: SceneData) -> BuildingBlock:
-    """Whether loads grow, and how changes are found."""
+    """Say whether loads grow, and how changes of contact are found."""
     if scene.path is None:
         constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
         return BuildingBlock("load path", False, constant)
@@ -88,7 +81,7 @@ def _large_path(path: LoadPath) -> str:
 
 
 def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
-    """Whether tangents change, and with what; `kinds` are the elements of the scene."""
+    """Say whether tangents change, and with what; `kinds` are the elements of the scene."""
     if not scene.large:
         return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
     laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
@@ -101,7 +94,7 @@ def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
 
 
 def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
-    """The mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
+    """Yield the mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
     motion = scene.motion
     if motion is None:
         yield BuildingBlock("mass matrix", False, f"statics: {masses}")
@@ -113,7 +106,7 @@ def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
 
 
 def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
-    """Tangential rows, which all contacts get where one has friction; `coefficients` of all of them."""
+    """Say which contacts have friction; where one has, all get tangential rows."""
     name, rubbing = "tangential rows E_T, friction", sum(map(bool, coefficients))
     if not rubbing:
         return BuildingBlock(name, False, "no contact has friction")
@@ -124,13 +117,13 @@ def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock
 
 
 def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
-    """Which methods a report tries on the case, where not all of them."""
+    """Say which methods a report tries on the case, where not all of them."""
     if report_note(scene):
         yield BuildingBlock("all methods in a report", False, report_note(scene))
 
 
 def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
-    """The methods that a report is limited to, and why; None where it tries all."""
+    """Return the methods that a report is limited to, and why; None where it tries all."""
     if scene.report is not None:
         return scene.report.methods, scene.report.why
     if scene.large:
@@ -144,13 +137,24 @@ def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
 
 
 def report_note(scene: SceneData) -> str:
-    """The same in words; empty where all are tried."""
+    """Return the same in words; empty where all are tried."""
     limit = report_methods(scene)
     return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
 
 
 def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
-    """A block that is included where there is one of them or more."""
+    """Return a block that is included where there is one of them or more.
+
+    Parameters
+    ----------
+    name : str
+        What the block is called.
+    count : int
+    what : str
+        What one of them is called; its plural has an s.
+    otherwise : str
+        The reason where there is none.
+    """
     return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
 
 
@@ -247,7 +251,7 @@ def _exactness(exact: ExactProblem) -> BuildingBlock:
 
 
 def _form(row: Row) -> str:
-    """``u(1.x) - u(2.x)``."""
+    """Write a row as in ``u(1.x) - u(2.x)``."""
     text = ""
     for name, factor in row.items():
         sign = "-" if factor < 0 else "+"
@@ -257,14 +261,14 @@ def _form(row: Row) -> str:
 
 
 def _written(number: Number) -> str:
-    """A fraction as it is unless it is a short decimal."""
+    """Write a fraction as it is unless it is a short decimal."""
     if isinstance(number, Fraction) and Fraction(f"{float(number):.6g}") != number:
         return str(number)
     return f"{float(number):.6g}"
 
 
 def shortened(names: Sequence[str]) -> str:
-    """The first of many names."""
+    """Return the first of many names in one line."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f", and {more} more" if more > 0 else "")
 
@@ -330,7 +334,7 @@ def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
 
 
 def print_explanation(console: Console, explanation: Explanation) -> None:
-    """Unknowns, constraints, blocks."""
+    """Print the unknowns, the constraints, and which blocks the problem has."""
     console.print(f"[bold]{escape(explanation.title)}[/bold] (in {escape(explanation.units)})")
     console.print(escape(f"unknowns: {len(explanation.unknowns)}: {shortened(explanation.unknowns)}"))
     if explanation.fixed:

@@ -1,6 +1,6 @@
-"""The types that the keys of a case file can have.
+"""The types that the keys of a case file can have, and the one line that refuses a wrong one.
 
-How a wrong case is spoken of: one line, the key's path, what was expected, what came, the nearest known name.
+A message has the key's path, what was expected, what came, and the nearest name that there is.
 """
 
 from __future__ import annotations
@@ -132,8 +132,11 @@ Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 Location = tuple[int | str, ...]
 
 
-def unknown(name: object, known: Iterable[str], what: str) -> str:
-    """``there is no node 'B1'; nearest: 'B'``, or all that there are if none is near."""
+def no_such(name: object, known: Iterable[str], what: str) -> str:
+    """Say that there is none of a name, with the nearest name, or all where none is near.
+
+    ``there is no node 'B1'; nearest: 'B'``.
+    """
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=1)
     if near:
@@ -142,7 +145,7 @@ def unknown(name: object, known: Iterable[str], what: str) -> str:
 
 
 def key_path(location: Location, data: Mapping[str, Any]) -> str:
-    """``bars[1].area (bar 'left')``, from where pydantic found the error."""
+    """Return the path of a key, as in ``bars[1].area ('left')``, from where pydantic found the error."""
     path = ""
     for part in location:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
@@ -151,7 +154,7 @@ def key_path(location: Location, data: Mapping[str, Any]) -> str:
 
 
 def _name_of(location: Location, data: Any) -> str | None:
-    """The name of the innermost table that the location is in and that has one."""
+    """Return the name of the innermost table that the location is in and that has one."""
     name = None
     for part in location:
         try:
@@ -164,7 +167,7 @@ def _name_of(location: Location, data: Any) -> str | None:
 
 
 def first_error(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
-    """The first thing that is wrong, in one line, and how many more there are."""
+    """Return the first thing that is wrong in one line, and how many more there are."""
     # An unknown key explains the key that is then missing, so it is said first.
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first, others = errors[0], len(errors) - 1
@@ -176,7 +179,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     kind, context = error["type"], error.get("ctx", {})
     if kind == "extra_forbidden":
         *table, key = error["loc"]
-        return unknown(key, table_keys(model, table), "key")
+        return no_such(key, table_keys(model, table), "key")
     if kind == "missing":
         return "expected, and missing"
     if kind == "value_error":
@@ -201,7 +204,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
 
 
 def table_keys(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
-    """The known keys of the table at a location of the scene."""
+    """Return the keys that the table at a location of the scene can have."""
     for part in location:
         if isinstance(part, str) and part in model.model_fields:
             model = _inner_model(model.model_fields[part].annotation) or model

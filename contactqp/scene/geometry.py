@@ -1,7 +1,4 @@
-"""The meshes of a scene's bodies: built-in shapes and files.
-
-The rigid obstacles of a scene in floats.
-"""
+"""The geometry of a scene in floats: meshes of its bodies, from built-in shapes and files, and rigid obstacles."""
 
 from __future__ import annotations
 
@@ -44,7 +41,7 @@ class Nearest:
 
 
 def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
-    """The mesh of a body in the scene's unit of length.
+    """Return the mesh of a body in the scene's unit of length.
 
     Raises
     ------
@@ -61,7 +58,7 @@ def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
 
 
 def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
-    """The mesh in the file, in the scene's unit of length."""
+    """Read the mesh of a file, in the scene's unit of length."""
     folder = Path() if scene.file is None else scene.file.parent
     mesh = read_mesh(folder / source.file, part=source.part, drop_unconnected=source.drop_unconnected)
     scale = float(read_unit(source.unit)[0] / read_unit(scene.units.length)[0])
@@ -69,7 +66,7 @@ def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
 
 
 def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
-    """The mesh of a shape before it is made, in the scene's unit of length."""
+    """Return the mesh of a shape before it is made, in the scene's unit of length."""
     options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
     for key, name in (("corner", "corner"), ("centre", "center")):
         if getattr(shape, key) is not None:
@@ -93,7 +90,7 @@ def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
 
 
 def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
-    """The node of a body or membrane at a point, given to within NEAR of the smallest element that has the node.
+    """Return the node of a body or membrane at a point, to within NEAR of the smallest element that has the node.
 
     Raises
     ------
@@ -104,7 +101,7 @@ def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
 
 
 def nearest_to(body: Part, point: ArrayLike) -> Nearest:
-    """The node of a body or membrane nearest to a point, however far."""
+    """Return the node of a body or membrane nearest to a point, however far."""
     points = body.points if isinstance(body, MembranePart) else body.mesh.points
     apart = np.linalg.norm(points - np.asarray(point), axis=1)
     node = int(np.argmin(apart))
@@ -114,7 +111,7 @@ def nearest_to(body: Part, point: ArrayLike) -> Nearest:
 
 
 def near_enough(nearest: Nearest, what: str) -> int:
-    """Its number, if it is within NEAR of its smallest element; as `nearest_node`."""
+    """Return the nearest node's number if it is within NEAR of its smallest element, as `nearest_node` does."""
     reach = NEAR * nearest.smallest
     if nearest.apart > reach:
         at = ", ".join(f"{x:.9g}" for x in nearest.at)
@@ -126,7 +123,7 @@ def near_enough(nearest: Nearest, what: str) -> int:
 
 
 def obstacle(scene: SceneData, name: str) -> Obstacle:
-    """The rigid obstacle of that name."""
+    """Return the rigid obstacle of that name."""
     item = scene.obstacle(name)
     where = {key: vector(scene.system, getattr(item, key) or ()) for key in ("point", "centre", "apex")}
     normal, axis = (np.array([float(x) for x in vector or ()]) for vector in (item.normal, item.axis))
@@ -144,7 +141,7 @@ def obstacle(scene: SceneData, name: str) -> Obstacle:
 
 
 def height_of(item: Obstacle, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The z of the obstacle's upper surface over (p, 2) points, -inf where there is none [length].
+    """Return the z of the obstacle's upper surface over (p, 2) points, -inf where there is none [length].
 
     Raises
     ------
@@ -166,6 +163,6 @@ def height_of(item: Obstacle, name: str, points: NDArray[np.float64]) -> NDArray
 
 
 def _squares(points: NDArray[np.float64], centre: Any) -> NDArray[np.float64]:
-    """r^2 of the points from the vertical through the centre."""
+    """Return r^2 of the points from the vertical through the centre."""
     squares: NDArray[np.float64] = ((points - np.asarray(centre, dtype=float)[:2]) ** 2).sum(axis=1)
     return squares

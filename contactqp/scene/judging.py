@@ -1,9 +1,4 @@
-"""A case judged: which methods it is solved by, and what it says of each answer.
-
-A case's claims held against an answer, number by number.
-
-What stands on a command line, read: case files, and the knobs of a method.
-"""
+"""A case judged: the methods that it is solved by, and its claims compared with each answer, number by number."""
 
 from __future__ import annotations
 
@@ -35,7 +30,7 @@ from contactqp.model.solution import Solution
 from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
-from contactqp.scene.scene import built, run_model
+from contactqp.scene.scene import build_for, run_model
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.scene.unknowns import end_time, has_corners
@@ -51,7 +46,7 @@ Shown = float | str | tuple[float, ...]
 
 
 def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
-    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
+    """Return what claims are asked of; without an instant, at the end of the load path or under the full load."""
     instant = instant or Instant(end_time(model.scene))
     if isinstance(model, NodeModel):
         return Answer(model, solution, instant)
@@ -61,7 +56,7 @@ def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | No
 
 
 def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
-    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
+    """Return the claim's quantity in the scene's units: a number, words, or a matrix row by row."""
     value = answer.value_of(claim)
     if isinstance(value, str):
         return value
@@ -70,7 +65,7 @@ def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One row: a quantity, what it should be, what the answer says, and whether that is close enough."""
+    """One row: a quantity, its expected value, the answer's, and whether that is close enough."""
 
     quantity: str
     expected: Shown
@@ -86,7 +81,7 @@ class Comparison:
 
 
 def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
-    """The exact value against the answer's."""
+    """Compare the exact value with the answer's."""
     got = value_of(expectation, answer)
     if isinstance(got, str):
         same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
@@ -113,7 +108,7 @@ def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -
 
 
 def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
-    """A printed number against the answer: a right one agrees to half a unit of its last digit, a wrong one not."""
+    """Compare a printed number with the answer: a right one agrees to half a unit of its last digit."""
     got = value_of(published, answer)
     system, target = answer.scene.system, published.target
     printed, half_digit = system.value(target), system.value(published.half_digit)
@@ -136,7 +131,7 @@ def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comp
 
 
 def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
-    """The largest difference, formed exactly; infinite where a number is not finite."""
+    """Return the largest difference, formed exactly; infinite where a number is not finite."""
     if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
         return math.inf
     return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
@@ -148,7 +143,7 @@ def _shown(numbers: Sequence[Number]) -> Shown:
 
 
 def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
-    """Of a matrix of ties every column has its own."""
+    """Return the unit of the claim's numbers; none for a matrix of ties, where every column has its own."""
     return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
 
 
@@ -169,14 +164,14 @@ class Trial:
     checkpoint: str | None = None  # the folder for the steps of a load path, of engines that keep them
 
     def options(self, scene: SceneData) -> dict[str, Any]:
-        """The knobs as numbers in the scene's units."""
+        """Return the knobs as numbers in the scene's units."""
         return {
             name: float(scene.system.value(knob)) if isinstance(knob, Quantity) else knob
             for name, knob in self.knobs.items()
         }
 
     def concerns(self, claim: Claim) -> bool:
-        """Whether the claim is about this method: by name and knobs, or because both are about the exact answer."""
+        """Return whether the claim is about this method: by name and knobs, or as both are about the exact answer."""
         if claim.method is None:
             return self.engine != SERIAL or find(self.method).exact
         stated = {name: knob for name, knob in self.knobs.items() if name in (*KNOBS, "update")}
@@ -200,12 +195,12 @@ class Judgement:
 
     @property
     def solution(self) -> Solution:
-        """At the end of the load path, or under the full load."""
+        """Return the solution at the end of the load path, or under the full load."""
         return self.history[-1]
 
     @property
     def met(self) -> bool:
-        """Whether all that the case says of this method holds."""
+        """Return whether all that the case says of this method holds."""
         return all(row.ok for row in (*self.expectations, *self.published))
 
 
@@ -227,7 +222,19 @@ def judge_all(
     engine: str = SERIAL,
     checkpoint: str | None = None,
 ) -> list[Judgement | Failure]:
-    """Every trial of a scene; with an engine of several ranks the same on all of them.
+    """Run every trial of a scene and judge it; with an engine of several ranks the same on all of them.
+
+    Parameters
+    ----------
+    scene : SceneData
+    methods : sequence of str
+        Names of methods; without any, those that `trials` finds in the case.
+    knobs : mapping of str to Knob, optional
+        Options of the methods; quantities carry their units.
+    engine : str
+        "serial" or "petsc", as for `contactqp.run`.
+    checkpoint : str, optional
+        The folder for the steps of a load path, of engines that keep them.
 
     Raises
     ------
@@ -256,7 +263,7 @@ def _outcome(scene: SceneData, trial: Trial, where: str) -> Judgement | Failure:
 
 
 def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
-    """What a case is run with.
+    """Return the methods and knobs that a case is run with.
 
     Without `method`: active-set, and every method that the case itself says something about. With `method`, but
     without a knob that it needs: each of the knobs that the case states for it.
@@ -302,7 +309,7 @@ def judge(scene: SceneData, trial: Trial) -> Judgement:
 
     Methods that are approximate by design are asked along a load path only where the way matters, with friction.
     """
-    options, model = trial.options(scene), built(scene, trial.engine)
+    options, model = trial.options(scene), build_for(scene, trial.engine)
     history: History
     if trial.engine != SERIAL:
         history = run_model(model, trial.method, trial.engine, trial.checkpoint, **options)
@@ -334,14 +341,14 @@ def _seconds(time: Fraction | Quantity) -> Fraction:
 
 
 class _Answers:
-    """Answers by time: from the motion or load path where it has been there, solved for otherwise."""
+    """The answers of a trial at the times that claims ask of: steps of its path or motion, else solved for."""
 
     def __init__(self, model: Model, trial: Trial, history: History) -> None:
         self._model, self._trial, self._history = model, trial, history
         self._known: dict[Fraction | Quantity, Answer | BodyAnswer] = {}
 
     def of(self, claim: Claim) -> Answer | BodyAnswer:
-        """The answer that the claim is about.
+        """Return the answer that the claim is about.
 
         Raises
         ------
@@ -360,13 +367,13 @@ class _Answers:
         return self._known[time]
 
     def _moving(self, time: Fraction) -> Answer | BodyAnswer:
-        """At the end of the last step that is over at a time, to a rounding of the step."""
+        """Return the answer at the end of the last step that is over at a time, to a rounding of the step."""
         times = self._history.times
         step = max(int(np.searchsorted(times, float(time) + SAME_STEP * (times[1] - times[0]), side="right")) - 1, 0)
         return answer_of(self._model, self._history[step], Instant(history=self._history, step=step))
 
     def _deformed(self, claim: Claim) -> Answer | BodyAnswer:
-        """At a step of the path, which no other load has an answer without."""
+        """Return the answer at a step of the path; no load beside the path has one."""
         scene, history = self._model.scene, self._history
         wanted, found, what = float(end_time(scene)), history.times, "load factor"
         if claim.time is not None or claim.load_factor != 1:
@@ -407,12 +414,12 @@ class _Answers:
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:
-    """Whether all that is named is case files by their suffix."""
+    """Return whether all that is named is case files by their suffix."""
     return all(Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir() for argument in arguments)
 
 
 def case_files(arguments: Iterable[str]) -> list[str]:
-    """The files that are named, and all case files of the folders that are."""
+    """Return the files that are named, and all case files of the folders that are."""
     files: list[str] = []
     for argument in arguments:
         if not Path(argument).is_dir():
@@ -426,7 +433,7 @@ def case_files(arguments: Iterable[str]) -> list[str]:
 
 
 def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[str]) -> dict[str, Knob]:
-    """Stiffnesses with their units, and any other ``key=value``."""
+    """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method."""
     knobs: dict[str, Knob] = {}
     for name, text in (("penalty", penalty), ("perturbation", perturbation)):
         if text is not None:
@@ -445,7 +452,7 @@ def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[
 
 
 def _value(text: str) -> Knob:
-    """A truth value, a whole number, a number or a word."""
+    """Read a truth value, a whole number, a number or a word."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):

@@ -1,7 +1,4 @@
-"""A scene in motion: from its model to `impact`, and the momentum of its parts.
-
-The mass of a scene: exact for nodes, by quadrature for bodies.
-"""
+"""A scene in motion: its mass, exact for nodes and by quadrature for bodies, its starts, the momentum of its parts."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
-from contactqp.scene.unknowns import started
+from contactqp.scene.unknowns import start_values
 from contactqp.solving.methods import find
 
 if TYPE_CHECKING:
@@ -35,7 +32,7 @@ def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:
 
 
 def mass_on_all(model: Model) -> Any:
-    """M on all unknowns, free or not, CSR."""
+    """Return M on all unknowns, free or not, CSR."""
     if not isinstance(model, NodeModel):
         motion = model.scene.motion
         lumped = motion is not None and motion.mass == "lumped"
@@ -49,7 +46,7 @@ def mass_on_all(model: Model) -> Any:
 
 
 def free_places(model: Model) -> NDArray[np.int64]:
-    """Where the free unknowns stand among all."""
+    """Return the places of the free unknowns among all."""
     if not isinstance(model, NodeModel):
         return model.system.free
     unknowns = model.exact.unknowns
@@ -61,7 +58,7 @@ OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "st
 
 
 def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> MotionHistory:
-    """The motion that the scene states, of the model's own problem or a copy of it.
+    """Follow the motion that the scene states, of the model's own problem or a copy of it.
 
     Raises
     ------
@@ -105,7 +102,7 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
 
 
 def start_of(model: Model, key: str) -> Vector:
-    """What all unknowns start with, ``displacements`` or ``velocities``, in the scene's units.
+    """Return the ``displacements`` or ``velocities`` that all unknowns start with, in the scene's units.
 
     Raises
     ------
@@ -117,7 +114,7 @@ def start_of(model: Model, key: str) -> Vector:
     held = np.ones(len(start), dtype=bool)
     held[free_places(model)] = False
     for i, item in enumerate(getattr(model.scene.motion, key)):
-        for name, number in started(model.scene, item):
+        for name, number in start_values(model.scene, item):
             if number and held[places[name]].any():
                 raise SceneError(f"motion.{key}[{i}] ({item.of!r}): expected 0 for {name!r}, which supports hold")
             start[places[name]] = float(number)
@@ -125,9 +122,17 @@ def start_of(model: Model, key: str) -> Vector:
 
 
 def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, part: str | None = None) -> float:
-    """The sum of M v over the unknowns along an axis, of one bar, point mass or body or of the whole scene.
+    """Return the sum of M v over the unknowns along an axis [force time]; M is what the scheme steps with.
 
-    M is what the scheme steps with. At nodes that parts share, the mass of all of them counts.
+    Parameters
+    ----------
+    model : NodeModel or BodyModel
+    history : MotionHistory
+    velocity : (n,) array
+        Of the free unknowns [length / time].
+    axis : str
+    part : str, optional
+        One bar, point mass or body; by default the whole scene. At nodes that parts share, the mass of all counts.
     """
     free = free_places(model)
     sums = mass_on_all(model)[:, free] @ velocity  # fixed unknowns too: a consistent mass spreads to them
@@ -147,7 +152,7 @@ def _along(model: Model, axis: str, part: str | None) -> list[str]:
 
 
 def _places(model: Model) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """What starts are named by, unknowns or ``body.axis``, and where it stands among all unknowns."""
+    """Yield the names of starts, unknowns or ``body.axis``, and their places among all unknowns."""
     if isinstance(model, NodeModel):
         for name, place in model.exact.unknowns.place.items():
             yield name, np.array([place])

@@ -1,9 +1,4 @@
-"""Judgements as tables, with pictures in letters, and as plain data for JSON.
-
-What happened on a load path or in a motion: events, limit points and notes, of one that was cut short too.
-
-The course of contact forces over a path or a motion, and of pressures along a side, each in one line.
-"""
+"""Judgements on a screen and as plain data for JSON: tables, events of a path, and courses drawn in one line each."""
 
 from __future__ import annotations
 
@@ -34,18 +29,18 @@ from contactqp.scene.unknowns import has_corners, is_rotation
 
 
 def print_failure(console: Console, failure: Failure) -> None:
-    """How far a path or a motion came that was cut short; the message itself is not printed."""
+    """Print how far a path or a motion came that was cut short; the message itself is not printed."""
     history = failure.history
     if history is None or len(history) == 0:
         return
-    what = when(failure.scene)
+    what = time_label(failure.scene)
     console.print(escape(f"{failure.scene.title}: {len(history)} instants so far, to {what} {history.times[-1]:.12g}"))
-    print_way(console, history, what)
+    print_events(console, history, what)
     print_notes(console, history)
 
 
-def print_way(console: Console, history: History, when: str) -> None:
-    """Events and limit points."""
+def print_events(console: Console, history: History, when: str) -> None:
+    """Print events and limit points."""
     names = history[-1].problem.contact_name
     rows = [[event.kind, event.name or names(event.contact), written(event.time)] for event in history.events]
     print_table(console, ["event", "contact", when], rows)
@@ -59,19 +54,20 @@ def _shape(smooth: bool) -> str:
 
 
 def print_notes(console: Console, history: History) -> None:
+    """Print the notes of a history."""
     for note in history.notes:
         console.print(f"[yellow]{escape(note)}[/yellow]")
 
 
-def when(scene: SceneData) -> str:
-    """What the time of an event is."""
+def time_label(scene: SceneData) -> str:
+    """Return what the time of an event is called."""
     if scene.motion is not None:
         return "time [s]"
     return "time" if has_corners(scene) else "load factor"
 
 
 def large_data(history: History) -> dict[str, Any]:
-    """Load factors, limit points and snaps of a large deformation."""
+    """Return load factors, limit points and snaps of a large deformation."""
     if not isinstance(history, LargeHistory):
         return {}
     return {
@@ -106,24 +102,24 @@ class Course:
     values: NDArray[np.float64]
 
     @property
-    def said(self) -> list[str]:
-        """Contact, what is drawn and its largest value, over what."""
+    def cells(self) -> list[str]:
+        """Return the cells of its row: contact, what is drawn and its largest value, over what."""
         largest = f"at most {np.max(self.values):.4g} {self.unit}".rstrip()
         return [self.contact, f"{self.what}, {largest}", self.over]
 
 
 def print_courses(console: Console, judgement: Judgement) -> None:
-    """One table of them, where there is a course of anything."""
+    """Print one table of courses, where there is a course of anything."""
     courses = [*_pressures(judgement), *_histories(judgement)]
 
     def draw(width: int, letters: Letters) -> list[str]:
         return [course(each.values, width, letters) for each in courses]
 
-    print_table(console, ["contact", "course of", "over"], [each.said for each in courses], [Drawn(1, draw)])
+    print_table(console, ["contact", "course of", "over"], [each.cells for each in courses], [Drawn(1, draw)])
 
 
 def _pressures(judgement: Judgement) -> Iterator[Course]:
-    """Of elastic bodies, along the axis along which a side is longest; across it the largest pressure counts."""
+    """Yield the pressures of elastic bodies along the axis along which a side is longest, across it the largest."""
     model, solution = judgement.model, judgement.solution
     if isinstance(model, NodeModel):
         return
@@ -142,7 +138,7 @@ def _pressures(judgement: Judgement) -> Iterator[Course]:
 
 
 def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The places in their order, each once, and the largest value at each."""
+    """Return the places in their order, each once, and the largest value at each."""
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
     starts = np.flatnonzero(first)
@@ -150,11 +146,11 @@ def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[ND
 
 
 def _histories(judgement: Judgement) -> Iterator[Course]:
-    """Of a path or a motion: the normal force of each contact, of many their sum, and a load factor that turns."""
+    """Yield each contact's normal force over a path or a motion, of many their sum, and a load factor that turns."""
     history, scene = judgement.history, judgement.scene
     if len(history) < 2:
         return
-    name, times = when(scene), history.times
+    name, times = time_label(scene), history.times
     if isinstance(history, LargeHistory):
         over = f"{len(history)} equilibria"
         if not bool(np.all(np.diff(times) > 0)):
@@ -166,7 +162,7 @@ def _histories(judgement: Judgement) -> Iterator[Course]:
 
 
 def _even(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values at even times, where few of them stand at uneven ones: at the events of a path."""
+    """Return the values at even times, where the history has only the uneven times of a path's events."""
     if len(times) >= EVEN or not np.all(np.diff(times) > 0):
         return values
     return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
@@ -194,7 +190,7 @@ ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
-    """The answer of the first trial of a scene in full, and in one table what is said of the other methods."""
+    """Print the answer of a scene's first trial in full, and in one table the claims about the other methods."""
     if not judgements:
         return
     print_judgement(console, judgements[0])
@@ -206,13 +202,15 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
 
 
 def print_judgement(console: Console, judgement: Judgement) -> None:
-    """Displacements, contact forces, the certificate's verdict, and what was expected of them."""
+    """Print displacements, contact forces, the certificate's verdict, and what was expected of them."""
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
     if scene.motion is not None:
         how = f" ({solution.method}, {len(judgement.history) - 1} steps)"
     if isinstance(judgement.history, LargeHistory):
-        how = f" ({len(judgement.history)} equilibria, the last at {when(scene)} {judgement.history.times[-1]:.6g})"
+        how = (
+            f" ({len(judgement.history)} equilibria, the last at {time_label(scene)} {judgement.history.times[-1]:.6g})"
+        )
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
@@ -233,7 +231,7 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         print_table(console, header, rows, [_drawn(3, solution.normal_force), _drawn(4, _gaps(solution))])
     print_courses(console, judgement)
-    print_way(console, judgement.history, when(scene))
+    print_events(console, judgement.history, time_label(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
         console.print(escape(f"{energies} {force}*{length}"))
@@ -248,18 +246,18 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
 
 
 def _gaps(solution: Solution) -> NDArray[np.float64]:
-    """Gaps without what rounding leaves of closed ones, which is no picture."""
+    """Return the gaps without what rounding leaves of closed ones, which is not drawn."""
     size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
     return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)
 
 
 def _drawn(before: int, values: ArrayLike) -> Drawn:
-    """A bar for each value, in front of a column."""
+    """Return a bar for each value, in front of a column."""
     return Drawn(before, lambda width, letters: bars(values, width, letters))
 
 
 def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], float]]]:
-    """Displacements, in a motion velocities too; of divided bars only those of their ends.
+    """Return displacements, in a motion velocities too; of divided bars only those of their ends.
 
     Each row with what is drawn of it: its displacement, and no rotation, which is none.
     """
@@ -277,7 +275,7 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], fl
 
 
 def _energies(judgement: Judgement) -> dict[str, float]:
-    """What became of the work, where the way matters: in a motion, and on a load path with friction."""
+    """Return where the work went, where the answer depends on the path: in a motion, and on a path with friction."""
     scene = judgement.scene
     end = judgement.history.energies[-1] if scene.motion or scene.path else None
     if end is None or not (scene.motion or scene.large or judgement.solution.problem.frictional):
@@ -297,14 +295,14 @@ def _verdict(judgement: Judgement) -> str:
 
 
 def _unproven(certificate: Certificate) -> str:
-    """What a verdict rests on that is not proven."""
+    """Return what a verdict rests on that is not proven."""
     if certificate.basis == STATE:
         return ", compared with the answer of its own states"
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
 def _print_comparisons(console: Console, judgements: Sequence[Judgement], before: list[str]) -> None:
-    """Two tables, with the columns `before` where there is more than one method."""
+    """Print two tables, with the columns `before` where there is more than one method."""
     header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
     rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.expectations]
     print_table(console, header, rows)
@@ -333,7 +331,7 @@ def _comparison(row: Comparison) -> list[str | Text]:
 
 
 def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
-    """All that is known of one trial, for JSON; numbers are in the scene's units."""
+    """Return one trial in full, for JSON; numbers are in the scene's units."""
     if isinstance(judgement, Failure):
         return {
             "title": judgement.scene.title,
@@ -368,7 +366,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         },
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
         **_friction_data(judgement),
-        **_way_data(judgement),
+        **_energy_data(judgement),
         **large_data(judgement.history),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
@@ -377,7 +375,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
 
 
 def _friction_data(judgement: Judgement) -> dict[str, Any]:
-    """lambda_T of each contact along the axes, and its components along the rows E_T; nothing without friction."""
+    """Return lambda_T of each contact along the axes, and along the rows E_T; nothing without friction."""
     solution, scene, model = judgement.solution, judgement.scene, judgement.model
     if not solution.problem.frictional:
         return {}
@@ -393,8 +391,8 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
     return data
 
 
-def _way_data(judgement: Judgement) -> dict[str, Any]:
-    """Energies and notes, and velocities at the end of a motion."""
+def _energy_data(judgement: Judgement) -> dict[str, Any]:
+    """Return energies and notes, and velocities at the end of a motion."""
     energies, solution = _energies(judgement), judgement.solution
     data: dict[str, Any] = {"energies": energies, "notes": list(judgement.history.notes)} if energies else {}
     if is_moving(solution):
@@ -411,5 +409,5 @@ def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, fl
 
 
 def _finite(value: float) -> float | None:
-    """JSON has no numbers that are not finite."""
+    """Return a number, or None where it is not finite, which JSON cannot write."""
     return float(value) if math.isfinite(value) else None

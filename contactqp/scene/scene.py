@@ -1,9 +1,4 @@
-"""A case that has been checked, and the contact problem that it states.
-
-From a case file to a Scene.
-
-A scene's answer: its motion or load path if it has one, its one solution otherwise.
-"""
+"""A case that has been read and checked, the contact problem that it states, and its answer."""
 
 from __future__ import annotations
 
@@ -55,7 +50,7 @@ class Scene(SceneData):
         check(self)
 
     def problem(self) -> ContactProblem:
-        """The contact problem on the free unknowns, in the scene's units.
+        """Return the contact problem on the free unknowns, in the scene's units.
 
         Raises
         ------
@@ -195,11 +190,11 @@ def run(
     InvalidProblem
         A `checkpoint` of another scene; and as `contactqp.solve`.
     """
-    return run_model(built(scene, engine), method, engine, checkpoint, **options)
+    return run_model(build_for(scene, engine), method, engine, checkpoint, **options)
 
 
-def built(scene: SceneData, engine: str = SERIAL) -> Any:
-    """The scene's model, for an engine."""
+def build_for(scene: SceneData, engine: str = SERIAL) -> Any:
+    """Return the scene's model, for an engine."""
     refuse_unknown_engine(engine)
     if engine == SERIAL:
         return build(scene)
@@ -209,17 +204,27 @@ def built(scene: SceneData, engine: str = SERIAL) -> Any:
 def run_model(
     model: Model, method: str, engine: str = SERIAL, checkpoint: str | Path | None = None, **options: Any
 ) -> History:
-    """As `run`, of a scene that is built already."""
+    """Solve a scene that is built already.
+
+    Parameters
+    ----------
+    model : NodeModel or BodyModel
+        From `build_for` with the same engine.
+    method, engine, checkpoint
+        As for `run`.
+    **options
+        Of `contactqp.solve`.
+    """
     if engine != SERIAL:
         found: History = engine_named(engine).function("run")(model, method, checkpoint, **options)
         return found
     if checkpoint is not None:
         raise Unsupported("checkpoint: only engine='petsc' keeps the steps of a load path")
-    return walk(model, model.problem, method, **options)
+    return follow(model, model.problem, method, **options)
 
 
-def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
-    """As `run_model`, of the model's own problem or a copy of it."""
+def follow(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
+    """Solve the model's own problem or a copy of it, as `run_model` does."""
     if model.scene.path is None and model.scene.motion is None:
         return History([solve(problem, method, **options)], [1.0])
     with stage(STEPS):

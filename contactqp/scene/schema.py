@@ -1,10 +1,6 @@
 """The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``.
 
-The keys of obstacles and contacts.
-
-The keys of a load path.
-
-The keys of a motion: how long, in which steps, by which scheme, and how it starts.
+Elements between nodes have their keys in `contactqp.scene.blocks`, elastic bodies in `contactqp.scene.schema_bodies`.
 """
 
 from __future__ import annotations
@@ -21,7 +17,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks import Frame
 from contactqp.scene.blocks.strings import LineLoad
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
-from contactqp.scene.fields import Block, Name, Number, TwoNames, unknown
+from contactqp.scene.fields import Block, Name, Number, TwoNames, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 
 # What each kind of obstacle must state, and what it may.
@@ -130,12 +126,12 @@ class Contact(Block):
 
     @property
     def touched(self) -> tuple[str, ...]:
-        """The one node, or the two."""
+        """Return the one node, or the two."""
         return self.nodes or ((self.node,) if self.node else ())
 
     @property
     def touching_sides(self) -> tuple[str, ...]:
-        """The one side, or the slave's and the master's."""
+        """Return the one side, or the slave's and the master's."""
         return self.sides or ((self.side,) if self.side else ())
 
 
@@ -196,7 +192,7 @@ def _known_scheme(value: str) -> str:
     from contactqp.analysis.motion.schemes import SCHEMES
 
     if value not in SCHEMES:
-        raise ValueError(unknown(value, SCHEMES, "scheme"))
+        raise ValueError(no_such(value, SCHEMES, "scheme"))
     return value
 
 
@@ -258,11 +254,12 @@ class Motion(Block):
 
     @property
     def steps(self) -> int:
+        """Return the number of steps."""
         return ceil(self.duration.si / self.time_step.si)
 
     @property
     def end(self) -> Fraction:
-        """When the last step ends [s]."""
+        """Return when the last step ends [s]."""
         return self.start.si + self.duration.si
 
 
@@ -290,7 +287,7 @@ class Load(Block):
 
 
 class SceneData(Frame):
-    """What a case file says, before anybody has looked whether its parts fit each other: frozen data."""
+    """The contents of a case file, before it is checked whether the parts fit each other: frozen data."""
 
     fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
     ties: tuple[Tie, ...] = ()
@@ -315,21 +312,23 @@ class SceneData(Frame):
 
     @property
     def file(self) -> Path | None:
-        """The case file it was read from, if any."""
+        """Return the case file it was read from, if any."""
         return self._file
 
     @property
     def weighs(self) -> bool:
-        """Whether masses act: as weights under gravity, or as inertia in a motion."""
+        """Return whether masses act: as weights under gravity, or as inertia in a motion."""
         return self.gravity is not None or self.motion is not None
 
     @property
     def meshed(self) -> tuple[Body | Membrane, ...]:
-        """All that has a mesh."""
+        """Return all that has a mesh."""
         return (*self.bodies, *self.membranes)
 
     def body(self, name: str) -> Body:
+        """Return the body of that name."""
         return next(body for body in self.bodies if body.name == name)
 
     def obstacle(self, name: str) -> Obstacle:
+        """Return the obstacle of that name."""
         return next(obstacle for obstacle in self.obstacles if obstacle.name == name)

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from contactqp.elements.reference import KINDS as ELEMENTS
 from contactqp.scene import fields
-from contactqp.scene.fields import Block, BodyName, Name, unknown
+from contactqp.scene.fields import Block, BodyName, Name, no_such
 from contactqp.scene.units import KINDS, read_unit
 
 Axis = Literal["x", "y", "z"]
@@ -40,7 +40,7 @@ SHAPES: Mapping[str, ShapeKeys] = {
 def _known(names: tuple[str, ...] | Mapping[str, object], what: str) -> Callable[[str], str]:
     def check(value: str) -> str:
         if value not in names:
-            raise ValueError(unknown(value, names, what))
+            raise ValueError(no_such(value, names, what))
         return value
 
     return check
@@ -87,6 +87,7 @@ class Shape(Block):
 
     @property
     def dimension(self) -> int:
+        """Return the number of dimensions, 2 or 3."""
         return SHAPES[self.kind].dimension
 
 
@@ -158,11 +159,12 @@ class _Place(Block):
 
     @property
     def body(self) -> str:
+        """Return the name of the body."""
         return self.on.partition(".")[0]
 
     @property
     def nodes(self) -> str:
-        """The name of the set; empty with `near`."""
+        """Return the name of the set; empty with `near`."""
         return self.on.partition(".")[2]
 
     @model_validator(mode="after")
@@ -199,10 +201,12 @@ class _OnSide(Block):
 
     @property
     def body(self) -> str:
+        """Return the name of the body."""
         return self.side.partition(".")[0]
 
     @property
     def nodes(self) -> str:
+        """Return the name of the side."""
         return self.side.partition(".")[2]
 
     @model_validator(mode="after")

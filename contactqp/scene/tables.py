@@ -1,9 +1,4 @@
-"""Tables on a screen, with pictures in letters where they fit.
-
-Numbers drawn with letters: a bar for each of them, or the course of many in one line.
-
-The list of methods as a table and as plain data for JSON.
-"""
+"""Tables on a screen, and numbers drawn with letters: a bar for each of them, or the course of many in one line."""
 
 from __future__ import annotations
 
@@ -44,7 +39,8 @@ ASCII = Letters("#", "", "", ".:-=+*#@", "0", "|")
 
 
 def bars(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> list[str]:
-    """A horizontal bar for each value, the largest as long as `width`; what is more than rounding has a trace of one.
+    """Return a horizontal bar for each value, the largest as long as `width`; no value above rounding is without a
+    trace.
 
     With negative values among them, bars go to both sides of an axis, and `width` is that of each side.
     """
@@ -70,14 +66,15 @@ def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Le
 
 
 def _filled(length: float, full: str, parts: str) -> str:
-    """So many letters, the last one in part; at least the smallest part."""
+    """Return so many letters, the last one in part; at least the smallest part."""
     steps = len(parts) + 1
     whole, part = divmod(max(round(length * steps), 1), steps)
     return full * whole + (parts[part - 1] if part else "")
 
 
 def course(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> str:
-    """The course of values in one line of at most `width` letters, from the least of them, or zero, to the largest.
+    """Return the course of values in one line of at most `width` letters, from the least of them, or zero, to the
+    largest.
 
     Of values that share a letter the one furthest from zero is drawn; zero has a letter of its own.
     """
@@ -121,11 +118,12 @@ class Drawn:
 
 
 def written(value: float) -> str:
+    """Write a number to twelve digits."""
     return f"{value:.12g}"
 
 
 def shown(value: float | str | Sequence[float]) -> str:
-    """A value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
+    """Write a value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
     if isinstance(value, str):
         return value
     return "(" + ", ".join(f"{x:.6g}" for x in value) + ")" if isinstance(value, Sequence) else written(value)
@@ -134,7 +132,17 @@ def shown(value: float | str | Sequence[float]) -> str:
 def print_table(
     console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]], drawn: Sequence[Drawn] = ()
 ) -> None:
-    """The first rows; the last of the columns `drawn` are left out first where the terminal is narrow."""
+    """Print the first rows of a table, with as many pictures as the terminal has room for.
+
+    Parameters
+    ----------
+    console : Console
+    header : sequence of str
+    rows : sequence of rows
+        As many cells each as the header; all are text.
+    drawn : sequence of Drawn
+        Columns of pictures; the last of them are left out first where the terminal is narrow.
+    """
     if not rows:
         return
     console.print(_fitting(console, header, rows[:MOST_ROWS], drawn))
@@ -168,7 +176,7 @@ def _table(
 
 
 def print_methods(console: Console, methods: Iterable[Method]) -> None:
-    """Every method, installed or how to install it, and what it can do."""
+    """Print every method, installed or how to install it, and what it can do."""
     rows = [
         [
             m.name,
@@ -194,7 +202,7 @@ def _abilities(method: Method) -> str:
 
 
 def method_data(method: Method) -> dict[str, Any]:
-    """One method for JSON."""
+    """Return one method for JSON."""
     keys = (
         "name",
         "kind",

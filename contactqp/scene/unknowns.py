@@ -1,11 +1,4 @@
-"""The unknowns of a scene: their names, which of them are fixed, and where they stand.
-
-Numbers of a scene of nodes, exactly, in its own units.
-
-The load path of a scene: what each of its loads is multiplied by at every pseudo-time.
-
-What the parts of a scene start a motion with, unknown by unknown.
-"""
+"""The unknowns of a scene, which of them are fixed, the factors of loads on its path, and the starts of its motion."""
 
 from __future__ import annotations
 
@@ -31,19 +24,22 @@ class Unknowns:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
+        """Return those that are not fixed."""
         return tuple(name for name in self.names if name not in self.fixed)
 
     @cached_property
     def place(self) -> dict[str, int]:
+        """Return the place of each of them among all."""
         return {name: i for i, name in enumerate(self.names)}
 
 
 def is_rotation(unknown: str) -> bool:
+    """Return whether an unknown is a rotation."""
     return unknown.endswith("." + ROTATION)
 
 
-def of_scene(scene: SceneData) -> Unknowns:
-    """Displacements of all nodes, and a rotation where a beam ends."""
+def unknowns_of(scene: SceneData) -> Unknowns:
+    """Return the displacements of all nodes, and a rotation where an element turns them."""
     turning = {node for _, element in scene.elements for node in element.turning}
     by_node = {
         node: scene.displacements(node) + ((f"{node}.{ROTATION}",) if node in turning else ())
@@ -59,28 +55,28 @@ GRAVITY = "gravity"
 
 @dataclass(frozen=True)
 class Factors:
-    """What the loads are multiplied by: those that are named here, and all others."""
+    """The factors of the loads: those of loads that are named here, and that of all others."""
 
     others: Fraction = Fraction(0)
     named: Mapping[str, Fraction] = field(default_factory=dict)
 
     def of(self, name: str | None) -> Fraction:
-        """Of the loads of that name; None is a load without one."""
+        """Return the factor of the loads of that name; None is a load without one."""
         return self.others if name is None else self.named.get(name, self.others)
 
 
 def has_corners(scene: SceneData) -> bool:
-    """Whether loads come one by one and not all together."""
+    """Return whether loads come one by one and not all together."""
     return scene.path is not None and scene.path.corners is not None
 
 
 def end_time(scene: SceneData) -> Fraction:
-    """Where the path ends: 1 for each way from corner to corner."""
+    """Return the pseudo-time at which the path ends: 1 for each leg from corner to corner."""
     return Fraction(len(scene.path.corners) if scene.path and scene.path.corners else 1)
 
 
 def factors_at(scene: SceneData, time: Fraction) -> Factors:
-    """At a pseudo-time of the path; without corners, all loads times `time`."""
+    """Return the factors at a pseudo-time of the path; without corners, all loads times `time`."""
     if scene.path is None or scene.path.corners is None:
         return Factors(others=time)
     corners: list[Mapping[str, Fraction]] = [{}, *scene.path.corners]
@@ -96,15 +92,17 @@ def factors_at(scene: SceneData, time: Fraction) -> Factors:
 
 
 def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
-    """The key of every load, and what corners call it."""
+    """Yield the key of every load, and the name that corners have for it."""
     for key in ("loads", "line_loads", "tractions", "pressures", "point_loads"):
         yield from ((f"{key}[{i}]", load.name) for i, load in enumerate(getattr(scene, key)))
     if scene.gravity is not None:
         yield "gravity", GRAVITY
 
 
-def started(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
-    """Every unknown that the entry speaks of, with its number in the scene's units; of a body ``body.axis``."""
+def start_values(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
+    """Yield every unknown that the entry of a motion starts, with its number in the scene's units; of a body
+    ``body.axis``.
+    """
     value = [scene.value(component) for component in item.value]
     bar = next((bar for bar in scene.bars if bar.name == item.of), None)
     if bar is not None:

@@ -74,17 +74,17 @@ class Frame(Block):
 
     @cached_property
     def system(self) -> UnitSystem:
-        """The units of every number that leaves the scene."""
+        """Return the units of every number that leaves the scene."""
         return UnitSystem(self.units.length, self.units.force)
 
     @property
     def large(self) -> bool:
-        """Whether displacements may be large."""
+        """Return whether displacements may be large."""
         return self.deformation == "large"
 
     @cached_property
     def every_node(self) -> Mapping[str, tuple[Quantity, ...]]:
-        """Where every node stands, by their names, those inside of divided bars too."""
+        """Return where every node stands, by their names, those inside of divided bars too."""
         stated = {node.name: node.at for node in self.nodes}
         inner = (entry for _, element in self.elements for entry in element.inner_nodes(stated))
         length = KINDS["length"].dimension
@@ -92,7 +92,7 @@ class Frame(Block):
 
     @cached_property
     def elements(self) -> tuple[tuple[str, Element], ...]:
-        """Every element between nodes with its key, as in ``bars[1]``, block by block."""
+        """Return every element between nodes with its key, as in ``bars[1]``, block by block."""
         return tuple((f"{key}[{i}]", element) for key in BLOCKS for i, element in enumerate(getattr(self, key)))
 
     def elements_named(self, noun: str) -> Iterator[Element]:

@@ -28,6 +28,7 @@ from contactqp.scene.units import Quantity
 
 
 def _force(bar: Bar, answer: NodeAnswer) -> float:
+    """Return the axial force, at large displacements that of the displaced bar."""
     scene = answer.scene
     if scene.large:
         return answer.bar_force_now(bar.name)
@@ -63,17 +64,17 @@ class Bar(Element):
 
     @property
     def chain(self) -> tuple[Name, ...]:
-        """Its nodes from end to end."""
+        """Return its nodes from end to end."""
         return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
 
     @property
     def segments(self) -> tuple[tuple[Name, Name], ...]:
-        """The pairs of nodes next to each other."""
+        """Return the pairs of nodes next to each other."""
         return tuple(pairwise(self.chain))
 
     @property
     def has_mass(self) -> bool:
-        """Whether it has a density above zero."""
+        """Return whether it has a density above zero."""
         return bool(self.density and self.density.si)
 
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
@@ -109,7 +110,7 @@ class Bar(Element):
             yield name, tuple(a.si + (b.si - a.si) * i / self.divisions for a, b in zip(start, end, strict=True))
 
     def check_axes(self, scene: NodeScene, where: str) -> None:
-        """Divisions need one axis, or large displacements."""
+        """Raise SceneError for divisions in a plane or in space, unless displacements are large."""
         if self.divisions > 1 and len(scene.axes) > 1 and not scene.large:
             raise SceneError(
                 f"{where}.divisions ({self.name!r}): expected 1 in a scene with {len(scene.axes)} axes, where nothing "
@@ -117,7 +118,7 @@ class Bar(Element):
             )
 
     def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
-        """Its ends are stated nodes, and its inner nodes have names of their own."""
+        """Raise SceneError unless its ends are stated nodes, and its inner nodes have names of their own."""
         for key, name in self.named_nodes():
             refuse_unknown_node(name, stated, f"{where}.{key} ({self.name!r})")
         for name in self.chain[1:-1]:
@@ -127,10 +128,10 @@ class Bar(Element):
                 )
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """It has a length."""
+        """Raise SceneError for zero length."""
         refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
 
     def check_motion(self, where: str) -> None:
-        """It has a density, which may be zero."""
+        """Raise SceneError without a density, which may be zero."""
         if self.density is None:
             raise SceneError(f'{where}.density ({self.name!r}): expected in a motion, as in "7850 kg/m^3", and missing')

@@ -31,7 +31,7 @@ class Beam(Element):
 
     @property
     def turning(self) -> tuple[Name, ...]:
-        """Both ends turn."""
+        """Return both of its nodes."""
         return self.nodes
 
     def unknowns(self, scene: NodeScene) -> tuple[str, ...]:
@@ -44,12 +44,12 @@ class Beam(Element):
         yield self.unknowns(scene), beam.stiffness(modulus, area, inertia, *map(scene.point, self.nodes))
 
     def check_axes(self, scene: NodeScene, where: str) -> None:  # noqa: ARG002
-        """It lies in a plane."""
+        """Raise SceneError outside of a plane."""
         if len(scene.axes) != 2:
             raise SceneError(f"beams: expected a scene with two axes, got {len(scene.axes)}")
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """It has a length."""
+        """Raise SceneError for zero length."""
         refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
 
     def drawn(self, scene: NodeScene, displacement: Mapping[str, float]) -> Line:

@@ -16,7 +16,7 @@ import numpy as np
 from contactqp.elements.exact import Number, Numbers
 from contactqp.errors import SceneError
 from contactqp.model.arrays import Array
-from contactqp.scene.fields import Block, Name, unknown
+from contactqp.scene.fields import Block, Name, no_such
 from contactqp.scene.units import Quantity
 
 ROTATION = "theta"
@@ -54,10 +54,12 @@ class NodeScene(Protocol):
     """What an element asks of the scene that it stands in; numbers are exact, in the scene's units."""
 
     @property
-    def axes(self) -> tuple[str, ...]: ...
+    def axes(self) -> tuple[str, ...]:
+        """Return the axes, of x, y and z, that nodes move along."""
 
     @property
-    def large(self) -> bool: ...
+    def large(self) -> bool:
+        """Return whether displacements may be large."""
 
     @property
     def weighs(self) -> bool:
@@ -77,7 +79,8 @@ class NodeAnswer(Protocol):
     """What a quantity of an element is read off; numbers are floats, in the scene's units."""
 
     @property
-    def scene(self) -> NodeScene: ...
+    def scene(self) -> NodeScene:
+        """Return the scene that was solved."""
 
     def displacement(self, unknown: str) -> float:
         """Return the displacement or rotation of an unknown; 0 where it is fixed."""
@@ -149,17 +152,17 @@ class Element(Block):
 
     @property
     def has_mass(self) -> bool:
-        """Whether this one has mass."""
+        """Return whether this one has mass."""
         return False
 
     @property
     def chain(self) -> tuple[Name, ...]:
-        """The nodes that it stands between, from end to end."""
+        """Return the nodes that it stands between, from end to end."""
         return tuple(node for _, node in self.named_nodes())
 
     @property
     def turning(self) -> tuple[Name, ...]:
-        """The nodes that it gives a rotation to."""
+        """Return the nodes that it gives a rotation to."""
         return ()
 
     def named_nodes(self) -> Iterator[tuple[str, Name]]:
@@ -218,4 +221,4 @@ def refuse_unknown_node(name: str, stated: Iterable[str], where: str) -> None:
     """Raise SceneError for a node that is not among these, with the nearest name."""
     stated = list(stated)
     if name not in stated:
-        raise SceneError(f"{where}: {unknown(name, stated, 'node')}")
+        raise SceneError(f"{where}: {no_such(name, stated, 'node')}")

@@ -28,7 +28,7 @@ class PointMass(Element):
 
     @property
     def has_mass(self) -> bool:
-        """It always has mass."""
+        """Return True."""
         return True
 
     def named_nodes(self) -> Iterator[tuple[str, Name]]:
@@ -48,9 +48,9 @@ class PointMass(Element):
         yield self.node, scene.value(self.mass)
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """It acts."""
+        """Raise SceneError where neither gravity nor a motion acts on it."""
         if not scene.weighs:
             raise SceneError(f"gravity: expected, since {where} ({self.name!r}) weighs, and missing")
 
     def drawn(self, scene: NodeScene, displacement: Mapping[str, float]) -> None:
-        """Draw nothing: a mass has no extent."""
+        """Return nothing: a mass has no extent."""

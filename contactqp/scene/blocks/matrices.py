@@ -36,7 +36,7 @@ class StiffnessMatrix(Element):
 
     @property
     def chain(self) -> tuple[Name, ...]:
-        """The nodes of its unknowns, each once."""
+        """Return the nodes of its unknowns, each once."""
         return tuple(dict.fromkeys(name.rpartition(".")[0] for name in self.unknowns))
 
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:

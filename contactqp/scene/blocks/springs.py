@@ -62,7 +62,7 @@ class Spring(Element):
         yield scene.displacements(*self.nodes), formula(scene.value(self.stiffness), self.along(scene))
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """It has a direction."""
+        """Raise SceneError unless it has a direction."""
         refuse_zero_direction(self.direction, f"{where}.direction ({self.name!r})")
         if self.direction is None and len(self.nodes) == 2:
             refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")

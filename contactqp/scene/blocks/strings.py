@@ -33,7 +33,7 @@ class String(Element):
 
     @property
     def segments(self) -> tuple[tuple[Name, Name], ...]:
-        """The pairs of nodes next to each other."""
+        """Return the pairs of nodes next to each other."""
         return tuple(pairwise(self.nodes))
 
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
@@ -43,14 +43,17 @@ class String(Element):
             yield scene.displacements(*ends), string.stiffness(tension, *map(scene.point, ends))
 
     def check_axes(self, scene: NodeScene, where: str) -> None:  # noqa: ARG002
-        """It needs an axis across itself."""
+        """Raise SceneError in one dimension, where it has no axis to deflect along."""
         if len(scene.axes) == 1:
             raise SceneError(
                 "strings: expected a scene with two axes or three, since they deflect across themselves, got 1"
             )
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """Its nodes are on a straight line: a tension that turns at a node would push it aside with no load at all."""
+        """Raise SceneError unless its nodes are on a straight line.
+
+        A tension that turns at a node would push it aside with no load at all.
+        """
         where = f"{where}.nodes ({self.name!r})"
         for ends in self.segments:
             refuse_zero_length(scene, ends, where)
