@@ -98,7 +98,13 @@ def _momentum(claim: Claim, answer: Any) -> float:
     return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
 
 
-OF_MOTIONS: Mapping[str, Callable[[Claim, Any], float]] = {
+# Quantities that are read alike off scenes of nodes and of bodies.
+OF_BOTH: Mapping[str, Callable[[Claim, Any], Any]] = {
+    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
+    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
+    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
+    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
+    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
     "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
     "total energy": lambda claim, answer: answer.instant.energies(claim).total,
     "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
@@ -323,15 +329,10 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "tie force": _tie_force,
     "reaction": _reaction,
     "energy": lambda _, answer: answer.solution.energy,
-    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
-    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
-    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
-    **OF_MOTIONS,
+    **OF_BOTH,
     **OF_LARGE,
     "velocity": _velocity,
     "contact impulse": lambda claim, answer: float(answer.instant.impulses()[_contact(claim, answer)]),
-    "free motions": lambda _, answer: len(answer.solution.free_motions),
-    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
     "closing load factor": _closing,
     "closing load": _closing_load,
     "event time": _event_time,

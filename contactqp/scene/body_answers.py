@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from contactqp.analysis.kinds import is_moving
 from contactqp.elements.stress import von_mises
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.scene.answers import OF_MOTIONS, Instant
+from contactqp.scene.answers import OF_BOTH, Instant
 from contactqp.scene.body_model import BodyModel, PairedContact
-from contactqp.scene.claims import COMPONENTS, Claim, uniqueness_in_words
+from contactqp.scene.claims import COMPONENTS, Claim
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, vector
 
@@ -145,10 +145,7 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "sticking contacts": lambda claim, answer: float(answer.model.stuck(str(claim.at), answer.solution).sum()),
     "friction resultant": lambda claim, answer: float(_friction(claim, answer).sum()),
     "friction traction": _friction_traction,
-    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
-    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
-    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
-    **OF_MOTIONS,
+    **OF_BOTH,
     "node velocity": _node_velocity,
     "event time": _event_time,
     "contact impulse": _impulse,
@@ -158,8 +155,6 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     ),
     "support force": _support_force,
     "energy": _energy,
-    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
-    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
 }
 
 

@@ -10,7 +10,7 @@ from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import ROTATION, refuse_zero_direction, refuse_zero_length
 from contactqp.scene.checking_bodies import check_bodies, check_no_bodies, obstacles_exist_in
 from contactqp.scene.checking_claims import claims_fit
-from contactqp.scene.fields import no_such
+from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import Unknowns, is_rotation, load_names, start_values, unknowns_of
 
@@ -197,10 +197,8 @@ def _tie_dimensions(where: str, tie: Tie) -> None:
 def _contacts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     known = [obstacle.name for obstacle in scene.obstacles]
     for i, contact in enumerate(scene.contacts):
-        if contact.obstacle is not None and contact.obstacle not in known:
-            raise SceneError(
-                f"contacts[{i}].obstacle ({contact.name!r}): {no_such(contact.obstacle, known, 'obstacle')}"
-            )
+        if contact.obstacle is not None:
+            refuse_unknown(f"contacts[{i}].obstacle ({contact.name!r})", contact.obstacle, known, "obstacle")
         touched = {name for node in contact.touched for name in scene.displacements(node)}
         if unknowns.fixed.issuperset(touched):
             raise SceneError(f"contacts[{i}] ({contact.name!r}): expected a node that can move, got fixed ones only")
@@ -224,10 +222,7 @@ def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
             )
     strings = [string.name for string in scene.strings]
     for i, line_load in enumerate(scene.line_loads):
-        if line_load.string not in strings:
-            raise SceneError(
-                f"line_loads[{i}].string ({line_load.name!r}): {no_such(line_load.string, strings, 'string')}"
-            )
+        refuse_unknown(f"line_loads[{i}].string ({line_load.name!r})", line_load.string, strings, "string")
     for name in {load.name for load in scene.loads}:
         _distinct(f"loads ({name!r})" if name else "loads", [x.unknown for x in scene.loads if x.name == name])
     weighs = scene.gravity is not None and any(list(element.weights(scene)) for _, element in scene.elements)
@@ -405,8 +400,7 @@ def path_fits(scene: SceneData) -> None:
     known = {str(name): None for _, name in loads}
     for i, corner in enumerate(scene.path.corners):
         for name in corner:
-            if name not in known:
-                raise SceneError(f"path.corners[{i}]: {no_such(name, known, 'load')}")
+            refuse_unknown(f"path.corners[{i}]", name, known, "load")
     for key, name in loads:
         if not any(name in corner for corner in scene.path.corners):
             raise SceneError(

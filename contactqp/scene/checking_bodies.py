@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
-from contactqp.scene.fields import no_such
+from contactqp.scene.fields import refuse_unknown
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData
@@ -56,8 +56,7 @@ def check_bodies(scene: SceneData) -> None:
     _bodies_exist(scene)
     _obstacles_exist(scene)
     for i, support in enumerate(scene.supports):
-        if support.axis not in scene.axes:
-            raise SceneError(f"supports[{i}].axis ({support.name!r}): {no_such(support.axis, scene.axes, 'axis')}")
+        refuse_unknown(f"supports[{i}].axis ({support.name!r})", support.axis, scene.axes, "axis")
         if scene.path is not None and support.value is not None and support.value.si:
             raise SceneError(
                 f"supports[{i}].value ({support.name!r}): expected 0 with a load path, which makes loads grow and "
@@ -116,19 +115,14 @@ def _places(scene: SceneData) -> Iterator[tuple[str, str]]:
 def _bodies_exist(scene: SceneData) -> None:
     known = [body.name for body in scene.bodies]
     for key, name in _places(scene):
-        if name not in known:
-            raise SceneError(f"{key}: {no_such(name, known, 'body')}")
+        refuse_unknown(key, name, known, "body")
     meshed = [body.name for body in scene.meshed]
     for i, support in enumerate(scene.supports):
-        if support.body not in meshed:
-            raise SceneError(f"supports[{i}].on ({support.name!r}): {no_such(support.body, meshed, 'body')}")
+        refuse_unknown(f"supports[{i}].on ({support.name!r})", support.body, meshed, "body")
     for i, contact in enumerate(scene.contacts):
         if contact.membrane is not None:
             membranes = [membrane.name for membrane in scene.membranes]
-            if contact.membrane not in membranes:
-                raise SceneError(
-                    f"contacts[{i}].membrane ({contact.name!r}): {no_such(contact.membrane, membranes, 'membrane')}"
-                )
+            refuse_unknown(f"contacts[{i}].membrane ({contact.name!r})", contact.membrane, membranes, "membrane")
 
 
 def obstacles_exist_in(scene: SceneData) -> None:
@@ -148,8 +142,8 @@ def _obstacles_exist(scene: SceneData) -> None:
         where = f"contacts[{i}]"
         if contact.touched:
             raise SceneError(f"{where} ({contact.name!r}): expected 'side' or 'sides' in a scene of bodies")
-        if contact.obstacle is not None and contact.obstacle not in known:
-            raise SceneError(f"{where}.obstacle ({contact.name!r}): {no_such(contact.obstacle, known, 'obstacle')}")
+        if contact.obstacle is not None:
+            refuse_unknown(f"{where}.obstacle ({contact.name!r})", contact.obstacle, known, "obstacle")
         if contact.sides is not None:
             _pairs_fit(scene, f"{where}.sides ({contact.name!r})", contact.sides, contact.pairing)
 

@@ -6,12 +6,13 @@ A message has the key's path, what was expected, what came, and the nearest name
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Annotated, Any, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
+from contactqp.errors import SceneError
 from contactqp.scene.units import KINDS, NotANumber, Quantity, describe, read_number, read_quantity
 
 
@@ -32,12 +33,6 @@ def _reader(kind: str, roots: bool = False) -> Callable[[Any], Quantity]:
     return lambda value: read_quantity(value, [KINDS[kind]], roots=roots)
 
 
-def _positive(value: Quantity) -> Quantity:
-    if value.si <= 0:
-        raise ValueError(f"expected a positive number, got {value.text!r}")
-    return value
-
-
 def _number(value: Any) -> Fraction:
     try:
         return read_number(value)
@@ -45,28 +40,20 @@ def _number(value: Any) -> Fraction:
         raise ValueError(f"expected a number, got {error}") from None
 
 
-def _not_negative(value: Fraction) -> Fraction:
-    if value < 0:
-        raise ValueError(f"expected a number that is not negative, got {float(value):g}")
-    return value
+def _must(holds: Callable[[Any], bool], expected: str) -> AfterValidator:
+    """Return a check of a number or quantity that says what it expected."""
+
+    def check(value: Any) -> Any:
+        if not holds(value.si if isinstance(value, Quantity) else value):
+            got = repr(value.text) if isinstance(value, Quantity) else f"{float(value):g}"
+            raise ValueError(f"expected {expected}, got {got}")
+        return value
+
+    return AfterValidator(check)
 
 
-def _poisson(value: Fraction) -> Fraction:
-    if not -1 < value < Fraction(1, 2):
-        raise ValueError(f"expected Poisson's ratio above -1 and below 0.5, got {float(value):g}")
-    return value
-
-
-def _grading(value: Fraction) -> Fraction:
-    if value < 1:
-        raise ValueError(f"expected a ratio of sizes of at least 1, got {float(value):g}")
-    return value
-
-
-def _zero_or_more(value: Quantity) -> Quantity:
-    if value.si < 0:
-        raise ValueError(f"expected zero or a positive number, got {value.text!r}")
-    return value
+_POSITIVE = _must(lambda size: size > 0, "a positive number")
+_NOT_NEGATIVE = _must(lambda size: size >= 0, "zero or a positive number")
 
 
 def _name(value: Any) -> str:
@@ -77,39 +64,38 @@ def _name(value: Any) -> str:
     return value
 
 
-def _node_name(value: Any) -> str:
-    if "." in _name(value):
-        raise ValueError(f"expected a node's name without a full stop (node.axis names an unknown), got {value!r}")
-    return _name(value)
+def _plain_name(owner: str, part: str) -> Callable[[Any], str]:
+    """Return a reader of names without a full stop, which stands between the name and what belongs to it."""
 
+    def read(value: Any) -> str:
+        if "." in _name(value):
+            raise ValueError(f"expected a {owner}'s name without a full stop ({part}), got {value!r}")
+        return _name(value)
 
-def _body_name(value: Any) -> str:
-    if "." in _name(value):
-        raise ValueError(f"expected a body's name without a full stop (body.side names a side), got {value!r}")
-    return _name(value)
+    return read
 
 
 Name = Annotated[str, PlainValidator(_name)]
-NodeName = Annotated[str, PlainValidator(_node_name)]
+NodeName = Annotated[str, PlainValidator(_plain_name("node", "node.axis names an unknown"))]
 TwoNames = Annotated[tuple[Name, ...], Field(min_length=2, max_length=2)]
-BodyName = Annotated[str, PlainValidator(_body_name)]
+BodyName = Annotated[str, PlainValidator(_plain_name("body", "body.side names a side"))]
 Number = Annotated[Fraction, PlainValidator(_number)]
-FrictionCoefficient = Annotated[Number, AfterValidator(_not_negative)]
+FrictionCoefficient = Annotated[Number, _must(lambda size: size >= 0, "a number that is not negative")]
 Length = Annotated[Quantity, PlainValidator(_reader("length"))]
-PositiveLength = Annotated[Quantity, PlainValidator(_reader("length")), AfterValidator(_positive)]
-NotNegativeLength = Annotated[Quantity, PlainValidator(_reader("length")), AfterValidator(_zero_or_more)]
-Area = Annotated[Quantity, PlainValidator(_reader("area")), AfterValidator(_positive)]
-Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), AfterValidator(_positive)]
-Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), AfterValidator(_positive)]
-Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), AfterValidator(_positive)]
-Tension = Annotated[Quantity, PlainValidator(_reader("tension")), AfterValidator(_positive)]
+PositiveLength = Annotated[Quantity, PlainValidator(_reader("length")), _POSITIVE]
+NotNegativeLength = Annotated[Quantity, PlainValidator(_reader("length")), _NOT_NEGATIVE]
+Area = Annotated[Quantity, PlainValidator(_reader("area")), _POSITIVE]
+Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), _POSITIVE]
+Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), _POSITIVE]
+Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), _POSITIVE]
+Tension = Annotated[Quantity, PlainValidator(_reader("tension")), _POSITIVE]
 KnobStiffness = Annotated[Quantity, PlainValidator(_reader("stiffness"))]  # the method says what it accepts
-Mass = Annotated[Quantity, PlainValidator(_reader("mass")), AfterValidator(_positive)]
-Density = Annotated[Quantity, PlainValidator(_reader("density")), AfterValidator(_zero_or_more)]
-Poisson = Annotated[Number, AfterValidator(_poisson)]
-Grading = Annotated[Number, AfterValidator(_grading)]
+Mass = Annotated[Quantity, PlainValidator(_reader("mass")), _POSITIVE]
+Density = Annotated[Quantity, PlainValidator(_reader("density")), _NOT_NEGATIVE]
+Poisson = Annotated[Number, _must(lambda size: -1 < size < Fraction(1, 2), "Poisson's ratio above -1 and below 0.5")]
+Grading = Annotated[Number, _must(lambda size: size >= 1, "a ratio of sizes of at least 1")]
 Pressure = Annotated[Quantity, PlainValidator(_reader("pressure"))]
-PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), AfterValidator(_positive)]
+PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), _POSITIVE]
 PureForce = Annotated[Quantity, PlainValidator(_reader("force"))]
 Acceleration = Annotated[Quantity, PlainValidator(_reader("acceleration"))]
 Force = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["force"], KINDS["moment"]]))]
@@ -117,7 +103,7 @@ Factor = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [
 TieValue = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["length"], KINDS["angle"]]))]
 # Times in which a wave crosses an element are roots.
 Time = Annotated[Quantity, PlainValidator(_reader("time", roots=True))]
-PositiveTime = Annotated[Time, AfterValidator(_positive)]
+PositiveTime = Annotated[Time, _POSITIVE]
 Velocity = Annotated[Quantity, PlainValidator(_reader("velocity"))]
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
@@ -142,6 +128,22 @@ def no_such(name: object, known: Iterable[str], what: str) -> str:
     if near:
         return f"there is no {what} {name!r}; nearest: {near[0]!r}"
     return f"there is no {what} {name!r}; known: " + (", ".join(repr(n) for n in sorted(names)) or "none")
+
+
+def refuse_unknown(key: str, name: object, known: Collection[str], what: str) -> None:
+    """Raise SceneError unless a name is one that there is.
+
+    Parameters
+    ----------
+    key : str
+        Where the name stands, as in ``bars[1].nodes[0] ('left')``.
+    name : str
+    known : collection of str
+    what : str
+        What is called so, as in "node".
+    """
+    if name not in known:
+        raise SceneError(f"{key}: {no_such(name, known, what)}")
 
 
 def key_path(location: Location, data: Mapping[str, Any]) -> str:

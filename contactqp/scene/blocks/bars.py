@@ -20,10 +20,9 @@ from contactqp.scene.blocks.element import (
     NamedMatrix,
     NodeAnswer,
     NodeScene,
-    refuse_unknown_node,
     refuse_zero_length,
 )
-from contactqp.scene.fields import Name, TwoNames
+from contactqp.scene.fields import Name, TwoNames, refuse_unknown
 from contactqp.scene.units import Quantity
 
 
@@ -120,7 +119,7 @@ class Bar(Element):
     def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
         """Raise SceneError unless its ends are stated nodes, and its inner nodes have names of their own."""
         for key, name in self.named_nodes():
-            refuse_unknown_node(name, stated, f"{where}.{key} ({self.name!r})")
+            refuse_unknown(f"{where}.{key} ({self.name!r})", name, stated, "node")
         for name in self.chain[1:-1]:
             if name in stated:
                 raise SceneError(

@@ -16,7 +16,7 @@ import numpy as np
 from contactqp.elements.exact import Number, Numbers
 from contactqp.errors import SceneError
 from contactqp.model.arrays import Array
-from contactqp.scene.fields import Block, Name, no_such
+from contactqp.scene.fields import Block, Name
 from contactqp.scene.units import Quantity
 
 ROTATION = "theta"
@@ -215,10 +215,3 @@ def refuse_zero_direction(direction: Iterable[Fraction] | None, where: str) -> N
     """Raise SceneError for the zero vector."""
     if direction is not None and not any(direction):
         raise SceneError(f"{where}: expected a direction, got the zero vector")
-
-
-def refuse_unknown_node(name: str, stated: Iterable[str], where: str) -> None:
-    """Raise SceneError for a node that is not among these, with the nearest name."""
-    stated = list(stated)
-    if name not in stated:
-        raise SceneError(f"{where}: {no_such(name, stated, 'node')}")
