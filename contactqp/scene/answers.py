@@ -30,89 +30,6 @@ from contactqp.scene.schema import SceneData
 if TYPE_CHECKING:
     from contactqp.analysis.motion.history import MotionHistory
 
-Point = TypeVar("Point", LimitPoint, Snap)
-
-
-def _history(answer: Answer) -> LargeHistory:
-    history = answer.instant.history
-    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
-    return history
-
-
-def _solution(answer: Answer) -> LargeSolution:
-    assert isinstance(answer.solution, LargeSolution)
-    return answer.solution
-
-
-def _load(claim: Claim, answer: Answer, load_factor: float) -> float:
-    return float(answer.model.exact_load_at(Fraction(load_factor)).get(str(claim.at), 0))
-
-
-def _limit(claim: Claim, answer: Answer) -> LimitPoint:
-    points = _history(answer).limit_points
-    return _numbered(claim, points, "limit points", [f"{p.kind} at {p.load_factor:.6g}" for p in points])
-
-
-def _snap(claim: Claim, answer: Answer) -> Snap:
-    snaps = _history(answer).snaps
-    return _numbered(claim, snaps, "snap-throughs", [f"one at {snap.high:.6g}" for snap in snaps])
-
-
-def _numbered(claim: Claim, points: Sequence[Point], what: str, known: Sequence[str]) -> Point:
-    """Return the point that the claim counts to, from 1 or from the end.
-
-    Raises
-    ------
-    SceneError
-        The path has fewer.
-    """
-    if len(points) < abs(claim.occurrence):
-        raise SceneError(
-            f"{claim}: expected {abs(claim.occurrence)} {what} or more on the path, got {', '.join(known) or 'none'}"
-        )
-    return points[claim.occurrence - (claim.occurrence > 0)]
-
-
-def _limit_displacement(claim: Claim, answer: Answer) -> float:
-    place = answer.exact.unknowns.free.index(str(claim.at))
-    return float(_limit(claim, answer).displacement[place])
-
-
-OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
-    "load factor": lambda _, answer: _solution(answer).load_factor,
-    "load": lambda claim, answer: _load(claim, answer, _solution(answer).load_factor),
-    "limit load factor": lambda claim, answer: _limit(claim, answer).load_factor,
-    "limit load": lambda claim, answer: _load(claim, answer, _limit(claim, answer).load_factor),
-    "limit displacement": _limit_displacement,
-    "limit points": lambda _, answer: len(_history(answer).limit_points),
-    "snap-through load factor": lambda claim, answer: _snap(claim, answer).high,
-    "snap-through load": lambda claim, answer: _load(claim, answer, _snap(claim, answer).high),
-    "snap-throughs": lambda _, answer: len(_history(answer).snaps),
-}
-
-
-def _momentum(claim: Claim, answer: Any) -> float:
-    from contactqp.scene.moving import momentum
-
-    instant = answer.instant
-    return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
-
-
-# Quantities that are read alike off scenes of nodes and of bodies.
-OF_BOTH: Mapping[str, Callable[[Claim, Any], Any]] = {
-    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
-    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
-    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
-    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
-    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
-    "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
-    "total energy": lambda claim, answer: answer.instant.energies(claim).total,
-    "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
-    "energy drift": lambda claim, answer: answer.instant.energies(claim).drift,
-    "total momentum": _momentum,
-    "momentum": _momentum,
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Instant:
@@ -152,15 +69,15 @@ class Instant:
         """
         if len(contacts) > 1 and claim.event in ("stick", "slip"):
             raise SceneError(f"{claim}: expected 'closed' or 'opened': the nodes of a side slip and stick one by one")
-        known = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
-        found = [event for event in known if event.kind == claim.event]
+        events = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
+        found = [event for event in events if event.kind == claim.event]
         number = abs(claim.occurrence)
         if len(found) < number:
             what = {"closed": "close", "opened": "open", "stick": "stick", "slip": "slip"}[str(claim.event)]
             times = "" if number == 1 else f" {number} times"
-            way = "in the motion" if is_motion(self.history) else "on the load path"
-            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in known) or "none"
-            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {way}; its events: {seen}")
+            where = "in the motion" if is_motion(self.history) else "on the load path"
+            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in events) or "none"
+            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {where}; its events: {seen}")
         return found[claim.occurrence - (claim.occurrence > 0)]
 
     def _of_one(self, contacts: Sequence[int]) -> list[Event]:
@@ -316,6 +233,86 @@ def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
     return claim.unknowns or answer.exact.unknowns.free
 
 
+def _momentum(claim: Claim, answer: Any) -> float:
+    from contactqp.scene.moving import momentum
+
+    instant = answer.instant
+    return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
+
+
+# Quantities that are read alike off scenes of nodes and of bodies.
+OF_BOTH: Mapping[str, Callable[[Claim, Any], Any]] = {
+    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
+    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
+    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
+    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
+    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
+    "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
+    "total energy": lambda claim, answer: answer.instant.energies(claim).total,
+    "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
+    "energy drift": lambda claim, answer: answer.instant.energies(claim).drift,
+    "total momentum": _momentum,
+    "momentum": _momentum,
+}
+Point = TypeVar("Point", LimitPoint, Snap)
+
+
+def _history(answer: Answer) -> LargeHistory:
+    history = answer.instant.history
+    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
+    return history
+
+
+def _solution(answer: Answer) -> LargeSolution:
+    assert isinstance(answer.solution, LargeSolution)
+    return answer.solution
+
+
+def _load(claim: Claim, answer: Answer, load_factor: float) -> float:
+    return float(answer.model.exact_load_at(Fraction(load_factor)).get(str(claim.at), 0))
+
+
+def _limit(claim: Claim, answer: Answer) -> LimitPoint:
+    points = _history(answer).limit_points
+    return _numbered(claim, points, "limit points", [f"{p.kind} at {p.load_factor:.6g}" for p in points])
+
+
+def _snap(claim: Claim, answer: Answer) -> Snap:
+    snaps = _history(answer).snaps
+    return _numbered(claim, snaps, "snap-throughs", [f"one at {snap.high:.6g}" for snap in snaps])
+
+
+def _numbered(claim: Claim, points: Sequence[Point], what: str, found: Sequence[str]) -> Point:
+    """Return the point that the claim counts to, from 1 or from the end.
+
+    Raises
+    ------
+    SceneError
+        The path has fewer.
+    """
+    if len(points) < abs(claim.occurrence):
+        raise SceneError(
+            f"{claim}: expected {abs(claim.occurrence)} {what} or more on the path, got {', '.join(found) or 'none'}"
+        )
+    return points[claim.occurrence - (claim.occurrence > 0)]
+
+
+def _limit_displacement(claim: Claim, answer: Answer) -> float:
+    place = answer.exact.unknowns.free.index(str(claim.at))
+    return float(_limit(claim, answer).displacement[place])
+
+
+OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
+    "load factor": lambda _, answer: _solution(answer).load_factor,
+    "load": lambda claim, answer: _load(claim, answer, _solution(answer).load_factor),
+    "limit load factor": lambda claim, answer: _limit(claim, answer).load_factor,
+    "limit load": lambda claim, answer: _load(claim, answer, _limit(claim, answer).load_factor),
+    "limit displacement": _limit_displacement,
+    "limit points": lambda _, answer: len(_history(answer).limit_points),
+    "snap-through load factor": lambda claim, answer: _snap(claim, answer).high,
+    "snap-through load": lambda claim, answer: _load(claim, answer, _snap(claim, answer).high),
+    "snap-throughs": lambda _, answer: len(_history(answer).snaps),
+}
 READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "displacement": lambda claim, answer: answer.displacement(str(claim.at)),
     "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),

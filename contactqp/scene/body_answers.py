@@ -18,6 +18,10 @@ from contactqp.scene.claims import COMPONENTS, Claim
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, vector
 
+# Directions of motions have 1 as their largest component and are accurate to rounding.
+SMALL = 1e-6
+Table = tuple[list[str], list[list[str | float]]]
+
 
 @dataclass(frozen=True, eq=False)
 class BodyAnswer:
@@ -158,11 +162,6 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
 }
 
 
-# Directions of motions have 1 as their largest component and are known to rounding.
-SMALL = 1e-6
-Table = tuple[list[str], list[list[str | float]]]
-
-
 def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
     """Yield two tables: how far and how fast each body moves, and each contact's force, peak pressure and gap."""
     system = model.scene.system
@@ -189,7 +188,7 @@ def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
 def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
     """Return each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
 
-    The motions of a solution are any basis; here each is told with a body that the others leave where it is.
+    The motions of a solution are any basis; each is given here with a body that the others do not move.
     """
     if not solution.free_motions:
         return []
@@ -211,15 +210,15 @@ def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
-    said = []
+    parts = []
     for body in model.structure.bodies:
         low, high = model.ranges(body.name, motion).T
         moving = np.flatnonzero(np.maximum(-low, high) > SMALL)
         if moving.size:
             same = bool(np.all((high - low)[moving] <= SMALL))
             along = " and ".join(body.axes[i] for i in moving)
-            said.append(f"{body.name} along {along}" if same else f"{body.name} turning")
-    return ", ".join(said)
+            parts.append(f"{body.name} along {along}" if same else f"{body.name} turning")
+    return ", ".join(parts)
 
 
 def summary_data(model: BodyModel, solution: Any) -> dict[str, Any]:
@@ -235,7 +234,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)
-        known = gaps[np.isfinite(gaps)]
+        finite = gaps[np.isfinite(gaps)]
         rows.append(
             {
                 "contact": contact.name,
@@ -243,7 +242,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": float(known.min()) if known.size else 0.0,
+                "smallest_gap": float(finite.min()) if finite.size else 0.0,
             }
         )
         if model.problem.frictional:

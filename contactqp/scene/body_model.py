@@ -128,8 +128,8 @@ class ContactEntries(ABC):
 
         NaN where only supported nodes meet, whose forces nobody knows.
         """
-        known = self.of_entry(name, solution.normal_force, np.nan)
-        return self.contacts[self.place(name)].pairing.pressure(known)
+        forces = self.of_entry(name, solution.normal_force, np.nan)
+        return self.contacts[self.place(name)].pairing.pressure(forces)
 
     def friction_tractions(self, name: str, solution: ContactAnswer) -> Vector:
         """Return lambda_T per area of each paired node along the axes, (p, d) [force / length^2].
@@ -186,70 +186,6 @@ class ContactEntries(ABC):
         every[self.kept] = values
         start = sum(sizes[: self.place(name)])
         return every[start : start + sizes[self.place(name)]]
-
-
-# From a body, a point and what a message calls the body to the number of the node there.
-NodeAt = Callable[[Part, ArrayLike, str], int]
-
-
-@contextmanager
-def at_key(where: str) -> Iterator[None]:
-    """Refuse what the elements refuse, with the key that they were made from."""
-    try:
-        yield
-    except InvalidProblem as error:
-        raise SceneError(f"{where}: {error}") from None
-
-
-def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_at: NodeAt) -> str | int:
-    if place.near is None:
-        whole.body(place.body).mesh.nodes(place.nodes)
-        return place.nodes
-    return node_at(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
-
-
-def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
-    """Yield the supports of a scene as the structure takes them."""
-    for i, support in enumerate(scene.supports):
-        with at_key(f"supports[{i}] ({support.name!r})"):
-            nodes = _nodes(scene, whole, support, node_at)
-        value = 0.0 if support.value is None else number(scene.system, support.value)
-        yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
-
-
-def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
-    """Yield every load with its name; what bodies weigh is called gravity."""
-    for i, traction in enumerate(scene.tractions):
-        with at_key(f"tractions[{i}] ({traction.name!r})"):
-            whole.body(traction.body).mesh.side(traction.nodes)
-        yield traction.name, loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
-    for i, pressure in enumerate(scene.pressures):
-        with at_key(f"pressures[{i}] ({pressure.name!r})"):
-            whole.body(pressure.body).mesh.side(pressure.nodes)
-        yield pressure.name, loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
-    for i, point_load in enumerate(scene.point_loads):
-        with at_key(f"point_loads[{i}] ({point_load.name!r})"):
-            nodes = _nodes(scene, whole, point_load, node_at)
-        yield point_load.name, loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
-    if scene.gravity is not None:
-        for body in scene.bodies:
-            if body.density is not None and body.density.si > 0:
-                acceleration = vector(scene.system, scene.gravity)
-                if scene.motion is None:
-                    yield GRAVITY, loads.Gravity(body.name, acceleration)
-                else:
-                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
-
-
-class Surfaces(Protocol):
-    """Sides of bodies, numbered in one u."""
-
-    @property
-    def size(self) -> int:
-        """Return the number of unknowns."""
-
-    def surface(self, body: str, side: str) -> Surface:
-        """Return a side of a body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,9 +288,9 @@ class BodyModel(ContactEntries):
 
     def held_by(self, support: int) -> NDArray[np.int64]:
         """Return the places in u of the unknowns that an entry of the scene's supports holds."""
-        held = self.supports[support]
-        body = self.structure.body(held.body)
-        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
+        entry = self.supports[support]
+        body = self.structure.body(entry.body)
+        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, entry.nodes) + entry.axis
 
 
 def body_model(scene: SceneData) -> BodyModel:
@@ -394,17 +330,81 @@ def body_model(scene: SceneData) -> BodyModel:
     return BodyModel(tuple(contacts), scene, whole, system, tuple(supports), by_name)
 
 
-def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
-    """Return the sum of the loads times their factors, (size,) [force]."""
-    return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
-
-
 def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
     """Return an elastic body of the scene on its mesh."""
     density = 0.0 if body.density is None else number(scene.system, body.density)
     material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
     thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
     return solid.Body(mesh, material, body.model, thickness=thickness, name=body.name)
+
+
+def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
+    """Return the sum of the loads times their factors, (size,) [force]."""
+    return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
+
+
+# From a body, a point and what a message calls the body to the number of the node there.
+NodeAt = Callable[[Part, ArrayLike, str], int]
+
+
+@contextmanager
+def at_key(where: str) -> Iterator[None]:
+    """Refuse what the elements refuse, with the key that they were made from."""
+    try:
+        yield
+    except InvalidProblem as error:
+        raise SceneError(f"{where}: {error}") from None
+
+
+def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_at: NodeAt) -> str | int:
+    if place.near is None:
+        whole.body(place.body).mesh.nodes(place.nodes)
+        return place.nodes
+    return node_at(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
+
+
+def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
+    """Yield the supports of a scene as the structure takes them."""
+    for i, support in enumerate(scene.supports):
+        with at_key(f"supports[{i}] ({support.name!r})"):
+            nodes = _nodes(scene, whole, support, node_at)
+        value = 0.0 if support.value is None else number(scene.system, support.value)
+        yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
+
+
+def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
+    """Yield every load with its name; what bodies weigh is called gravity."""
+    for i, traction in enumerate(scene.tractions):
+        with at_key(f"tractions[{i}] ({traction.name!r})"):
+            whole.body(traction.body).mesh.side(traction.nodes)
+        yield traction.name, loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
+    for i, pressure in enumerate(scene.pressures):
+        with at_key(f"pressures[{i}] ({pressure.name!r})"):
+            whole.body(pressure.body).mesh.side(pressure.nodes)
+        yield pressure.name, loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
+    for i, point_load in enumerate(scene.point_loads):
+        with at_key(f"point_loads[{i}] ({point_load.name!r})"):
+            nodes = _nodes(scene, whole, point_load, node_at)
+        yield point_load.name, loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
+    if scene.gravity is not None:
+        for body in scene.bodies:
+            if body.density is not None and body.density.si > 0:
+                acceleration = vector(scene.system, scene.gravity)
+                if scene.motion is None:
+                    yield GRAVITY, loads.Gravity(body.name, acceleration)
+                else:
+                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
+
+
+class Surfaces(Protocol):
+    """Sides of bodies, numbered in one u."""
+
+    @property
+    def size(self) -> int:
+        """Return the number of unknowns."""
+
+    def surface(self, body: str, side: str) -> Surface:
+        """Return a side of a body."""
 
 
 def sides_of(contact: Contact) -> list[tuple[str, str]]:

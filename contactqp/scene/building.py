@@ -1,6 +1,6 @@
 """From a scene to the numbers of its contact problem: first exact, then rounded once.
 
-Ties are also eliminated exactly, for claims about the problem that is left on the masters::
+Ties are also eliminated exactly, for claims about the problem on the masters::
 
     A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
     K^ = T'K T,    f^ = T'(f - K c)
@@ -17,7 +17,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import chain
 from numbers import Rational
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -38,45 +38,29 @@ if TYPE_CHECKING:
 
 # A linear form of the unknowns by their names; what is zero is left out.
 Row = Mapping[str, Number]
-
-
-def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
-    """Return the loads at their full values by their names; what masses weigh is called gravity."""
-    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
-    for load in scene.loads:
-        total[load.name][load.unknown] += scene.value(load.value)
-    strings = {string.name: string for string in scene.strings}
-    for line_load in scene.line_loads:
-        for name, force in line_load.forces(scene, strings[line_load.string]):
-            total[line_load.name][name] += force
-    for name, force in _weights(scene):
-        total[GRAVITY][name] += force
-    return {name: dict(row) for name, row in total.items()}
-
-
-def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
-    """Yield what gravity pulls with at each unknown of a node that has mass."""
-    if scene.gravity is None:
-        return
-    gravity = np.array([scene.value(g) for g in scene.gravity])
-    for _, element in scene.elements:
-        for node, mass in element.weights(scene):
-            yield from zip(scene.displacements(node), point_mass.weight(mass, gravity), strict=True)
-
-
-def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
-    """Return the sum of the loads times their factors, by the names of the unknowns."""
-    total: defaultdict[str, Number] = defaultdict(Fraction)
-    for name, row in loads.items():
-        for unknown, force in row.items():
-            total[unknown] += factors.of(name) * force
-    return dict(total)
-
-
 # By the unknowns' names; what is zero is left out.
 Stiffness = Mapping[tuple[str, str], Number]
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
+Model: TypeAlias = "NodeModel | BodyModel"
+
+
+def build(scene: SceneData) -> Model:
+    """Return the model of a scene: nodes in exact numbers, or elastic bodies and membranes in floats.
+
+    Raises
+    ------
+    SceneError
+        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
+    BackendMissing
+        A mesh file that needs meshlane, which is not installed.
+    """
+    with stage(BUILD):
+        if scene.meshed:
+            from contactqp.scene.body_model import body_model
+
+            return body_model(scene)
+        return NodeModel(scene, exact_problem(scene))
 
 
 @dataclass(frozen=True)
@@ -147,6 +131,83 @@ def exact_problem(scene: SceneData) -> ExactProblem:
             for tie in scene.ties
         ),
     )
+
+
+def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
+    """Return the sum of element matrices by the names of their unknowns; what is zero is left out."""
+    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
+    for names, matrix in matrices:
+        for i, row in zip(names, matrix, strict=True):
+            for j, entry in zip(names, row, strict=True):
+                if entry:
+                    total[i, j] += entry
+    return dict(total)
+
+
+def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
+    if contact.node is not None and contact.obstacle is not None:
+        rows = _against(scene, scene.point(contact.node), contact.obstacle)
+    else:
+        first, second = (scene.point(node) for node in contact.touched)
+        direction = second - first if contact.direction is None else np.array(contact.direction)
+        rows = node_contact.between_nodes(first, second, direction)
+    names = scene.displacements(*contact.touched)
+    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
+    origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
+    return ContactForm(
+        name=contact.name,
+        normal=_row(names, rows.normal),
+        gap=rows.gap,
+        tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
+        friction=contact.friction or Fraction(0),
+        slip_origin=tuple(np.dot(tangent, np.array(origin)) for tangent in along),
+    )
+
+
+def _row(names: Iterable[str], values: Numbers) -> Row:
+    return {name: value for name, value in zip(names, values, strict=True) if value}
+
+
+def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
+    """Return a node's row against an obstacle, exact for planes; round ones occur at large deformations alone."""
+    item = scene.obstacle(name)
+    if item.kind == "plane":
+        plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+        return node_contact.against_plane(where, plane)
+    return node_contact.against_surface(where, obstacle(scene, name))
+
+
+def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
+    """Return the loads at their full values by their names; what masses weigh is called gravity."""
+    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
+    for load in scene.loads:
+        total[load.name][load.unknown] += scene.value(load.value)
+    strings = {string.name: string for string in scene.strings}
+    for line_load in scene.line_loads:
+        for name, force in line_load.forces(scene, strings[line_load.string]):
+            total[line_load.name][name] += force
+    for name, force in _weights(scene):
+        total[GRAVITY][name] += force
+    return {name: dict(row) for name, row in total.items()}
+
+
+def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
+    """Yield what gravity pulls with at each unknown of a node that has mass."""
+    if scene.gravity is None:
+        return
+    gravity = np.array([scene.value(g) for g in scene.gravity])
+    for _, element in scene.elements:
+        for node, mass in element.weights(scene):
+            yield from zip(scene.displacements(node), point_mass.weight(mass, gravity), strict=True)
+
+
+def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    """Return the sum of the loads times their factors, by the names of the unknowns."""
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for name, row in loads.items():
+        for unknown, force in row.items():
+            total[unknown] += factors.of(name) * force
+    return dict(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,50 +282,6 @@ def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
     return _matrix(entries, (len(rows), len(place)))
 
 
-def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
-    """Return the sum of element matrices by the names of their unknowns; what is zero is left out."""
-    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
-    for names, matrix in matrices:
-        for i, row in zip(names, matrix, strict=True):
-            for j, entry in zip(names, row, strict=True):
-                if entry:
-                    total[i, j] += entry
-    return dict(total)
-
-
-def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
-    if contact.node is not None and contact.obstacle is not None:
-        rows = _against(scene, scene.point(contact.node), contact.obstacle)
-    else:
-        first, second = (scene.point(node) for node in contact.touched)
-        direction = second - first if contact.direction is None else np.array(contact.direction)
-        rows = node_contact.between_nodes(first, second, direction)
-    names = scene.displacements(*contact.touched)
-    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
-    origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
-    return ContactForm(
-        name=contact.name,
-        normal=_row(names, rows.normal),
-        gap=rows.gap,
-        tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
-        friction=contact.friction or Fraction(0),
-        slip_origin=tuple(np.dot(tangent, np.array(origin)) for tangent in along),
-    )
-
-
-def _row(names: Iterable[str], values: Numbers) -> Row:
-    return {name: value for name, value in zip(names, values, strict=True) if value}
-
-
-def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
-    """Return a node's row against an obstacle, exact for planes; round ones occur at large deformations alone."""
-    item = scene.obstacle(name)
-    if item.kind == "plane":
-        plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
-        return node_contact.against_plane(where, plane)
-    return node_contact.against_surface(where, obstacle(scene, name))
-
-
 Rows = list[list[Fraction]]
 
 
@@ -336,25 +353,3 @@ def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
                 rows[i] = [entry - row[column] * above for entry, above in zip(row, rows[top], strict=True)]
         pivots.append(column)
     return rows, pivots
-
-
-if TYPE_CHECKING:
-    Model = NodeModel | BodyModel
-
-
-def build(scene: SceneData) -> Model:
-    """Return the model of a scene: nodes in exact numbers, or elastic bodies and membranes in floats.
-
-    Raises
-    ------
-    SceneError
-        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
-    BackendMissing
-        A mesh file that needs meshlane, which is not installed.
-    """
-    with stage(BUILD):
-        if scene.meshed:
-            from contactqp.scene.body_model import body_model
-
-            return body_model(scene)
-        return NodeModel(scene, exact_problem(scene))

@@ -142,8 +142,8 @@ def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
         raise SceneError(f"path: {_named(model, str(error))}") from None
     except NotConverged as error:
         so_far = error.history
-        known = _of_scene(model, so_far) if isinstance(so_far, LargeHistory) else so_far
-        raise NotConverged(_named(model, str(error)), known, error.solution) from error
+        until_then = _of_scene(model, so_far) if isinstance(so_far, LargeHistory) else so_far
+        raise NotConverged(_named(model, str(error)), until_then, error.solution) from error
     return _of_scene(model, history)
 
 
@@ -160,8 +160,10 @@ def _of_scene(model: NodeModel, history: LargeHistory) -> LargeHistory:
 
 
 def _solution_of_scene(model: NodeModel, solution: LargeSolution) -> LargeSolution:
-    known = model.problem
-    problem = solution.problem.replace(dof_names=known.dof_names, contact_names=known.contact_names, units=known.units)
+    stated = model.problem
+    problem = solution.problem.replace(
+        dof_names=stated.dof_names, contact_names=stated.contact_names, units=stated.units
+    )
     return replace(solution, problem=problem)
 
 

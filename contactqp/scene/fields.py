@@ -170,7 +170,7 @@ def _name_of(location: Location, data: Any) -> str | None:
 
 def first_error(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
     """Return the first thing that is wrong in one line, and how many more there are."""
-    # An unknown key explains the key that is then missing, so it is said first.
+    # An unknown key explains the key that is then missing, so it comes first.
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first, others = errors[0], len(errors) - 1
     message = f"{key_path(first['loc'], data)}: {_sentence(first, model)}".removeprefix(": ")

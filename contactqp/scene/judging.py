@@ -42,111 +42,6 @@ if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
     from contactqp.scene.building import Model
 
-Shown = float | str | tuple[float, ...]
-
-
-def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
-    """Return what claims are asked of; without an instant, at the end of the load path or under the full load."""
-    instant = instant or Instant(end_time(model.scene))
-    if isinstance(model, NodeModel):
-        return Answer(model, solution, instant)
-    from contactqp.scene.body_answers import BodyAnswer
-
-    return BodyAnswer(model.scene, model, solution, instant)
-
-
-def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
-    """Return the claim's quantity in the scene's units: a number, words, or a matrix row by row."""
-    value = answer.value_of(claim)
-    if isinstance(value, str):
-        return value
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One row: a quantity, its expected value, the answer's, and whether that is close enough."""
-
-    quantity: str
-    expected: Shown
-    got: Shown
-    unit: str
-    error: float  # relative to the largest expected number, or in `unit` if the tolerance is
-    tolerance: float
-    relative: bool
-    ok: bool
-    reason: str  # the derivation, or why the printed number is right or wrong
-    verdict: str | None = None  # on a printed number
-    erratum: str | None = None  # its number in the list of errata
-
-
-def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
-    """Compare the exact value with the answer's."""
-    got = value_of(expectation, answer)
-    if isinstance(got, str):
-        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
-        return Comparison(
-            str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
-        )
-    system, targets, tolerance = answer.scene.system, expectation.targets, expectation.tolerance
-    exact = [system.value(target) for target in targets]
-    relative = tolerance.dimension != targets[0].dimension or not any(tolerance.dimension)
-    scale = max(map(abs, exact)) if relative else Fraction(1)
-    allowed = system.value(tolerance)
-    error = _distance(got, exact) / float(scale) if scale else _distance(got, exact)
-    return Comparison(
-        quantity=str(expectation),
-        expected=_shown(exact),
-        got=_shown(got),
-        unit=_unit(expectation, targets, system),
-        error=error,
-        tolerance=float(allowed),
-        relative=relative,
-        ok=len(got) == len(exact) and error <= float(allowed),
-        reason=expectation.derivation,
-    )
-
-
-def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
-    """Compare a printed number with the answer: a right one agrees to half a unit of its last digit."""
-    got = value_of(published, answer)
-    system, target = answer.scene.system, published.target
-    printed, half_digit = system.value(target), system.value(published.half_digit)
-    error = math.inf if isinstance(got, str) else _distance(got, [printed])
-    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
-    agrees = error <= float(half_digit) * (1 + 1e-9)
-    return Comparison(
-        quantity=str(published),
-        expected=_shown([printed]),
-        got=got if isinstance(got, str) else _shown(got),
-        unit=_unit(published, [target], system),
-        error=error,
-        tolerance=float(half_digit),
-        relative=False,
-        ok=agrees == (published.verdict == "right"),
-        reason=f"{published.where}: {published.why}",
-        verdict=published.verdict,
-        erratum=published.erratum,
-    )
-
-
-def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
-    """Return the largest difference, formed exactly; infinite where a number is not finite."""
-    if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
-        return math.inf
-    return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
-
-
-def _shown(numbers: Sequence[Number]) -> Shown:
-    floats = tuple(float(number) for number in numbers)
-    return floats[0] if len(floats) == 1 else floats
-
-
-def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
-    """Return the unit of the claim's numbers; none for a matrix of ties, where every column has its own."""
-    return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
-
-
 Knob = Quantity | str | float | int | bool
 # A step of a motion is over at a time if it is so up to this part of a step.
 SAME_STEP = 1e-6
@@ -307,7 +202,7 @@ def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
 def judge(scene: SceneData, trial: Trial) -> Judgement:
     """Solve a scene by one method and compare with all that the case says of that method.
 
-    Methods that are approximate by design are asked along a load path only where the way matters, with friction.
+    Methods that are approximate by design follow a load path only with friction, where the answer depends on it.
     """
     options, model = trial.options(scene), build_for(scene, trial.engine)
     history: History
@@ -334,10 +229,6 @@ def judge(scene: SceneData, trial: Trial) -> Judgement:
             compare_published(claim, answers.of(claim)) for claim in scene.published if trial.concerns(claim)
         ),
     )
-
-
-def _seconds(time: Fraction | Quantity) -> Fraction:
-    return time.si if isinstance(time, Quantity) else time
 
 
 class _Answers:
@@ -411,6 +302,115 @@ class _Answers:
             )
         problem = self._model.problem.replace(load=self._model.load_at(time))
         return answer_of(self._model, solve(problem, trial.method, **options), Instant(time, self._history))
+
+
+def _seconds(time: Fraction | Quantity) -> Fraction:
+    return time.si if isinstance(time, Quantity) else time
+
+
+def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
+    """Return what claims are asked of; without an instant, at the end of the load path or under the full load."""
+    instant = instant or Instant(end_time(model.scene))
+    if isinstance(model, NodeModel):
+        return Answer(model, solution, instant)
+    from contactqp.scene.body_answers import BodyAnswer
+
+    return BodyAnswer(model.scene, model, solution, instant)
+
+
+def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
+    """Return the claim's quantity in the scene's units: a number, words, or a matrix row by row."""
+    value = answer.value_of(claim)
+    if isinstance(value, str):
+        return value
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+Shown = float | str | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One row: a quantity, its expected value, the answer's, and whether that is close enough."""
+
+    quantity: str
+    expected: Shown
+    got: Shown
+    unit: str
+    error: float  # relative to the largest expected number, or in `unit` if the tolerance is
+    tolerance: float
+    relative: bool
+    ok: bool
+    reason: str  # the derivation, or why the printed number is right or wrong
+    verdict: str | None = None  # on a printed number
+    erratum: str | None = None  # its number in the list of errata
+
+
+def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
+    """Compare the exact value with the answer's."""
+    got = value_of(expectation, answer)
+    if isinstance(got, str):
+        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
+        return Comparison(
+            str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
+        )
+    system, targets, tolerance = answer.scene.system, expectation.targets, expectation.tolerance
+    exact = [system.value(target) for target in targets]
+    relative = tolerance.dimension != targets[0].dimension or not any(tolerance.dimension)
+    scale = max(map(abs, exact)) if relative else Fraction(1)
+    allowed = system.value(tolerance)
+    error = _distance(got, exact) / float(scale) if scale else _distance(got, exact)
+    return Comparison(
+        quantity=str(expectation),
+        expected=_shown(exact),
+        got=_shown(got),
+        unit=_unit(expectation, targets, system),
+        error=error,
+        tolerance=float(allowed),
+        relative=relative,
+        ok=len(got) == len(exact) and error <= float(allowed),
+        reason=expectation.derivation,
+    )
+
+
+def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
+    """Compare a printed number with the answer: a right one agrees to half a unit of its last digit."""
+    got = value_of(published, answer)
+    system, target = answer.scene.system, published.target
+    printed, half_digit = system.value(target), system.value(published.half_digit)
+    error = math.inf if isinstance(got, str) else _distance(got, [printed])
+    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
+    agrees = error <= float(half_digit) * (1 + 1e-9)
+    return Comparison(
+        quantity=str(published),
+        expected=_shown([printed]),
+        got=got if isinstance(got, str) else _shown(got),
+        unit=_unit(published, [target], system),
+        error=error,
+        tolerance=float(half_digit),
+        relative=False,
+        ok=agrees == (published.verdict == "right"),
+        reason=f"{published.where}: {published.why}",
+        verdict=published.verdict,
+        erratum=published.erratum,
+    )
+
+
+def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
+    """Return the largest difference, formed exactly; infinite where a number is not finite."""
+    if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
+        return math.inf
+    return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
+
+
+def _shown(numbers: Sequence[Number]) -> Shown:
+    floats = tuple(float(number) for number in numbers)
+    return floats[0] if len(floats) == 1 else floats
+
+
+def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
+    """Return the unit of the claim's numbers; none for a matrix of ties, where every column has its own."""
+    return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:

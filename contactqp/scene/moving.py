@@ -111,11 +111,11 @@ def start_of(model: Model, key: str) -> Vector:
     """
     places = dict(_places(model))
     start = np.zeros(sum(len(at) for at in places.values()))
-    held = np.ones(len(start), dtype=bool)
-    held[free_places(model)] = False
+    supported = np.ones(len(start), dtype=bool)
+    supported[free_places(model)] = False
     for i, item in enumerate(getattr(model.scene.motion, key)):
         for name, number in start_values(model.scene, item):
-            if number and held[places[name]].any():
+            if number and supported[places[name]].any():
                 raise SceneError(f"motion.{key}[{i}] ({item.of!r}): expected 0 for {name!r}, which supports hold")
             start[places[name]] = float(number)
     return start

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Scene(SceneData):
-    """A case: bodies, supports, ties, contacts, loads, and what is known of the answer. Frozen and checked when made.
+    """A case: bodies, supports, ties, contacts, loads, and claims about the answer. Frozen and checked when made.
 
     Raises
     ------

@@ -135,7 +135,7 @@ class Contact(Block):
         return self.sides or ((self.side,) if self.side else ())
 
 
-# How the points of a path at large deformations are picked, and the keys that each way has of its own.
+# How the points of a path at large deformations are picked, and the keys that each control has of its own.
 CONTROLS: dict[str, tuple[str, ...]] = {
     "load": (),
     "displacement": ("controlled", "target"),

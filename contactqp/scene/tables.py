@@ -17,6 +17,12 @@ from rich.text import Text
 
 from contactqp.solving.methods import Method
 
+# Rows of a table on a screen; --json has all.
+MOST_ROWS = 60
+# Letters of a picture, the widest first; what does not fit the terminal with the narrowest is left out.
+WIDTHS = (24, 16, 10, 6)
+# Wider than any table: what it would like to have is then measured.
+ENDLESS = 10_000
 # Of the largest value; what is smaller is drawn as zero.
 ROUNDING = 1e-12
 
@@ -99,14 +105,6 @@ def _height(value: float, low: float, high: float, letters: Letters) -> str:
     half = 1.0 if math.isfinite(high - low) else 0.5
     part = (half * value - half * low) / (half * high - half * low)
     return letters.heights[min(int(part * steps), steps - 1)]
-
-
-# Rows of a table on a screen; --json has all.
-MOST_ROWS = 60
-# Letters of a picture, the widest first; what does not fit the terminal with the narrowest is left out.
-WIDTHS = (24, 16, 10, 6)
-# Wider than any table: what it would like to have is then measured.
-ENDLESS = 10_000
 
 
 @dataclass(frozen=True)

@@ -81,11 +81,11 @@ def factors_at(scene: SceneData, time: Fraction) -> Factors:
         return Factors(others=time)
     corners: list[Mapping[str, Fraction]] = [{}, *scene.path.corners]
     leg = max(ceil(time), 1)
-    before, after, way = corners[leg - 1], corners[leg], time - (leg - 1)
+    before, after, part = corners[leg - 1], corners[leg], time - (leg - 1)
     zero = Fraction(0)
     return Factors(
         named={
-            name: before.get(name, zero) + way * (after.get(name, zero) - before.get(name, zero))
+            name: before.get(name, zero) + part * (after.get(name, zero) - before.get(name, zero))
             for name in {**before, **after}
         }
     )
