@@ -138,7 +138,7 @@ class Answer:
         measure = claim.measure
         if measure.read is None:
             return READERS[claim.quantity](claim, self)
-        return measure.read(next(e for e in self.scene.elements_named(str(measure.at)) if e.name == claim.at), self)
+        return measure.read(self.scene.element(str(measure.at), str(claim.at)), self)
 
     def displacement(self, unknown: str) -> float:
         """Return the displacement or rotation of any unknown; 0 where it is fixed."""

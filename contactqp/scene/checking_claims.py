@@ -128,8 +128,8 @@ def _places_fit(where: str, claim: Claim, measure: Measure, claimable: _Claimabl
         raise SceneError(f"{where}.near: expected {len(scene.axes)} components, got {len(claim.near)}")
     if measure.at is not None and claim.at not in places[measure.at]:
         raise SceneError(f"{where}.at: {no_such(claim.at, places[measure.at], measure.at)}")
-    if measure.at == "bar" and any(bar.divisions > 1 for bar in scene.bars if bar.name == claim.at):
-        raise SceneError(f"{where}.at: expected a bar in one piece, got {claim.at!r}, each part of which has its own")
+    if measure.read is not None:
+        scene.element(str(measure.at), str(claim.at)).check_claim(f"{where}.at")
     if measure.along is not None and claim.along not in places[measure.along]:
         raise SceneError(f"{where}.along: {no_such(claim.along, places[measure.along], measure.along)}")
 

@@ -5,7 +5,7 @@ A kind of elements is a subclass of `contactqp.scene.blocks.element.Element`, an
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from fractions import Fraction
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self, get_args
@@ -95,9 +95,9 @@ class Frame(Block):
         """Return every element between nodes with its key, as in ``bars[1]``, block by block."""
         return tuple((f"{key}[{i}]", element) for key in BLOCKS for i, element in enumerate(getattr(self, key)))
 
-    def elements_named(self, noun: str) -> Iterator[Element]:
-        """Yield the elements of the kind that a claim calls so."""
-        return (element for _, element in self.elements if element.noun == noun)
+    def element(self, noun: str, name: str) -> Element:
+        """Return the element of a name, of the kind that claims call so."""
+        return next(element for _, element in self.elements if (element.noun, element.name) == (noun, name))
 
     def value(self, quantity: Quantity) -> Fraction:
         """Return a quantity in the scene's units, exactly."""

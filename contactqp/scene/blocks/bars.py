@@ -134,3 +134,8 @@ class Bar(Element):
         """Raise SceneError without a density, which may be zero."""
         if self.density is None:
             raise SceneError(f'{where}.density ({self.name!r}): expected in a motion, as in "7850 kg/m^3", and missing')
+
+    def check_claim(self, where: str) -> None:
+        """Raise SceneError with divisions, each of which has a force of its own."""
+        if self.divisions > 1:
+            raise SceneError(f"{where}: expected a bar in one piece, got {self.name!r}, each part of which has its own")

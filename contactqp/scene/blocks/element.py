@@ -189,6 +189,9 @@ class Element(Block):
     def check_motion(self, where: str) -> None:
         """Raise SceneError where it cannot be in a scene that moves."""
 
+    def check_claim(self, where: str) -> None:
+        """Raise SceneError where a claim at it has no answer; `where` is as in ``expect[1].at``."""
+
     def drawn(self, scene: NodeScene, displacement: Mapping[str, float]) -> Line | None:
         """Return what is drawn of it: by default a straight line through its nodes, and None without any.
 
