@@ -42,6 +42,7 @@ def test_a_picture_takes_the_room_that_there_is():
     assert "█" * 11 not in "".join(narrow)
     assert "█" not in "".join(none)
     for lines, width in ((wide, 80), (narrow, 40), (none, 22)):
+        assert len(lines) >= len(ROWS)
         assert all(len(line) <= width for line in lines)
         assert any("8.12345678901" in line for line in lines)
 

@@ -96,7 +96,9 @@ def test_events_of_a_path_with_corners():
         claim("event time", "2 + 9/20", at="foot", event="opened"),
         claim("events", "2", at="foot"),
     ]
-    assert all(row.ok for row in judge(changed(path=path, expect=expect), Trial()).expectations)
+    found = judge(changed(path=path, expect=expect), Trial()).expectations
+    assert len(found) == len(expect)
+    assert all(row.ok for row in found)
     again = claim("event time", "1", at="foot", event="closed", occurrence=2)
     with pytest.raises(
         cq.SceneError, match=r"to close 2 times on the load path; its events: closed at 0.1, opened at 2.45"
