@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import LoadPath
 
 MOST_NAMES = 12
-_EXACT = "exact rational numbers"
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,11 @@ def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
     for key, kind in BLOCKS.items():
         count = len(getattr(scene, key))
         yield BuildingBlock(kind.title, count > 0, f"{count} in the scene" if count else "none in the scene")
-    yield _rotations(exact)
-    yield _supports(exact)
+    rotations = sum(is_rotation(name) for name in exact.unknowns.free)
+    yield counted("rotations", rotations, "free rotation", "no beam ends at a free node")
+    fixed = len(exact.unknowns.fixed)
+    some = f"{fixed} fixed unknown{'s' * (fixed > 1)}, left out of the system"
+    yield BuildingBlock("supports", fixed > 0, some if fixed else "nothing is fixed")
     yield counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
     yield friction_block([contact.friction for contact in exact.contacts], len(scene.axes))
     yield counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
@@ -101,7 +103,9 @@ def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
     kinds = ", ".join(kind.title for key, kind in BLOCKS.items() if getattr(scene, key)) or "contacts alone"
     yield newton_block(scene, kinds)
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
-    yield BuildingBlock(_EXACT, False, "large displacements are in floats") if scene.large else _exactness(exact)
+    rational = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
+    exactness = "large displacements are in floats" if scene.large else rational
+    yield BuildingBlock("exact rational numbers", exact.rational and not scene.large, exactness)
     yield from report_blocks(scene)
 
 
@@ -113,17 +117,6 @@ def _masses(scene: SceneData) -> str:
     return f"of {' and '.join(counts)}; nothing else has any"
 
 
-def _rotations(exact: ExactProblem) -> BuildingBlock:
-    count = sum(is_rotation(name) for name in exact.unknowns.free)
-    return counted("rotations", count, "free rotation", "no beam ends at a free node")
-
-
-def _supports(exact: ExactProblem) -> BuildingBlock:
-    count = len(exact.unknowns.fixed)
-    some = f"{count} fixed unknown{'s' * (count > 1)}, left out of the system"
-    return BuildingBlock("supports", count > 0, some if count else "nothing is fixed")
-
-
 def _condensation(exact: ExactProblem) -> BuildingBlock:
     free = set(exact.unknowns.free)
     rows = [*(contact.normal for contact in exact.contacts), *(tie.row for tie in exact.ties)]
@@ -132,11 +125,6 @@ def _condensation(exact: ExactProblem) -> BuildingBlock:
     touched = free & {name for row in rows for name in row}
     some = f"contacts and ties touch {len(touched)} of {len(free)} unknowns"
     return BuildingBlock("condensation onto the contact unknowns", 0 < len(touched) < len(free), some)
-
-
-def _exactness(exact: ExactProblem) -> BuildingBlock:
-    reason = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
-    return BuildingBlock(_EXACT, exact.rational, reason)
 
 
 def _form(row: Row) -> str:

@@ -29,6 +29,26 @@ class Block(BaseModel):
         return copied
 
 
+def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: Sequence[str]) -> None:
+    """Raise ValueError where a table lacks a key that its kind needs, or has one of another kind.
+
+    Parameters
+    ----------
+    table : Block
+    kind : str
+        What the table is, as in "sphere".
+    required, optional : sequences of str
+        The keys of the kind; those that tables of all kinds have are among the optional ones, first.
+    """
+    for key in required:
+        if getattr(table, key) is None:
+            raise ValueError(f"{key}: expected for a {kind}, and missing")
+    for key in type(table).model_fields:
+        if key not in (*required, *optional) and getattr(table, key) is not None:
+            own = ", ".join([*optional[:2], *required, *optional[2:]])
+            raise ValueError(f"{key}: a {kind} has no such key; its own: {own}")
+
+
 def _reader(kind: str, roots: bool = False) -> Callable[[Any], Quantity]:
     return lambda value: read_quantity(value, [KINDS[kind]], roots=roots)
 

@@ -17,7 +17,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks import Frame
 from contactqp.scene.blocks.strings import LineLoad
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
-from contactqp.scene.fields import Block, Name, Number, TwoNames, no_such
+from contactqp.scene.fields import Block, Name, Number, TwoNames, check_own_keys, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 
 # What each kind of obstacle must state, and what it may.
@@ -56,13 +56,7 @@ class Obstacle(Block):
     @model_validator(mode="after")
     def _own_keys(self) -> Self:
         required, optional = OBSTACLES[self.kind]
-        for key in required:
-            if getattr(self, key) is None:
-                raise ValueError(f"{key}: expected for a {self.kind}, and missing")
-        for key in type(self).model_fields:
-            own = ("name", "kind", *required, *optional)
-            if key not in own and getattr(self, key) is not None:
-                raise ValueError(f"{key}: a {self.kind} has no such key; its own: {', '.join(own)}")
+        check_own_keys(self, self.kind, required, ("name", "kind", *optional))
         return self
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from contactqp.elements.reference import KINDS as ELEMENTS
 from contactqp.scene import fields
-from contactqp.scene.fields import Block, BodyName, Name, no_such
+from contactqp.scene.fields import Block, BodyName, Name, check_own_keys, no_such
 from contactqp.scene.units import KINDS, read_unit
 
 Axis = Literal["x", "y", "z"]
@@ -68,13 +68,7 @@ class Shape(Block):
     @model_validator(mode="after")
     def _own_keys(self) -> Self:
         keys = SHAPES[self.kind]
-        for name in keys.required:
-            if getattr(self, name) is None:
-                raise ValueError(f"{name}: expected for a {self.kind}, and missing")
-        for name in type(self).model_fields:
-            own = ("kind", "element", *keys.required, *keys.optional)
-            if name not in own and getattr(self, name) is not None:
-                raise ValueError(f"{name}: a {self.kind} has no such key; its own: {', '.join(own)}")
+        check_own_keys(self, self.kind, keys.required, ("kind", "element", *keys.optional))
         for name, count in (("divisions", keys.divisions), ("size", keys.dimension)):
             if getattr(self, name) is not None and len(getattr(self, name)) != count:
                 raise ValueError(f"{name}: expected {count} for a {self.kind}, got {len(getattr(self, name))}")

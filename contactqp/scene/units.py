@@ -141,9 +141,15 @@ class _Reader:
         return match["sign"]
 
 
-_PREFIXES = ["nano:n", "micro:µ:u", "milli:m", "centi:c", "deci:d", "kilo:k", "mega:M", "giga:G"]
-_POWERS = dict(nano=-9, micro=-6, milli=-3, centi=-2, deci=-1, kilo=3, mega=6, giga=9)
 _DEFINITIONS = (
+    "nano- = 1e-9 = n-",
+    "micro- = 1e-6 = µ- = u-",
+    "milli- = 1e-3 = m-",
+    "centi- = 1e-2 = c-",
+    "deci- = 1e-1 = d-",
+    "kilo- = 1e3 = k-",
+    "mega- = 1e6 = M-",
+    "giga- = 1e9 = G-",
     "meter = [length] = m = metre",
     "second = [time] = s",
     "gram = [mass] = g",
@@ -289,11 +295,7 @@ def _power(unit: str, power: int) -> str:
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None, non_int_type=Fraction, cache_folder=None)
-    lines = []
-    for prefix in _PREFIXES:
-        name, *symbols = prefix.split(":")
-        lines.append(f"{name}- = 1e{_POWERS[name]} = " + " = ".join(f"{symbol}-" for symbol in symbols))
-    registry.load_definitions([*lines, *_DEFINITIONS])
+    registry.load_definitions(_DEFINITIONS)
     return registry
 
 
