@@ -32,6 +32,10 @@ def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), of="bodies", **asked)
 
 
+def _at_contact(meaning: str, kind: str, **asked: Any) -> Measure:
+    return _of_bodies(meaning, kind, at="contact", **asked)
+
+
 def _of_large(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), large=True, **asked)
 
@@ -42,7 +46,7 @@ def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
 
 # Stresses in the order of contactqp.elements.stress, and the equivalent one.
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
-_WAY: dict[str, Any] = {"path": True, "whole_way": True}
+_WHOLE_PATH: dict[str, Any] = {"path": True, "whole_way": True}
 _POINT: dict[str, Any] = {"counted": True, "whole_way": True}
 _READ_OFF: dict[str, Any] = {"solved": False, "small": True}
 QUANTITIES = {
@@ -109,10 +113,10 @@ QUANTITIES = {
         small=True,
     ),
     "closing load factor": Measure(
-        "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WAY
+        "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WHOLE_PATH
     ),
     "closing load": Measure(
-        "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WAY
+        "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WHOLE_PATH
     ),
     "event time": Measure(
         "pseudo-time of an event, in a motion its time; a side closes with its first node and opens with its last",
@@ -120,7 +124,7 @@ QUANTITIES = {
         at="contact",
         event=True,
         of="both",
-        **_WAY,
+        **_WHOLE_PATH,
     ),
     "event load": Measure(
         "load on `along` at an event of a contact",
@@ -129,9 +133,9 @@ QUANTITIES = {
         along="unknown",
         event=True,
         statics=True,
-        **_WAY,
+        **_WHOLE_PATH,
     ),
-    "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WAY),
+    "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WHOLE_PATH),
     "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", **_READ_OFF),
     "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, **_READ_OFF),
     "tie rank": Measure("number of independent ties", ("number",), **_READ_OFF),
@@ -159,53 +163,42 @@ QUANTITIES = {
         near=True,
         component=True,
     ),
-    "contact force": _of_bodies(
-        "sum of the normal forces of a contact, each along its own normal, positive in compression",
-        "force",
-        at="contact",
+    "contact force": _at_contact(
+        "sum of the normal forces of a contact, each along its own normal, positive in compression", "force"
     ),
-    "contact resultant": _of_bodies(
+    "contact resultant": _at_contact(
         "sum of the normal forces of a contact as vectors, on the body or the slave, along an axis",
         "force",
-        at="contact",
         along="axis",
     ),
-    "friction resultant": _of_bodies(
+    "friction resultant": _at_contact(
         "sum of lambda_T of a contact as vectors along an axis: what the body or the slave does to what it touches",
         "force",
-        at="contact",
         along="axis",
         friction=True,
     ),
-    "friction traction": _of_bodies(
+    "friction traction": _at_contact(
         "lambda_T per area at the contact's node at `near`, along an axis; projected as pressures are",
         "pressure",
-        at="contact",
         along="axis",
         near=True,
         friction=True,
     ),
-    "stick half-width": _of_bodies(
-        "largest distance from `near`, the centre, to a node that sticks",
-        "length",
-        at="contact",
-        near=True,
-        friction=True,
+    "stick half-width": _at_contact(
+        "largest distance from `near`, the centre, to a node that sticks", "length", near=True, friction=True
     ),
-    "sticking contacts": _of_bodies("number of nodes of a contact that stick", "number", at="contact", friction=True),
-    "peak pressure": _of_bodies(
-        "largest pressure at the nodes of a contact: forces projected onto its side", "pressure", at="contact"
+    "sticking contacts": _at_contact("number of nodes of a contact that stick", "number", friction=True),
+    "peak pressure": _at_contact(
+        "largest pressure at the nodes of a contact: forces projected onto its side", "pressure"
     ),
-    "contact pressure": _of_bodies(
-        "pressure at the contact's node at `near`: forces projected onto its side", "pressure", at="contact", near=True
+    "contact pressure": _at_contact(
+        "pressure at the contact's node at `near`: forces projected onto its side", "pressure", near=True
     ),
-    "contact half-width": _of_bodies(
-        "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True
+    "contact half-width": _at_contact(
+        "largest distance from `near`, the centre, to a node that presses", "length", near=True
     ),
-    "closed contacts": _of_bodies("number of nodes of a contact that press", "number", at="contact"),
-    "node gap": _of_bodies(
-        "gap of the contact's node at `near`, positive when open", "length", at="contact", near=True
-    ),
+    "closed contacts": _at_contact("number of nodes of a contact that press", "number"),
+    "node gap": _at_contact("gap of the contact's node at `near`, positive when open", "length", near=True),
     "support force": _of_bodies(
         "sum of the forces of a support on the body, along the support's axis", "force", at="support", statics=True
     ),
