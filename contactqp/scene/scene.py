@@ -75,11 +75,13 @@ def register_block(key: str, kind: type[Element]) -> None:
     Raises
     ------
     InvalidProblem
-        The key, the noun or a quantity is one that something else has.
+        The key, the noun or a quantity is one that something else has; `large` is set, which only bars can be.
     """
     nouns = {other.noun for other in BLOCKS.values()} | {str(measure.at) for measure in QUANTITIES.values()}
     taken = [f"quantity {name!r}" for name in kind.quantities if name in QUANTITIES]
     taken += [f"noun {kind.noun!r}"] * (kind.noun in nouns)
+    if kind.large:
+        raise InvalidProblem(f"{key}: expected no form at large displacements, which only bars have, got one")
     if hasattr(Scene, key) or key in Scene.model_fields or taken:
         raise InvalidProblem(f"{key}: expected a block with names of its own, got {', '.join(taken) or repr(key)}")
     BLOCKS[key] = kind

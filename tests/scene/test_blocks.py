@@ -130,6 +130,12 @@ def test_names_that_are_taken_are_refused_and_a_block_ends_with_its_test() -> No
             with pytest.raises(cq.InvalidProblem, match="expected a block with names of its own"):
                 register_block(key, toy_block.TorsionSpring)
     assert kinds == BLOCKS
+
+    class Large(toy_block.TorsionSpring):
+        large = True
+
+    with pytest.raises(cq.InvalidProblem, match="expected no form at large displacements"):
+        register_block("large_springs", Large)
     with pytest.raises(cq.SceneError, match="there is no key 'torsion_springs'"):
         Scene(title="t", axes=["x"], torsion_springs=[])
 

@@ -146,8 +146,8 @@ def _row(row: Mapping[str, Any], place: Mapping[str, int]) -> list[arb]:
 
 
 def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
-    """Elements are positive semidefinite one by one; matrices that somebody gave are not known to be."""
-    if not scene.matrices:
+    """Refuse a stiffness that may be indefinite: elements are semidefinite one by one, given matrices need not be."""
+    if all(element.semidefinite for _, element in scene.elements):
         return
     pivots = [list(row) for row in balls.K]
     for i, row in enumerate(pivots):

@@ -47,6 +47,7 @@ class Bar(Element):
 
     title: ClassVar[str] = "axial bars"
     noun: ClassVar[str] = "bar"
+    semidefinite: ClassVar[bool] = True
     large: ClassVar[bool] = True
     inertial: ClassVar[bool] = True
     quantities: ClassVar[Mapping[str, Measure]] = {

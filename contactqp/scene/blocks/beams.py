@@ -22,6 +22,7 @@ class Beam(Element):
 
     title: ClassVar[str] = "plane Euler-Bernoulli beams"
     noun: ClassVar[str] = "beam"
+    semidefinite: ClassVar[bool] = True
 
     name: Name
     nodes: TwoNames

@@ -124,6 +124,8 @@ class Element(Block):
         The keys that have a component for each axis.
     large, inertial : bool
         Whether they have a form at large displacements, and whether they can have mass.
+    semidefinite : bool
+        Whether its stiffness is positive semidefinite whatever its numbers are; what is not is proven where it matters.
     quantities : mapping of str to Measure
         What claims can ask of one of them, each with its `read`.
     """
@@ -134,6 +136,7 @@ class Element(Block):
     vectors: ClassVar[tuple[str, ...]] = ()
     large: ClassVar[bool] = False
     inertial: ClassVar[bool] = False
+    semidefinite: ClassVar[bool] = False
     quantities: ClassVar[Mapping[str, Measure]] = {}
 
     name: Name

@@ -18,6 +18,7 @@ class PointMass(Element):
 
     title: ClassVar[str] = "point masses"
     noun: ClassVar[str] = "point mass"
+    semidefinite: ClassVar[bool] = True
     beside_bodies: ClassVar[str] = "a body weighs by its density"
     large: ClassVar[bool] = True
     inertial: ClassVar[bool] = True

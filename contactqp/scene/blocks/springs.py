@@ -38,6 +38,7 @@ class Spring(Element):
 
     title: ClassVar[str] = "springs"
     noun: ClassVar[str] = "spring"
+    semidefinite: ClassVar[bool] = True
     vectors: ClassVar[tuple[str, ...]] = ("direction",)
     quantities: ClassVar[Mapping[str, Measure]] = {
         "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring", read=_force)

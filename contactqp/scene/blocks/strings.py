@@ -26,6 +26,7 @@ class String(Element):
 
     title: ClassVar[str] = "strings under constant tension"
     noun: ClassVar[str] = "string"
+    semidefinite: ClassVar[bool] = True
 
     name: Name
     nodes: Annotated[tuple[Name, ...], Field(min_length=2)]
