@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import ROTATION, refuse_zero_direction, refuse_zero_length
-from contactqp.scene.checking_bodies import check_bodies, check_no_bodies, obstacles_exist_in
+from contactqp.scene.checking_bodies import check_bodies, obstacles_exist_in
 from contactqp.scene.checking_claims import claims_fit
 from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.units import KINDS, Dimension
@@ -44,7 +44,7 @@ def check(scene: SceneData) -> None:
         motion_fits(scene, Unknowns((), frozenset()))
         claims_fit(scene, Unknowns((), frozenset()))
         return
-    check_no_bodies(scene)
+    _no_bodies(scene)
     _nodes_exist(scene)
     _elements_fit(scene)
     unknowns = unknowns_of(scene)
@@ -88,6 +88,23 @@ def _vectors(scene: SceneData) -> Iterator[tuple[str, tuple[object, ...]]]:
                     yield f"{key}[{i}].{name} ({item.name!r})", vector
     if scene.gravity is not None:
         yield "gravity", scene.gravity
+
+
+def _no_bodies(scene: SceneData) -> None:
+    """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
+    for key in ("supports", "tractions", "pressures", "point_loads"):
+        if getattr(scene, key):
+            raise SceneError(f"{key}: expected none in a scene without bodies")
+    if not scene.nodes:
+        raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")
+    for i, obstacle in enumerate(scene.obstacles):
+        if obstacle.kind != "plane" and not scene.large:
+            raise SceneError(
+                f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
+            )
+    for i, contact in enumerate(scene.contacts):
+        if not contact.touched:
+            raise SceneError(f"contacts[{i}] ({contact.name!r}): expected 'node' or 'nodes' in a scene without bodies")
 
 
 def _nodes_exist(scene: SceneData) -> None:

@@ -19,26 +19,8 @@ _OF_NODES = {
     "line_loads": "they act on strings",
     "loads": "'tractions', 'pressures' and 'point_loads' act on bodies",
 }
-_OF_BODIES = ("supports", "tractions", "pressures", "point_loads")
 # The dimensions that an obstacle exists in.
 _DIMENSIONS = {"plane": (2, 3), "circle": (2,), "sphere": (3,), "cylinder": (3,), "paraboloid": (2, 3)}
-
-
-def check_no_bodies(scene: SceneData) -> None:
-    """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
-    for key in _OF_BODIES:
-        if getattr(scene, key):
-            raise SceneError(f"{key}: expected none in a scene without bodies")
-    if not scene.nodes:
-        raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")
-    for i, obstacle in enumerate(scene.obstacles):
-        if obstacle.kind != "plane" and not scene.large:
-            raise SceneError(
-                f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
-            )
-    for i, contact in enumerate(scene.contacts):
-        if not contact.touched:
-            raise SceneError(f"contacts[{i}] ({contact.name!r}): expected 'node' or 'nodes' in a scene without bodies")
 
 
 def check_bodies(scene: SceneData) -> None:
