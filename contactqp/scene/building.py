@@ -29,7 +29,7 @@ from contactqp.elements.obstacle import Plane
 from contactqp.errors import SceneError
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.scene.geometry import obstacle
+from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:

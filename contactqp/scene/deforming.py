@@ -21,8 +21,8 @@ from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
+from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import NodeModel
-from contactqp.scene.geometry import obstacle
 from contactqp.scene.unknowns import end_time
 
 # Steps of a path that states none.

@@ -13,8 +13,8 @@ from contactqp.model.solution import Solution
 from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
 from contactqp.pictures.frame_fields import FrameContact, FrameFields, Member
 from contactqp.pictures.membrane_drawing import MembraneFields
+from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import exact_problem
-from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import SceneData
 
 

@@ -27,8 +27,8 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
+from contactqp.scene.body_geometry import near_enough, nearest_to
 from contactqp.scene.body_model import ContactEntries, sum_of
-from contactqp.scene.geometry import near_enough, nearest_to
 from contactqp.scene.unknowns import factors_at, has_corners
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
 from contactqp.elements.structure import Part, Structure
 from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
+from contactqp.scene.body_geometry import lattice_of_shape, mesh_of_file
 from contactqp.scene.body_model import at_key, loads_of, paired_contact, sides_of, solid_body, sum_of, supports_of
-from contactqp.scene.geometry import lattice_of_shape, mesh_of_file
 from contactqp.scene.unknowns import end_time, factors_at, has_corners
 
 if TYPE_CHECKING:
