@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 
 import contactqp as cq
 from benchmarks.processes import reports_of
-from contactqp.model.verdicts import FIGURES
+from contactqp.model.solution import FIGURES
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 import contactqp as cq
 from benchmarks import siconos_peer
 from benchmarks.friction_score import Arrays, score
-from contactqp.certificate.published_errors import siconos_local_error
+from contactqp.certificate.local_certificate import siconos_local_error
 from contactqp.errors import ContactQPError
 from contactqp.exchange.local_form import local_form_of
 from contactqp.exchange.problem_files import is_problem_file, read_problem

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 import contactqp as cq
-from contactqp.certificate.candidates import take_all
+from contactqp.certificate.subset_bounds import take_all
 from contactqp.elements.mass import solid_mass
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
@@ -229,7 +229,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (
         "friction",
         "the algorithms of Coulomb friction",
-        ("contactqp.solving.friction_attempt", "contactqp.solving.local_solving"),
+        ("contactqp.solving.friction_runs", "contactqp.solving.local_solving"),
     ),
     (
         "motions, large deformations",

@@ -27,8 +27,8 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg.elimination import CHOICE
 from contactqp.linalg.iteration import Iteration
+from contactqp.linalg.schur import CHOICE
 
 LINEAR = 1e-8
 

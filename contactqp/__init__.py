@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from contactqp.analysis.load_path import follow_path as follow_path
     from contactqp.analysis.motion.history import MotionHistory as MotionHistory
     from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
-    from contactqp.certificate.critical_coefficients import CriticalFriction as CriticalFriction
-    from contactqp.certificate.critical_coefficients import critical_friction as critical_friction
+    from contactqp.certificate.critical_friction import CriticalFriction as CriticalFriction
+    from contactqp.certificate.critical_friction import critical_friction as critical_friction
+    from contactqp.certificate.local_certificate import acary_bremond_huber_error as acary_bremond_huber_error
     from contactqp.certificate.local_certificate import certify_local as certify_local
-    from contactqp.certificate.published_errors import acary_bremond_huber_error as acary_bremond_huber_error
-    from contactqp.certificate.published_errors import fclib_merit_1 as fclib_merit_1
-    from contactqp.certificate.published_errors import siconos_global_error as siconos_global_error
-    from contactqp.certificate.published_errors import siconos_local_error as siconos_local_error
+    from contactqp.certificate.local_certificate import fclib_merit_1 as fclib_merit_1
+    from contactqp.certificate.local_certificate import siconos_global_error as siconos_global_error
+    from contactqp.certificate.local_certificate import siconos_local_error as siconos_local_error
     from contactqp.elements.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
     from contactqp.elements.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
     from contactqp.elements.energies.limits import AtLeast as AtLeast
@@ -73,12 +73,12 @@ if TYPE_CHECKING:
     from contactqp.exchange.siconos_text import read_siconos as read_siconos
     from contactqp.model.global_problem import GlobalProblem as GlobalProblem
     from contactqp.model.local_problem import LocalProblem as LocalProblem
-    from contactqp.model.local_solution import LocalSolution as LocalSolution
+    from contactqp.model.local_problem import LocalSolution as LocalSolution
     from contactqp.model.problem import ContactProblem as ContactProblem
     from contactqp.model.problem import Units as Units
+    from contactqp.model.solution import Certificate as Certificate
+    from contactqp.model.solution import LocalCertificate as LocalCertificate
     from contactqp.model.solution import Solution as Solution
-    from contactqp.model.verdicts import Certificate as Certificate
-    from contactqp.model.verdicts import LocalCertificate as LocalCertificate
     from contactqp.oracle.diagnosis.finding import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
@@ -88,31 +88,31 @@ if TYPE_CHECKING:
     from contactqp.scene.loading import load_scene as load_scene
     from contactqp.scene.running import run as run
     from contactqp.scene.scene import Scene as Scene
+    from contactqp.solving.equilibria import AssociatedDifference as AssociatedDifference
+    from contactqp.solving.equilibria import associated_difference as associated_difference
+    from contactqp.solving.equilibria import equilibria as equilibria
+    from contactqp.solving.equilibria import existence_margin as existence_margin
     from contactqp.solving.friction.exact_enumeration import ExactEquilibrium as ExactEquilibrium
     from contactqp.solving.friction.exact_enumeration import exact_equilibria as exact_equilibria
     from contactqp.solving.methods import methods as methods
-    from contactqp.solving.multiplicity import equilibria as equilibria
-    from contactqp.solving.relaxation import AssociatedDifference as AssociatedDifference
-    from contactqp.solving.relaxation import associated_difference as associated_difference
-    from contactqp.solving.solvability import existence_margin as existence_margin
     from contactqp.solving.solve import solve as solve
     from contactqp.study.comparison import compare as compare
 
 _HOME = {
-    "AssociatedDifference": "solving.relaxation",
+    "AssociatedDifference": "solving.equilibria",
     "AtLeast": "elements.energies.limits",
     "AtMost": "elements.energies.limits",
     "BackendFailed": "errors",
     "BackendMissing": "errors",
     "Cable": "elements.energies.springs",
-    "Certificate": "model.verdicts",
+    "Certificate": "model.solution",
     "Circle": "elements.round_obstacle",
     "ConstrainedEnergy": "elements.energies.constrained_energy",
     "ConstrainedMinimum": "elements.energies.constrained_energy",
     "ContactGroup": "elements.obstacle_contact",
     "ContactProblem": "model.problem",
     "ContactQPError": "errors",
-    "CriticalFriction": "certificate.critical_coefficients",
+    "CriticalFriction": "certificate.critical_friction",
     "Cylinder": "elements.round_obstacle",
     "Equal": "elements.energies.limits",
     "ExactEquilibrium": "solving.friction.exact_enumeration",
@@ -122,9 +122,9 @@ _HOME = {
     "History": "analysis.history",
     "InvalidProblem": "errors",
     "JudgedAnswer": "oracle.judged_answer",
-    "LocalCertificate": "model.verdicts",
+    "LocalCertificate": "model.solution",
     "LocalProblem": "model.local_problem",
-    "LocalSolution": "model.local_solution",
+    "LocalSolution": "model.local_problem",
     "MotionHistory": "analysis.motion.history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
@@ -152,18 +152,18 @@ _HOME = {
     "Units": "model.problem",
     "Unsupported": "errors",
     "UpdatedTruss": "elements.updated_truss",
-    "acary_bremond_huber_error": "certificate.published_errors",
-    "associated_difference": "solving.relaxation",
+    "acary_bremond_huber_error": "certificate.local_certificate",
+    "associated_difference": "solving.equilibria",
     "certify": "oracle.judged_answer",
     "certify_local": "certificate.local_certificate",
     "compare": "study.comparison",
-    "critical_friction": "certificate.critical_coefficients",
+    "critical_friction": "certificate.critical_friction",
     "draw_history": "pictures.history_drawing",
-    "equilibria": "solving.multiplicity",
+    "equilibria": "solving.equilibria",
     "exact": "oracle.exact.exact",
     "exact_equilibria": "solving.friction.exact_enumeration",
-    "existence_margin": "solving.solvability",
-    "fclib_merit_1": "certificate.published_errors",
+    "existence_margin": "solving.equilibria",
+    "fclib_merit_1": "certificate.local_certificate",
     "follow_path": "analysis.load_path",
     "impact": "analysis.impact",
     "large_deformation": "analysis.large_deformation",
@@ -181,8 +181,8 @@ _HOME = {
     "read_siconos": "exchange.siconos_text",
     "redistributed_mass": "analysis.motion.mass",
     "run": "scene.running",
-    "siconos_global_error": "certificate.published_errors",
-    "siconos_local_error": "certificate.published_errors",
+    "siconos_global_error": "certificate.local_certificate",
+    "siconos_local_error": "certificate.local_certificate",
     "solve": "solving.solve",
     "write_fclib": "exchange.fclib_writing",
     "write_problem": "exchange.problem_folder",

@@ -15,7 +15,7 @@ import numpy as np
 from contactqp.analysis.history import Event
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.polishing import OnSet, answer_on
+from contactqp.linalg.refinement import OnSet, answer_on
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

@@ -20,8 +20,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status, answer_in
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction.newton import combination_of, without_idle_friction
 

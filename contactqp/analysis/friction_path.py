@@ -16,12 +16,12 @@ from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.step_jumps import step_notes
 from contactqp.certificate.figures import holds
 from contactqp.errors import Unsupported
-from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.friction_states import STICK
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
-from contactqp.solving.friction_attempt import attempt_with
+from contactqp.solving.friction_runs import attempt_with
 from contactqp.solving.methods import find
 from contactqp.solving.solve import Begun
 

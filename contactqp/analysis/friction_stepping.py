@@ -9,24 +9,23 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.analysis.anchoring import State
-from contactqp.certificate.balance import balance
-from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.figures import balance
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import own_compliance
 from contactqp.linalg.stages import METHOD, POLISH, stage
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search
-from contactqp.solving.friction_attempt import attempt_on
-from contactqp.solving.metering import Meter
+from contactqp.solving.friction_runs import attempt_on
 from contactqp.solving.methods import find
+from contactqp.solving.runs import Meter
 from contactqp.solving.solve import Begun, solve
 
 # A gap of this part of the lengths that meet is rounding.

@@ -13,10 +13,10 @@ from contactqp.analysis.anchoring import Anchors, State, step_to
 from contactqp.analysis.friction_stepping import PlaneStepper, SolveStepper, Stepper
 from contactqp.analysis.history import Event
 from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
-from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import Method, Settings, find

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.lazy_solutions import Refused, looked_at
 from contactqp.errors import ContactQPError
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 

@@ -17,8 +17,7 @@ from contactqp.analysis.motion.schemes.scheme import Body
 from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector
 from contactqp.solving.methods import find

@@ -17,8 +17,7 @@ from contactqp.analysis.large.path_control import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable
 from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
 from contactqp.solving.methods import find
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NoReturn, Protocol, overload
 
 from contactqp.errors import ContactQPError
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.solution import Solution
 
 

@@ -15,13 +15,12 @@ from contactqp.analysis.history import Event, History
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.analysis.sprung_path import follow_on_springs
-from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.idle_rows import acting_rows
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution

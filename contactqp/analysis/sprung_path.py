@@ -19,7 +19,7 @@ from contactqp.analysis.friction_steps import refuse_options
 from contactqp.analysis.history import History
 from contactqp.analysis.lazy_solutions import LazySolutions
 from contactqp.errors import Unsupported
-from contactqp.linalg.blas_threads import one_blas_thread
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

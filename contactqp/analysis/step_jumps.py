@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from contactqp.analysis.friction_events import ExactPath
-from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
-from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.force_system import ForceSystem

@@ -3,6 +3,10 @@
 The pair is got from the candidate's own set of closed contacts: the refined answer on it is the solution if its signs
 hold. Where they do not, the set is corrected; where no set is found, the candidate itself is repaired: its contacts
 closed, its tensions dropped. However the pair was found, it is judged by the problem alone.
+
+The least displacement that opens rows by what they lack, where some of them nearly depend on others, and forces.
+
+All work on the rows themselves: their products with each other would lose half of the digits that tell them apart.
 """
 
 from __future__ import annotations
@@ -22,17 +26,62 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, extend
-from contactqp.linalg.extended_rows import extended_rows
-from contactqp.linalg.intrinsic_size import stiffness_sizes
-from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
-from contactqp.linalg.measures import Residuals, lengths_that_meet
+from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.measures import Residuals, lengths_that_meet, stiffness_sizes
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.polishing import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
+from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
+
+# Least-distance programming ends with less than this where the conditions conflict: the rounding of its last equation.
+CONFLICT = 1e-14
+
+
+def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
+    """min |w| over rows w <= -excess, ties w = 0; None where these conflict, or too many steps would be taken.
+
+    Least-distance programming (Lawson and Hanson 1974, chapter 23): with G = -rows, h = excess and r the residual of
+    min |[G'; h'] y - (0; 1)| over y >= 0, w_j = -r_j / r_last.
+    """
+    from scipy.optimize import nnls
+
+    size = np.linalg.norm(rows, axis=1)
+    wanted = excess / size
+    largest = float(np.max(wanted))
+    columns = np.hstack([-(rows / size[:, None]).T, ties.T, -ties.T])
+    matrix = np.vstack([columns, np.concatenate([wanted / largest, np.zeros(2 * len(ties))])])
+    unit = np.append(np.zeros(len(columns)), 1.0)
+    try:
+        share, _ = nnls(matrix, unit, maxiter=30 * matrix.shape[1])
+    except RuntimeError:  # too many steps
+        return None
+    left = matrix @ share - unit
+    return None if -left[-1] <= CONFLICT else np.asarray(largest * left[:-1] / -left[-1])
+
+
+def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
+    """min |rows' l + ties' n - resultant| over l >= 0; None where too many steps would be taken."""
+    from scipy.optimize import nnls
+
+    size = np.linalg.norm(rows, axis=1)
+    matrix = np.hstack([(rows / size[:, None]).T, ties.T, -ties.T])
+    try:
+        share, _ = nnls(matrix, resultant, maxiter=30 * matrix.shape[1])
+    except RuntimeError:  # too many steps
+        return None
+    return np.asarray(share[: len(rows)] / size)
+
+
+def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
+    """min |w| with rows w = -excess, ties w = 0, in the sense of least squares; what is dependent to rounding counts
+    as dependent."""
+    every = np.vstack([rows, ties])
+    size = np.linalg.norm(every, axis=1)
+    wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
+    return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=WITHIN_ROUNDING)[0])
+
 
 # Corrections of each set that the candidate may mean, and of the first when all of them have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50

@@ -57,17 +57,14 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.extended import Extended, extend
-from contactqp.linalg.extended_rows import extended_rows
-from contactqp.linalg.intrinsic_size import rigid_part
-from contactqp.linalg.iteration import Iteration
-from contactqp.linalg.measures import Residuals, lengths_that_meet, own_compliance
-from contactqp.linalg.polishing import WITHIN_ROUNDING
+from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.iteration import ContactIteration, Iteration, Limits
+from contactqp.linalg.measures import Residuals, lengths_that_meet, own_compliance, rigid_part
+from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22

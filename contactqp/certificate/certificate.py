@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.balance import balance
 from contactqp.certificate.bounds import Bounds, bounds
-from contactqp.certificate.candidates import believed_candidates, bounds_among
-from contactqp.certificate.coulomb_residual import IMPLIED, coulomb_residual
 from contactqp.certificate.failures import (
     failed_bounds,
     failed_figures,
@@ -20,9 +17,10 @@ from contactqp.certificate.failures import (
     notes,
     said_of_dependent_ties,
 )
-from contactqp.certificate.figures import violations
+from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.state_answer import StateVerdict, basis_without_friction, state_verdict
+from contactqp.certificate.subset_bounds import believed_candidates, bounds_among
 from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
@@ -31,11 +29,10 @@ from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import Residuals, own_compliance, plain_residuals, ratio, residuals
 from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.stages import CERTIFY, stage
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
-from contactqp.model.verdicts import FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
+from contactqp.model.solution import FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
 # answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.

@@ -11,17 +11,14 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import EPS, Extended, extend
-from contactqp.linalg.extended_rows import extended_rows
+from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
-from contactqp.linalg.intrinsic_size import rigid_part, stiffness_sizes
-from contactqp.linalg.measures import forces_that_meet
-from contactqp.linalg.polishing import CAUTION, LEAST_CONTRACTION, correction
-from contactqp.linalg.range_space import REGULAR
-from contactqp.linalg.saddle import free_motions, saddle_point
+from contactqp.linalg.measures import forces_that_meet, rigid_part, stiffness_sizes
+from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION, correction
+from contactqp.linalg.saddle import REGULAR, free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactqp.certificate.bounds import Bounds
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.model.verdicts import FIGURES, Answer, Violations
+from contactqp.model.solution import FIGURES, Answer, Violations
 
 # Grazing contacts that a note names.
 MOST_NAMED = 8

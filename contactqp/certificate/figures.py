@@ -6,6 +6,22 @@ L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`length
 both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
 and L, u is the displacement without its rigid part. What is nothing beside the intrinsic size of problem and answer
 (`intrinsic_size`) violates nothing.
+
+Whether the outer forces of every body balance: what they do on its rigid motions.
+
+Signorini's and Coulomb's law as one equation, measured at every contact of an answer.
+
+At contact i let r = (l_N, -l_T) be the force on the body and u = (g - E_N u, E_T u - slip_origin). The law is
+
+    n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
+
+(De Saxce and Feng 1998; `contactqp.model.coulomb_cone`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
+meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
+dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
+
+Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
+slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
+twice the move of r and once that of u + mu |u_T| e_N.
 """
 
 from __future__ import annotations
@@ -15,32 +31,170 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from contactqp.certificate.balance import balance
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.extended import extend, extended_rows, images
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.intrinsic_size import (
-    HELD_BY_DOUBLES,
-    intrinsic_size,
-    nothing,
-    stiffness_sizes,
-    without_rigid_part,
-)
 from contactqp.linalg.measures import (
+    HELD_BY_DOUBLES,
     ROUNDING_OF_LENGTH,
+    ContactEntries,
     Residuals,
     beyond,
+    bodies,
+    contact_entries,
     force_measure,
+    intrinsic_size,
+    nothing,
     outer_forces,
     ratio,
     residuals,
+    row_sizes,
+    stiffness_sizes,
     vector_measure,
+    without_rigid_part,
 )
-from contactqp.linalg.row_sizes import contact_entries, row_sizes
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb_cone import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import FIGURES, Answer, Nothing, Violations
+from contactqp.model.solution import FIGURES, Answer, Nothing, Violations
+
+# Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
+NO_RESULTANT = 1e-14
+# A motion along which K's rounding makes up this part of the forces cannot be judged by them.
+NOTHING_BUT_ROUNDING = 0.1
+# What K's rounding makes of a rigid motion is forgiven up to this part of the forces: beyond, a resultant is wrong,
+# whoever carries the rest.
+FORGIVEN = 1e-6
+# Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
+SAME_MOTION = 1e-10
+# Forces that do this part of the work of the others on a motion act on it.
+ACTING = 1e-6
+# HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
+# formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
+LP_TOLERANCES = (1e-10, 1e-7)
+
+
+def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
+
+    By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
+    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
+    depends on no choice of basis, unit or scale.
+    """
+    if not rigid.count:
+        return 0.0
+    rows = extended_rows(problem)
+    force, tie = extend(answer.normal_force), extend(answer.tie_force)
+    outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
+    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
+    size = outer_forces(problem, answer)
+    body = bodies(problem)
+    # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
+    # there are none.
+    hidden = 1.0 if problem.frictional else 0.0
+    worst = 0.0
+    for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
+        members = np.flatnonzero(body == b)
+        moving = np.any(rigid.motions[members] != 0, axis=0)
+        motions = rigid.motions[np.ix_(members, moving)]
+        work = motions.T @ outer.double()[members]
+        mixed = rigid.uncertainty * (abs(motions).T @ size[members])
+        worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))
+    return worst
+
+
+def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
+    """|K z| (r, n), formed once for the motions of a stiffness."""
+    known = problem._shared.get("left_of_stiffness")
+    if known is None or known[0] is not rigid:
+        forces = rigid.forces
+        if forces is None:
+            forces = images(problem.stiffness_rows, rigid.motions)
+        known = rigid, abs(forces.T)
+        problem._shared["left_of_stiffness"] = known
+    return np.asarray(known[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Resultants:
+    """What the forces of a body do on p coordinates of its motions.
+
+    With w_j = z_j size_j the denominator is the sum of |w_j|, whatever the units of the unknowns: the coordinates are
+    those of an orthonormal basis of the columns w.
+    """
+
+    weight: Array  # (p, r) the motions of each coordinate
+    strength: Vector  # (p,) how much force acts along it, of the most
+    work: Vector  # (p,) on each
+    stray: Vector  # (p,) what K's rounding may make of that
+
+    def unseen(self, forces: Vector, hidden: float) -> bool:
+        """Whether rounding hides forces (p,), the sums of |w_j|, where that matters."""
+        return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
+
+    def seen(self, forces: Vector) -> NDArray[np.bool_]:
+        """Where next to no force acts along a motion, what the rounding of K holds is all there is to see."""
+        return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
+
+    def worst(self, forces: Vector) -> float:
+        """The figure of the worst coordinate."""
+        seen = self.seen(forces)
+        whole = abs(self.work)[seen] / forces[seen]
+        net = np.maximum(abs(self.work) - self.stray, 0.0)[seen] / forces[seen]
+        return float(np.max(np.where(whole > FORGIVEN, whole, net), initial=0.0))
+
+    def net(self, direction: Vector) -> float:
+        """What is left of the work on a motion (p,) in these coordinates."""
+        return float(abs(self.work @ direction) - self.stray @ abs(direction))
+
+
+def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Resultants:
+    """From the singular values and right vectors of w (n, r), and the work and its uncertainty (r,) on its motions."""
+    kept = values > SAME_MOTION * values[0]
+    weight = right[kept] / values[kept, None]
+    return Resultants(weight, values[kept] / values[0], weight @ work, abs(weight) @ stray)
+
+
+def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
+    """max over coordinates a of (|work'a| - stray'|a|) / |motions a|'size; `hidden` where rounding hides what acts."""
+    left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
+    found = resultants(values, right, work, stray)
+    basis = left[:, : len(found.work)]
+    forces = np.sum(abs(basis), axis=0)
+    if found.unseen(forces, hidden):
+        return hidden
+    seen, worst = found.seen(forces), found.worst(forces)
+    if np.sum(seen) <= 1 or worst <= NO_RESULTANT:
+        return worst
+    direction = np.zeros(len(seen))
+    direction[seen] = _worst_direction(basis[:, seen], found.work[seen] / np.max(abs(found.work[seen])))
+    return max(found.net(direction) / float(np.sum(abs(basis @ direction))), worst)
+
+
+def _worst_direction(basis: Array, weight: Vector) -> Vector:
+    """argmax weight'a subject to sum |basis a| <= 1."""
+    from scipy.optimize import linprog
+
+    count, width = basis.shape
+    unit, dense = sp.identity(count), sp.csr_matrix(basis)
+    rows = sp.bmat([[dense, -unit], [-dense, -unit], [None, np.ones((1, count))]], format="csr")
+    for tolerance in LP_TOLERANCES:
+        answer = linprog(
+            np.concatenate([-weight, np.zeros(count)]),
+            A_ub=rows,
+            b_ub=np.append(np.zeros(2 * count), 1.0),
+            bounds=[(None, None)] * width + [(0, None)] * count,
+            method="highs",
+            options={"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance},
+        )
+        if answer.x is not None:
+            return np.asarray(answer.x[:width])
+    raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
+
 
 # Figures of an answer whose signs hold: what the certificate asks for, less what rounding may add to it.
 HOLDS = 1e-10
@@ -203,3 +357,90 @@ def holds(problem: ContactProblem, answer: Answer, tolerance: float = HOLDS) -> 
     if any(float(np.max(getattr(found, name), initial=0.0)) > tolerance for name in FIGURES if name != "balance"):
         return False
     return balance(problem, answer, rigid) <= tolerance
+
+
+# The other figures imply this one up to this factor.
+IMPLIED = 4.0
+# Tangential rows, each scaled by the forces that meet, whose angle has a smaller squared sine than this are parallel.
+PARALLEL = 1e-14
+
+
+def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
+    """|n_i| / (phi_i (1 + mu_i)) (m,), or None without friction.
+
+    A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
+    friction within the bound would do in that direction.
+    """
+    if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
+        return None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    along = normal_force(contact_entries(problem, "normal"), found.meeting)
+    across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
+    least = least_force(contact_entries(problem, "normal"), found.nothing.force)
+    return law_residual(answer, found, (slip, problem.friction), (along, across, felt), least)
+
+
+def law_residual(
+    answer: Any,
+    found: Violations,
+    rubbing: tuple[Vectors, Vector],
+    unit: tuple[Vector, Vector, NDArray[np.bool_]],
+    nothing: Vector,
+) -> Vector:
+    """`coulomb_residual` (m,) of an `Answer`, or of one rank's part of one.
+
+    Parameters
+    ----------
+    rubbing : (m, d-1) and (m,) arrays
+        The slips [length] and the coefficients of friction.
+    unit : three (m,) arrays
+        `normal_force` and what `tangential_force` returns.
+    nothing : (m,) array
+        `least_force`: the contact forces up to which there is none.
+    """
+    (slip, friction), (along, across, felt), least = rubbing, unit, nothing
+    phi = np.maximum(along, np.where(felt, across, 0.0))
+    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
+    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
+    slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
+    rubbed = answer.friction_force
+    rubbed = np.zeros_like(slip) if rubbed is None else np.where(felt[:, None], rubbed, 0.0)
+    force = np.column_stack([answer.normal_force, -rubbed]) * _inverse(phi)[:, None]
+    velocity = np.column_stack([gap, slip]) * _inverse(L)[:, None]
+    mu = np.where(felt, friction, 0.0)
+    missed = np.linalg.norm(natural_map(force, velocity, mu), axis=1) - 2.0 * found.turned * _inverse(phi)
+    missed = np.maximum(missed, 0.0) / (1.0 + mu)
+    return beyond(missed, least * _inverse(phi))
+
+
+def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
+    """(m,) the l_N whose own measure, max_j |E_ij l_N| / F_j, is one."""
+    return _inverse(entries.largest(entries.over(meeting)))
+
+
+def least_force(entries: ContactEntries, none: Vector) -> Vector:
+    """(m,) the largest l_N that is nothing (n,) at every unknown of its contact."""
+    return _inverse(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
+
+
+def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+    """(m,) at least the largest |l_T| whose own measure is one, and whether every direction of it is felt.
+
+    max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a contact.
+    """
+    scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
+    unit = _inverse(entries.largest(scaled))  # so that squares are doubles
+    scaled = scaled * unit[entries.contact]
+    own = [entries.sums(row * row) for row in scaled]
+    if len(own) == 1:
+        return unit * np.sqrt(count) * _inverse(np.sqrt(own[0])), own[0] > 0
+    shared, product = entries.sums(scaled[0] * scaled[1]), own[0] * own[1]
+    sine = 1.0 - np.divide(shared**2, product, out=np.ones_like(product), where=product > 0)
+    felt = sine > PARALLEL
+    largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
+    smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
+    return unit * np.sqrt(count) * _inverse(np.sqrt(smallest)), felt
+
+
+def _inverse(size: Vector) -> Vector:
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.existence import Conflict
-from contactqp.linalg.measures import force_measure, forces_that_meet, vector_measure
-from contactqp.linalg.row_sizes import contact_entries
+from contactqp.linalg.measures import contact_entries, force_measure, forces_that_meet, vector_measure
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer, Nothing, Violations
+from contactqp.model.solution import Answer, Nothing, Violations
 
 # What `Violations` has for every contact.
 _OF_CONTACTS = (

@@ -8,26 +8,244 @@ at another: what is less than 1e-12 of the largest velocity that drives or answe
 rounding and counts as none, and offsets of open contacts are not among these. All measures survive a change of units
 and common scaling of a contact's rows, the natural map too (`scaled_natural_map`); the errors that are published do
 not, and have no part in the verdict.
+
+Whether forces of a local problem are the only ones, as far as the Delassus operator and the state of contacts tell.
+
+Velocities: `contactqp.certificate.critical_friction` on W; where it does not exclude other answers, they may exist.
+Forces: with B the directions in which closed contacts push (a contact that sticks in all, one that slips along its
+force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'B, R]] is singular. Each contact is
+scaled to a compliance of one.
+
+Errors that other codes publish, each by its own formula and name: to compare with, not to judge by.
+
+All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to velocities: they
+depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or slip of each
+contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u - slip_origin).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.certificate.local_uniqueness import local_uniqueness
-from contactqp.certificate.published_errors import siconos_local_error
-from contactqp.errors import InvalidProblem, refuse_other
-from contactqp.linalg.extended_rows import velocity_of
-from contactqp.model.arrays import Vector
+from contactqp.certificate.critical_friction import MOST_CONTACTS, CriticalFriction, of_operator
+from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.linalg.extended import velocity_of
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.coulomb_cone import directions, lengths, natural_map
-from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
-from contactqp.model.verdicts import LocalCertificate
+from contactqp.model.solution import LocalCertificate
+
+# Operators further from symmetric than this, the tolerance of the verdict, are said to be.
+ROUNDING = 1e-9
+
+_critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
+
+
+def local_uniqueness(
+    problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array
+) -> Uniqueness:
+    """Of forces that close and hold contacts (m,); `along` (m, d) are the directions of force of those that slip."""
+    if not problem.contacts or not np.any(problem.friction > 0):
+        return Uniqueness()
+    notes = []
+    if problem.scaled_asymmetry > ROUNDING:
+        notes.append(
+            f"delassus is not symmetric by {problem.scaled_asymmetry:.2g} of its largest entry; the forces are judged "
+            "by it as given, what a minimisation makes of it is that far off"
+        )
+    if problem.contacts > MOST_CONTACTS:
+        reason = f"{problem.contacts} contacts, at most {MOST_CONTACTS} are examined"
+        return Uniqueness((UNKNOWN,), (*notes, f"uniqueness was not examined: {reason}"))
+    findings = []
+    if _dependent(problem, closed, stuck, along):
+        findings.append(FORCES)
+        notes.append("redundant contacts: other forces belong to the same velocities")
+    known = _known(problem)
+    if not known.unique:
+        findings.append(POSSIBLE)
+        notes.append(f"friction: several answers {_reason(problem, known)}")
+    return Uniqueness(tuple(findings), tuple(notes))
+
+
+def _known(problem: LocalProblem) -> CriticalFriction:
+    if problem not in _critical:
+        W = problem.scaled_delassus.toarray()
+        symmetric = problem.scaled_asymmetry <= ROUNDING
+        _critical[problem] = of_operator(
+            W, problem.friction, problem.contacts, floats=problem.joints > 0, symmetric=symmetric
+        )
+    return _critical[problem]
+
+
+def _reason(problem: LocalProblem, known: CriticalFriction) -> str:
+    if known.above.size:
+        i = int(np.argmax(known.ratio))
+        return (
+            f"may exist: mu = {problem.friction[i]:.3g} of {problem.contact_name(i)} is not below the critical "
+            f"{known.single[i]:.3g}"
+        )
+    return f"are not excluded: largest mu/mu_c of a contact alone {known.contraction:.3g}"
+
+
+def _dependent(problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array) -> bool:
+    d, columns = problem.dimension, list[Vector]()
+    for i in np.flatnonzero(closed).tolist():
+        own = np.eye(d) if stuck[i] else along[i : i + 1]
+        for direction in own:
+            column = np.zeros(d * problem.contacts)
+            column[d * i : d * (i + 1)] = direction
+            columns.append(column)
+    if not columns:
+        return False
+    B = np.array(columns).T
+    joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
+    coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
+    inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
+    matrix = np.block([[B.T @ (problem.scaled_delassus @ B), coupling], [coupling.T, inner]])
+    size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), np.finfo(float).tiny))
+    values = np.linalg.svd(matrix / np.outer(size, size), compute_uv=False)
+    return bool(values[-1] <= DEPENDENT_CONTACTS * values[0])
+
+
+# Siconos divides by no scale that is smaller than these.
+LEAST_LOCAL_SCALE = float(np.finfo(float).eps)
+LEAST_GLOBAL_SCALE = float(np.sqrt(np.finfo(float).eps))
+
+
+@own_floating_point
+def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
+    """|n| / max(|q|, |r|, |u|) with u = W r + q: Siconos's `fc3d_compute_error`, and its like in the plane.
+
+    The division is left out where the scale is no larger than machine precision.
+
+    Parameters
+    ----------
+    force : (m, d) or flat array
+        r, on the body.
+    joint_force : (p,) array, needed where the problem has joints
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes.
+
+    Examples
+    --------
+    >>> one = LocalProblem(delassus=[[1.0, 0.0], [0.0, 1.0]], offset=[-3.0, 4.0], friction=0.5, dimension=2)
+    >>> siconos_local_error(one, [0.0, 0.0])  # n = (-12, 6)/5, |q| = 5
+    0.5366563145999496
+    """
+    r, residual, velocity = _local(problem, force, joint_force)
+    scale = max(float(np.linalg.norm(part)) for part in (problem.offset, r, velocity))
+    return residual / scale if scale > LEAST_LOCAL_SCALE else residual
+
+
+@own_floating_point
+def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
+    """|n| / |q|: the error of the comparison of solvers by Acary, Bremond and Huber (2018).
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, or q = 0.
+    """
+    size = float(np.linalg.norm(problem.offset))
+    if size == 0:
+        raise InvalidProblem("offset: the error is relative to |q|, and q is zero")
+    return _local(problem, force, joint_force)[1] / size
+
+
+@own_floating_point
+def fclib_merit_1(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> float:
+    """|n| / (1 + sqrt(|q|)) + |V'r + R l + s| / (1 + |s|): FCLIB's `fclib_merit_local` with MERIT_1.
+
+    The root is FCLIB's own: it takes that of a norm. There is no such merit in the plane.
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes.
+    Unsupported
+        Two dimensions.
+    """
+    if problem.dimension != 3:
+        raise Unsupported("fclib_merit_1: FCLIB defines it in three dimensions only")
+    r, residual, _ = _local(problem, force, joint_force)
+    joint = _joints(problem, joint_force)
+    left = problem.bilateral.T @ r.ravel() + problem.bilateral_delassus @ joint + problem.bilateral_offset
+    merit = residual / (1 + np.sqrt(np.linalg.norm(problem.offset)))
+    return float(merit + np.linalg.norm(left) / (1 + np.linalg.norm(problem.bilateral_offset)))
+
+
+@own_floating_point
+def siconos_global_error(
+    problem: ContactProblem, displacement: ArrayLike, normal_force: ArrayLike, friction_force: ArrayLike
+) -> float:
+    """|q + H r - M v| / max(|q|, |M v|, |H r|) + |n| / max(|u|, |r|): Siconos's `gfc3d_compute_error`.
+
+    M is the stiffness, q the load, v the displacement, H r = -E_N'l_N - E_T'l_T and u = (gap, slip). Neither part is
+    divided by a scale of sqrt(machine precision) or less.
+
+    Parameters
+    ----------
+    displacement : (n,) array [length]
+    normal_force : (m,) array [force], positive in compression
+    friction_force : (m, d-1) or flat array [force], l_T, along the slip
+
+    Raises
+    ------
+    InvalidProblem
+        Wrong shapes, or no tangential rows.
+    Unsupported
+        The problem has ties, which Siconos's form has not.
+    """
+    if problem.tangent is None or problem.slip_origin is None or problem.friction is None:
+        raise InvalidProblem("siconos_global_error: expected a problem with tangential rows and friction")
+    if problem.ties:
+        raise Unsupported("siconos_global_error: the formula has no ties, and the problem has")
+    v = _shaped("displacement", displacement, (problem.dimension,))
+    pressed = _shaped("normal_force", normal_force, (problem.contacts,))
+    rubbed = _shaped("friction_force", friction_force, problem.slip_origin.shape)
+    inner = problem.stiffness_rows @ v
+    outer = -(problem.normal.T @ pressed) - problem.tangent.T @ rubbed.ravel()
+    slip = (problem.tangent @ v).reshape(rubbed.shape) - problem.slip_origin
+    u, r = np.column_stack([problem.gap - problem.normal @ v, slip]), np.column_stack([pressed, -rubbed])
+    balance = _scaled(problem.load + outer - inner, problem.load, inner, outer)
+    return balance + _scaled(natural_map(r, u, problem.friction), u, r)
+
+
+def _scaled(error: Any, *scales: Any) -> float:
+    size, scale = float(np.linalg.norm(error)), max(float(np.linalg.norm(part)) for part in scales)
+    return size / scale if scale > LEAST_GLOBAL_SCALE else size
+
+
+def _local(
+    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """r, |n| and u."""
+    r = _shaped("force", force, (problem.contacts, problem.dimension))
+    velocity = velocity_of(problem, r, _joints(problem, joint_force))
+    return r, float(np.linalg.norm(natural_map(r, velocity, problem.friction))), velocity
+
+
+def _joints(problem: LocalProblem, joint_force: ArrayLike | None) -> Vector:
+    return _shaped("joint_force", [] if joint_force is None else joint_force, (problem.joints,))
+
+
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = read_array(name, value)
+    if array.shape not in (shape, (int(np.prod(shape)),)):
+        raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
+    return array.reshape(shape)
+
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
 NOTHING = 1e-12

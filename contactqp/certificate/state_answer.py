@@ -29,20 +29,17 @@ from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.certificate.failures import failed_errors
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.contact_compliance import contact_compliance
-from contactqp.linalg.extended import extend
-from contactqp.linalg.extended_rows import extended_rows
+from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import inverse_root
-from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, stiffness_sizes
-from contactqp.linalg.measures import residuals
-from contactqp.linalg.row_sizes import row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, residuals, row_sizes, stiffness_sizes
 from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import BOUNDS, FIGURES_ALONE, STATE, Answer, Violations
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
-from contactqp.model.verdicts import BOUNDS, FIGURES_ALONE, STATE, Answer, Violations
 
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
@@ -181,7 +178,7 @@ class _Comparison:
     """One answer beside the answers of combinations of states."""
 
     def __init__(self, problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation) -> None:
-        from contactqp.linalg.frictional_rows import FrictionalRows
+        from contactqp.linalg.friction_states import FrictionalRows
 
         self._problem, self._answer, self._found = problem, answer, found
         self._condensation = condensation

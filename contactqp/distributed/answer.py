@@ -12,7 +12,7 @@ from contactqp.model.arrays import Vector
 
 @dataclass(frozen=True, eq=False)
 class DistributedAnswer:
-    """The fields of `contactqp.model.verdicts.Answer`, of the unknowns, contacts and ties of one rank."""
+    """The fields of `contactqp.model.solution.Answer`, of the unknowns, contacts and ties of one rank."""
 
     displacement: Vector  # (n_here,) [length], zero where supports hold
     normal_force: Vector  # (m_here,) [force], positive in compression

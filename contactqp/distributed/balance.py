@@ -1,4 +1,4 @@
-"""Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.balance` by
+"""Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.figures` by
 reductions.
 
 A body's motions, at most six, are judged at its home (`contactqp.distributed.bodies`): it is sent the triangular
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.balance import NO_RESULTANT, Resultants, resultants
+from contactqp.certificate.figures import NO_RESULTANT, Resultants, resultants
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.cutting_planes import CuttingPlanes

@@ -10,7 +10,6 @@ import numpy as np
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, refuse_not_positive, status_words
-from contactqp.certificate.coulomb_residual import IMPLIED
 from contactqp.certificate.failures import (
     MOST_NAMED,
     PARTS,
@@ -24,6 +23,7 @@ from contactqp.certificate.failures import (
     said_of_law,
     said_of_part,
 )
+from contactqp.certificate.figures import IMPLIED
 from contactqp.certificate.state_answer import basis_without_friction
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.answer import DistributedAnswer
@@ -34,7 +34,7 @@ from contactqp.distributed.violations import coulomb_residual, row_sizes, violat
 from contactqp.distributed.worst import said_of_first, said_of_worst, worst
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
-from contactqp.model.verdicts import FIGURES, Certificate, Violations
+from contactqp.model.solution import FIGURES, Certificate, Violations
 
 NOT_ASKED = "no solver was given that could bound it"
 NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"

@@ -13,8 +13,7 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.whole import certificate_of
 from contactqp.model.arrays import Vector
-from contactqp.model.solution import Work
-from contactqp.model.verdicts import Certificate
+from contactqp.model.solution import Certificate, Work
 
 
 @dataclass(frozen=True, eq=False)

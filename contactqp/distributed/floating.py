@@ -23,8 +23,8 @@ from contactqp.distributed.rigid_motions import floating_bodies
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import UNRESISTED
-from contactqp.linalg.contact_iteration import HeldRows
-from contactqp.linalg.polishing import shift_within_gaps
+from contactqp.linalg.iteration import ConstrainedRows
+from contactqp.linalg.refinement import shift_within_gaps
 from contactqp.model.arrays import Array, Vector
 
 # A load that does this part of its work on a motion does none: it is rounding.
@@ -118,7 +118,7 @@ class Floating:
         loose, work = self.loose(closed), self._work(load)
         return not np.any(abs(loose.T @ work) > BALANCED * (abs(loose).T @ abs(work)))
 
-    def kept_from(self, held: HeldRows, closed: NDArray[np.bool_]) -> HeldRows:
+    def kept_from(self, held: ConstrainedRows, closed: NDArray[np.bool_]) -> ConstrainedRows:
         """The projections of held rows that also leave the motions alone which no closed contact and no tie holds.
 
         They would take an iterate anywhere, and other contacts with them.
@@ -185,7 +185,7 @@ class Floating:
 class _Kept:
     """Projections of held rows, and of D-orthonormal motions that the rows do not see."""
 
-    def __init__(self, floating: Floating, held: HeldRows, motions: Array) -> None:
+    def __init__(self, floating: Floating, held: ConstrainedRows, motions: Array) -> None:
         self._floating, self._held, self._motions = floating, held, motions
         self.close, self.forces = held.close, held.forces
 

@@ -23,7 +23,7 @@ from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.model.arrays import Array, Vector
-from contactqp.solving.friction.aitken import RELAXATION, aitken
+from contactqp.solving.friction.iterate import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 

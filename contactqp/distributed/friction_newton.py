@@ -18,7 +18,7 @@ from contactqp.distributed.violations import violations
 from contactqp.distributed.worst import worst
 from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Vector
-from contactqp.model.verdicts import FIGURES
+from contactqp.model.solution import FIGURES
 
 # Combinations tried from one start.
 MOST = 25

@@ -9,7 +9,7 @@ GMRES goes along displacements M r that H admits and looks at what the forces on
 
     P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
 
-P_H and P_G the projections of `contactqp.linalg.held_rows`. Friction in proportion to l_N is in the system itself:
+P_H and P_G the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system itself:
 nothing has to be iterated on but the combination, and in space the directions.
 """
 

@@ -1,4 +1,4 @@
-"""The projections of `contactqp.linalg.held_rows`, of rows that stand on many ranks.
+"""The projections of `contactqp.linalg.krylov`, of rows that stand on many ranks.
 
 Rows that share no unknown with others, nodes on rigid obstacles, are solved for one by one where they are. Where rows
 share unknowns on one rank alone, as the normal and the tangents of such a node may, their Gram matrix E D^-1 E' is
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
-from contactqp.linalg.held_rows import IndependentRows
+from contactqp.linalg.krylov import IndependentRows
 from contactqp.model.arrays import Vector
 
 

@@ -16,8 +16,8 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.distributed.stored_rows import chosen_rows
-from contactqp.linalg.conjugate_gradients import ConjugateGradients, Projections
-from contactqp.linalg.contact_iteration import ContactIteration, Flags, HeldRows, Limits
+from contactqp.linalg.iteration import ConstrainedRows, ContactIteration, Flags, Limits
+from contactqp.linalg.krylov import ConjugateGradients, Projections
 from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Vector
 
@@ -125,7 +125,7 @@ class DistributedIteration(ContactIteration):
         np.maximum.at(measure, row, ratio(sizes, F[self.rows.entries.indices]))
         return measure
 
-    def held(self, rows: NDArray[np.intp], limit: Vector) -> HeldRows:
+    def held(self, rows: NDArray[np.intp], limit: Vector) -> ConstrainedRows:
         """The projections of some rows, held at limits."""
         held = self.holding(self.rows.entries[rows], limit)
         closed = np.isin(np.arange(self._problem.contacts), rows)
@@ -136,7 +136,7 @@ class DistributedIteration(ContactIteration):
         gram = gram_of(self._ranks, entries, self.rows.touched, self._compliance, self._meeting)
         return DistributedHeldRows(self.rows, entries, limit, self._compliance, gram)
 
-    def close(self, held: HeldRows, x: Vector, residual: Vector) -> None:
+    def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
         """Move x onto the limits of held rows, and the residual with it, both in place."""
         away = x.copy()
         held.close(x)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.problem import Numbers
 from contactqp.distributed.ranks import Ranks, T
 from contactqp.linalg.factorization import null_space
-from contactqp.linalg.intrinsic_size import bodies
+from contactqp.linalg.measures import bodies
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 

@@ -34,7 +34,7 @@ def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodi
 
 
 def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
-    """`contactqp.linalg.intrinsic_size.without_rigid_part` of this rank's unknowns. Collective."""
+    """`contactqp.linalg.measures.without_rigid_part` of this rank's unknowns. Collective."""
     floating = floating_bodies(problem, bodies)
     if not problem.ranks.any(floating.floats):
         return displacement

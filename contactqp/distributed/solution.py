@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.model.arrays import Vector
-from contactqp.model.solution import Work
-from contactqp.model.verdicts import Certificate
+from contactqp.model.solution import Certificate, Work
 
 
 @dataclass(frozen=True, eq=False)

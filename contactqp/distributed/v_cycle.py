@@ -12,8 +12,7 @@ from contactqp.distributed.rows import Rows
 from contactqp.distributed.rows_of_others import rows_of_others
 from contactqp.distributed.smoothed_aggregation import DistributedLevel, smoothed_levels
 from contactqp.errors import BackendFailed, Unsupported
-from contactqp.linalg.coarsest_level import CoarsestLevel, HeldCoarsestLevel, SingularLevel
-from contactqp.linalg.multigrid import largest_eigenvalue
+from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, SingularLevel, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 from contactqp.model.arrays import Array, Vector
 

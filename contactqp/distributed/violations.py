@@ -9,8 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.certificate.coulomb_residual import law_residual, least_force, normal_force, tangential_force
-from contactqp.certificate.figures import Rubbing, Sizes, figures, rounded_slips
+from contactqp.certificate.figures import (
+    Rubbing,
+    Sizes,
+    figures,
+    law_residual,
+    least_force,
+    normal_force,
+    rounded_slips,
+    tangential_force,
+)
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.bodies import Bodies
 from contactqp.distributed.problem import DistributedProblem
@@ -18,12 +26,18 @@ from contactqp.distributed.rigid_motions import without_rigid_part
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES, imposed
-from contactqp.linalg.measures import force_measure, vector_measure
-from contactqp.linalg.row_sizes import RowSizes, entries_of, sizes_of
+from contactqp.linalg.measures import (
+    HELD_BY_DOUBLES,
+    RowSizes,
+    entries_of,
+    force_measure,
+    imposed,
+    sizes_of,
+    vector_measure,
+)
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
-from contactqp.model.verdicts import Nothing, Violations
+from contactqp.model.solution import Nothing, Violations
 
 
 def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies, rounding: float) -> Violations:
@@ -53,7 +67,7 @@ def violations(problem: DistributedProblem, answer: DistributedAnswer, bodies: B
 
 
 def intrinsic_size(problem: DistributedProblem, answer: DistributedAnswer, elastic: Vector) -> float:
-    """`contactqp.linalg.intrinsic_size` of all bodies together, `elastic` (n_here,) as there. Collective."""
+    """`contactqp.linalg.measures` of all bodies together, `elastic` (n_here,) as there. Collective."""
     u, ranks = answer.displacement, problem.ranks
     force = problem.load - outer_resultant(problem, answer)
     D = np.divide(1.0, np.sqrt(problem.diagonal), out=np.zeros_like(u), where=problem.diagonal > 0)
@@ -75,7 +89,7 @@ def _rows(problem: DistributedProblem) -> list[tuple[Rows, Vector]]:
 
 
 def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
-    """`contactqp.linalg.intrinsic_size.nothing` of this rank's unknowns and rows. Collective."""
+    """`contactqp.linalg.measures.nothing` of this rank's unknowns and rows. Collective."""
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * stiffness_sizes(problem, abs(u)))
     if problem.ranks.any(elastic is not u):
         force = np.maximum(force, RIGID_FORCE * stiffness_sizes(problem, abs(u - elastic)))
@@ -89,7 +103,7 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
 
 
 def coulomb_residual(problem: DistributedProblem, answer: DistributedAnswer, found: Violations) -> Vector | None:
-    """`contactqp.certificate.coulomb_residual` of this rank's contacts; None without friction on any rank.
+    """`contactqp.certificate.figures` of this rank's contacts; None without friction on any rank.
     Collective.
     """
     if not problem.frictional or problem.tangent is None:
@@ -126,7 +140,7 @@ def _sizes_of_forces(rows: Rows, force: Vector) -> Vector:
 
 
 def row_sizes(problem: DistributedProblem, rows: Rows) -> RowSizes:
-    """`contactqp.linalg.row_sizes` of this rank's rows over what they touch. Collective."""
+    """`contactqp.linalg.measures` of this rank's rows over what they touch. Collective."""
     return sizes_of(rows.entries, rows.near(problem.diagonal))
 
 

@@ -19,8 +19,7 @@ from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.existence import describe_motion
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import FreeMotion, Solution
-from contactqp.model.verdicts import Certificate, Nothing, Violations
+from contactqp.model.solution import Certificate, FreeMotion, Nothing, Solution, Violations
 
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements.bar_law import LAWS, BarLaw
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Array, computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
 

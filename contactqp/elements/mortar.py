@@ -19,8 +19,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Array, own_floating_point
 
 Places = NDArray[np.int64]
 

@@ -16,7 +16,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
 from contactqp.elements.tributary import node_normals, tributary_areas
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 
 # Polygons of two round bodies that fit, a shaft in its bore, overlap by h^2 / (8 R): 5 % of h as long as h < 0.4 R.
 OVERLAP = 0.05

@@ -16,8 +16,7 @@ from contactqp.elements.hyperelastic import HyperelasticLaw, Kinematics, NeoHook
 from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Array, computes
 
 LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import Numbers, unit_vector
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import computes
 
 
 class Obstacle(Protocol):

@@ -18,8 +18,7 @@ from contactqp.elements.paraboloid import Paraboloid
 from contactqp.elements.reading import real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem_data import ReadOnly, read_only
 
 # Of a coordinate: a few operations lie between it and a gap.

@@ -17,7 +17,7 @@ from contactqp.elements.surface import Surface
 from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import computes, own_floating_point
+from contactqp.model.arrays import computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, read_whole
 
 __all__ = ["Pairing", "Plane", "pair"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import unit_vector
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import computes
 
 Measure = Literal["axis", "normal"]
 # Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.

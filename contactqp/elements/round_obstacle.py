@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contactqp.elements.exact import unit_vector
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9

@@ -12,7 +12,7 @@ from contactqp.elements.contact_rows import contact_rows, count_unknowns
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.reading import real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem_data import read_whole
 
 Side = Literal["above", "below"]

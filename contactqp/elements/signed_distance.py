@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements.reading import positive_number, real_array
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import computes
 from contactqp.model.problem_data import is_whole
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.

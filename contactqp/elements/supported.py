@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
 from contactqp.elements.reading import real_array, real_number
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Index, Vector
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Index, Vector, computes
 from contactqp.model.problem_data import ReadOnly, is_whole, read_only
 
 

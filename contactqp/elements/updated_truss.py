@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.elements.green_truss import NonlinearTruss
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Array, computes
 
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")

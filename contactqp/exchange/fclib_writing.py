@@ -16,8 +16,7 @@ from contactqp.exchange.matrix_storage import Storage, StoredMatrix, stored_form
 from contactqp.exchange.refusal import Path
 from contactqp.exchange.whole_file import check_file, write_whole
 from contactqp.model.global_problem import GlobalProblem
-from contactqp.model.local_problem import LocalProblem
-from contactqp.model.local_solution import LocalSolution
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 

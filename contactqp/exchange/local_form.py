@@ -10,8 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem

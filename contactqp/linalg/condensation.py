@@ -20,8 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.linalg.elimination import LARGE, eliminate
-from contactqp.linalg.extended_rows import ExtendedRows
+from contactqp.linalg.extended import ExtendedRows
 from contactqp.linalg.factorization import (
     SUSPICIOUS_PIVOT,
     DenseCholesky,
@@ -35,6 +34,7 @@ from contactqp.linalg.factorization import (
     stated_motions,
 )
 from contactqp.linalg.pardiso import NotPositive
+from contactqp.linalg.schur import LARGE, eliminate
 from contactqp.linalg.stages import CONDENSE, count_factorisation, stage
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem

@@ -299,7 +299,7 @@ def condensed_null_space(matrix: Any, retained: NDArray[np.intp], elimination: A
     Parameters
     ----------
     retained : (p,) array of int
-    elimination : contactqp.linalg.elimination.Elimination
+    elimination : contactqp.linalg.schur.Elimination
         Of the interior.
     scale : (p,) array
         What gives S a unit diagonal.

@@ -23,8 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.coarsest_level import CoarsestLevel, HeldCoarsestLevel
-from contactqp.linalg.multigrid import Hierarchy, Level, largest_eigenvalue
+from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Hierarchy, Level, largest_eigenvalue
 from contactqp.model.arrays import Array
 
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the

@@ -6,12 +6,14 @@
 
 The order in a contact is (N, T) or (N, T1, T2), and r is the force on the body: r_N = l_N, r_T = -l_T, u_N = g - E_N u,
 u_T = E_T u - slip_origin in the signs of `contactqp.model.problem` (Acary, Bremond, Huber 2018).
+
+What solving a local problem gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -20,8 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import computes, own_floating_point
+from contactqp.model.arrays import Vector, computes, own_floating_point
 from contactqp.model.problem_data import (
     Matrix,
     ReadOnly,
@@ -33,6 +34,7 @@ from contactqp.model.problem_data import (
     read_only,
     read_vector,
 )
+from contactqp.model.solution import LocalCertificate
 
 # Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
 INDEFINITE = 1e-5
@@ -240,3 +242,27 @@ def _mean_size(parts: NDArray[np.float64]) -> float:
 def _asymmetry(W: Any) -> float:
     largest = np.max(abs(W.data), initial=0.0)
     return float(np.max(abs(sp.csr_array(W - W.T)).data, initial=0.0) / largest) if largest > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LocalSolution(ReadOnly):
+    """Forces and velocities of one LocalProblem, with the certificate that judged them."""
+
+    problem: LocalProblem = field(repr=False)
+    force: NDArray[np.float64]  # (m, d) r, on the body, in the order (N, T1, T2)
+    velocity: NDArray[np.float64]  # (m, d) u = W r + q + V l
+    joint_force: Vector  # (p,) l
+    contact_status: NDArray[np.str_]  # (m,) of open, stick, slip, and closed without friction
+    certificate: LocalCertificate
+    method: str  # the algorithm, and the convex method where it has one
+    seconds: float
+    iterations: int
+    history: tuple[float, ...] = field(default=(), repr=False)  # the algorithm's own measure of progress
+
+
+def local_status(problem: LocalProblem, certificate: LocalCertificate) -> NDArray[np.str_]:
+    """(m,) of open, stick, slip, and closed without friction: each contact in the certificate's own measures."""
+    push, tolerance = certificate.force_measure, certificate.tolerance
+    sliding = np.where(certificate.slip_measure > tolerance, "slip", "stick")
+    closed = np.where(problem.friction > 0, sliding, "closed")
+    return np.where(push > tolerance, closed, "open").astype("<U8")

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector as Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import (
     read_array,

@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import ContactQPError, InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer, Certificate
+from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given

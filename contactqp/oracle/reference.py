@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.right_answer import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 

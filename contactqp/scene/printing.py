@@ -15,8 +15,7 @@ from rich.text import Text
 
 from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import FIGURES_ALONE, STATE, Certificate
+from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
 from contactqp.scene.building import NodeModel
 from contactqp.scene.expectations import Comparison
 from contactqp.scene.friction_axes import friction_along_axes

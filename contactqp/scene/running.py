@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from contactqp.analysis.history import History
 from contactqp.errors import Unsupported
 from contactqp.linalg.stages import STEPS, stage
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
-from contactqp.model.floating_point import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.corners import end_time
 from contactqp.scene.models import build

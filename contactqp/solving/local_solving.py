@@ -9,11 +9,10 @@ import numpy as np
 
 from contactqp.certificate.local_certificate import certify_local, judged
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
-from contactqp.linalg.blas_threads import THREADS_PAY, on_one_thread
-from contactqp.linalg.extended_rows import velocity_of
-from contactqp.model.floating_point import own_floating_point
-from contactqp.model.local_problem import LocalProblem
-from contactqp.model.local_solution import LocalSolution, local_status
+from contactqp.linalg.extended import velocity_of
+from contactqp.linalg.threads import THREADS_PAY, on_one_thread
+from contactqp.model.arrays import own_floating_point
+from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN
 from contactqp.solving.friction.exact_local import has_local_equilibrium
 from contactqp.solving.friction.existence_test import refuse_unbalanced

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
-from contactqp.certificate.candidates import first_candidates
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -20,24 +20,23 @@ from contactqp.errors import (
     Unsupported,
     refuse_other,
 )
-from contactqp.linalg.blas_threads import one_blas_thread
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.polishing import WITHIN_ROUNDING
-from contactqp.linalg.row_sizes import row_sizes
+from contactqp.linalg.measures import row_sizes
+from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.stages import METHOD, POLISH, stage
+from contactqp.linalg.threads import one_blas_thread
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
-from contactqp.model.floating_point import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Raw, Solution, Work
-from contactqp.solving.condensed_attempt import CondensedAttempt
-from contactqp.solving.iterated_attempt import IteratedAttempt
+from contactqp.solving.contact_subset import solve_among
 from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.runs import CondensedAttempt, IteratedAttempt
 from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
-from contactqp.solving.widening import solve_among
 
 if TYPE_CHECKING:
-    from contactqp.model.local_solution import LocalSolution
+    from contactqp.model.local_problem import LocalSolution
 
 
 DEFAULT_METHOD = "active-set"
@@ -282,11 +281,11 @@ def begin(
     with problem.lock, one_blas_thread(problem), stage(METHOD):
         attempt: Attempt
         if problem.frictional and chosen.solve_friction is not None:
-            from contactqp.solving.enforced_attempt import EnforcedAttempt
+            from contactqp.solving.runs import EnforcedAttempt
 
             attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
         elif problem.frictional:
-            from contactqp.solving.friction_attempt import attempt_friction
+            from contactqp.solving.friction_runs import attempt_friction
 
             attempt = found = attempt_friction(problem, chosen, settings, algorithm)
             chosen = replace(chosen, name=found.name, exact=found.exact)

@@ -18,8 +18,7 @@ from contactqp.errors import (
     Unsupported,
 )
 from contactqp.model.problem import MEASURED, ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import FIGURES, Certificate
+from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row

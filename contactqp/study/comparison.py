@@ -8,7 +8,7 @@ from typing import Any
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.study.attempt import attempt
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv

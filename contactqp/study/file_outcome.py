@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, read_problem
 from contactqp.exchange.refusal import naming
-from contactqp.model.local_problem import LocalProblem
-from contactqp.model.local_solution import LocalSolution
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 

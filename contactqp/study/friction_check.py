@@ -16,10 +16,9 @@ from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import read_problem_with_ledger
 from contactqp.exchange.refusal import naming, wrong
-from contactqp.linalg.extended_rows import velocity_of
-from contactqp.model.local_problem import LocalProblem
-from contactqp.model.local_solution import LocalSolution
-from contactqp.model.verdicts import LocalCertificate
+from contactqp.linalg.extended import velocity_of
+from contactqp.model.local_problem import LocalProblem, LocalSolution
+from contactqp.model.solution import LocalCertificate
 from contactqp.solving.solve import solve
 from contactqp.study.check_options import CheckOptions, read_areas
 from contactqp.study.friction_files import finite

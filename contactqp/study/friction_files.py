@@ -11,8 +11,8 @@ from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCe
 from contactqp.exchange.problem_files import is_problem_file
 from contactqp.exchange.refusal import naming
 from contactqp.model.engines import SERIAL
-from contactqp.model.local_solution import LocalSolution
-from contactqp.model.verdicts import Certificate, LocalCertificate
+from contactqp.model.local_problem import LocalSolution
+from contactqp.model.solution import Certificate, LocalCertificate
 from contactqp.solving.solve import solve
 from contactqp.study.file_outcome import FileOutcome, outline_of, solvable_form
 

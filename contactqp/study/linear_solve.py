@@ -11,10 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import condense, fixing_unknowns
-from contactqp.linalg.elimination import LastBlock
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.pardiso import NotPositive, Pardiso
+from contactqp.linalg.schur import LastBlock
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.candidates import first_candidates
+from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import iterated
 from contactqp.model.problem import ContactProblem

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.exchange.ledger import Ledger
-from contactqp.model.local_problem import LocalProblem
-from contactqp.model.local_solution import LocalSolution
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import LocalCertificate
+from contactqp.model.solution import LocalCertificate, Solution
 from contactqp.oracle.judged_answer import JudgedAnswer
 from contactqp.study.check_options import as_options
 from contactqp.study.friction_files import figures, finite

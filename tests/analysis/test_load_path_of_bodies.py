@@ -11,7 +11,7 @@ import scipy.sparse.linalg as spla
 import contactqp as cq
 from benchmarks.load_path import price
 from benchmarks.price_of_contact import block, fresh
-from contactqp.linalg import elimination, pardiso
+from contactqp.linalg import pardiso, schur
 from contactqp.linalg.condensation import condense
 
 STEPS = 100
@@ -21,7 +21,7 @@ STEPS = 100
 def made(request, monkeypatch):
     """The sizes of the sparse matrices that were factorised, in order."""
     sizes = []
-    monkeypatch.setenv(elimination.CHOICE, request.param)
+    monkeypatch.setenv(schur.CHOICE, request.param)
     if request.param == "pardiso":
         pytest.importorskip("pypardiso")
         factorise = pardiso.Pardiso.__init__

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.linalg import elimination
+from contactqp.linalg import schur
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.pardiso import available
 
@@ -22,8 +22,8 @@ import hard_bodies
 def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):
     problem = hard_bodies.VARIANTS[variant](1600)
     found = {}
-    for solver in elimination.SOLVERS:
-        monkeypatch.setenv(elimination.CHOICE, solver)
+    for solver in schur.SOLVERS:
+        monkeypatch.setenv(schur.CHOICE, solver)
         twin = problem.replace(stiffness=problem.stiffness)
         solution = found[solver] = cq.solve(twin)
         assert condense(twin).solver == solver

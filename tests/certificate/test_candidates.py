@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate import candidates
+from contactqp.certificate import subset_bounds
 from contactqp.linalg.condensation import condense
 
 LINKS = 40
@@ -18,9 +18,9 @@ LINKS = 40
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six contact unknowns are many, three the first candidates."""
-    monkeypatch.setattr(candidates, "MANY", 6)
-    monkeypatch.setattr(candidates, "FIRST", 3)
-    monkeypatch.setattr(candidates, "LAYERS", 1)
+    monkeypatch.setattr(subset_bounds, "MANY", 6)
+    monkeypatch.setattr(subset_bounds, "FIRST", 3)
+    monkeypatch.setattr(subset_bounds, "LAYERS", 1)
 
 
 def string_over_floor(gap: np.ndarray, load: float = 0.02) -> cq.ContactProblem:
@@ -31,7 +31,7 @@ def string_over_floor(gap: np.ndarray, load: float = 0.02) -> cq.ContactProblem:
 
 def all_at_once(problem: cq.ContactProblem) -> cq.Solution:
     fresh = problem.replace(stiffness=problem.stiffness)
-    candidates.take_all(fresh)
+    subset_bounds.take_all(fresh)
     return cq.solve(fresh)
 
 
@@ -154,7 +154,7 @@ def test_messages_use_the_names_and_units_of_the_problem_at_hand() -> None:
     problem = string_over_floor(np.full(LINKS, 1.0)).replace(contact_names=[f"old{i}" for i in range(LINKS)])
     cq.solve(problem)
     renamed = problem.replace(contact_names=[f"new{i}" for i in range(LINKS)], units={"length": "mm", "force": "kN"})
-    few = candidates.among(renamed, candidates.first_candidates(renamed))
+    few = subset_bounds.among(renamed, subset_bounds.first_candidates(renamed))
     assert few.contact_name(0).startswith("new")
     assert few.units == renamed.units
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.linalg.least_distance import least_closing, least_forces, least_retreat
+from contactqp.certificate.admissible_pair import least_closing, least_forces, least_retreat
 from contactqp.model.solution import Solution
 
 

@@ -8,12 +8,11 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate.multigrid_bounds import dual_norm, refined_norm
-from contactqp.linalg.conjugate_gradients import ConjugateGradients
-from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.elimination import CHOICE
-from contactqp.linalg.iteration import Iteration, iteration
+from contactqp.linalg.iteration import ContactIteration, Iteration, iteration
+from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.multigrid import available
-from contactqp.model.verdicts import FIGURES
+from contactqp.linalg.schur import CHOICE
+from contactqp.model.solution import FIGURES
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
 pytestmark = pytest.mark.skipif(not available(), reason="needs pyamg: pip install 'contactqp[fast]'")

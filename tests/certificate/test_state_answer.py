@@ -9,7 +9,7 @@ import contactqp as cq
 from benchmarks.friction_families import contact_problem
 from benchmarks.friction_forgeries import FAMILIES, beam, forged, rough_stops
 from contactqp.certificate import state_answer
-from contactqp.model.verdicts import FIGURES
+from contactqp.model.solution import FIGURES
 from tests.solving.friction.space import several
 
 

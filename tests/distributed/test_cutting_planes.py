@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contactqp.certificate.balance import _worst_direction
+from contactqp.certificate.figures import _worst_direction
 from contactqp.distributed.cutting_planes import CuttingPlanes
 from contactqp.errors import NotConverged
 

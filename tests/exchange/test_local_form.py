@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.local_form import SingularMatrix, body_motion
-from contactqp.linalg.extended_rows import velocity_of
+from contactqp.linalg.extended import velocity_of
 from tests.exchange.files import MU, OFFSET, B, F, G, H, M
 
 

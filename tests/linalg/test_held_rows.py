@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from contactqp.linalg.held_rows import HeldRows
+from contactqp.linalg.krylov import AssembledRows
 
 
 def random_rows(seed=0, count=5, columns=9):
@@ -17,7 +17,7 @@ def random_rows(seed=0, count=5, columns=9):
 def test_the_projections_are_those_of_their_formulas():
     E, compliance, limit = random_rows()
     columns = np.array([1, 2, 4, 5, 7, 8, 10, 11, 12])
-    rows = HeldRows(sp.csr_matrix(E), columns, limit, compliance)
+    rows = AssembledRows(sp.csr_matrix(E), columns, limit, compliance)
     r, x = np.random.default_rng(1).standard_normal((2, 14))
     gram = E * compliance @ E.T
     force = np.linalg.solve(gram, E @ (compliance * r[columns]))
@@ -40,11 +40,11 @@ def test_dependent_rows_carry_nothing_and_are_met_with_the_others(seed):
     E, compliance, limit = random_rows(seed)
     twice = np.vstack([E, -3 * E[1], E[0] + E[2]])
     limits = np.concatenate([limit, [-3 * limit[1], limit[0] + limit[2]]])
-    rows = HeldRows(sp.csr_matrix(twice), np.arange(9), limits, compliance)
+    rows = AssembledRows(sp.csr_matrix(twice), np.arange(9), limits, compliance)
     x = np.random.default_rng(seed).standard_normal(9)
     force = rows.forces(x)
     assert np.count_nonzero(force) == 5
-    single = HeldRows(sp.csr_matrix(E), np.arange(9), limit, compliance)
+    single = AssembledRows(sp.csr_matrix(E), np.arange(9), limit, compliance)
     assert twice.T @ force == pytest.approx(E.T @ single.forces(x), rel=1e-10)
     rows.close(x)
     assert twice @ x == pytest.approx(limits, rel=1e-10)

@@ -9,8 +9,8 @@ import scipy.sparse.linalg as sla
 
 import contactqp as cq
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.intrinsic_size import intrinsic_size, nothing, without_rigid_part
-from contactqp.model.verdicts import Answer
+from contactqp.linalg.measures import intrinsic_size, nothing, without_rigid_part
+from contactqp.model.solution import Answer
 
 FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
 

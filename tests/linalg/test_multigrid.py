@@ -5,8 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from contactqp.linalg import multigrid
-from contactqp.linalg.conjugate_gradients import ConjugateGradients
-from contactqp.linalg.held_rows import HeldRows
+from contactqp.linalg.krylov import AssembledRows, ConjugateGradients
 from contactqp.linalg.multigrid import Hierarchy, available, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldHierarchy
 from tests.blocks_in_space import on_paraboloid, on_sphere, stacked
@@ -66,7 +65,7 @@ def test_a_held_face_does_not_spoil_the_preconditioner_as_the_mesh_is_refined():
         held = np.arange(problem.contacts)
         hierarchy = Hierarchy(problem.stiffness_rows, problem.near_null_space)
         for kind, rows in (("held", held), ("free", held[:0])):
-            projection = HeldRows(
+            projection = AssembledRows(
                 sp.csr_matrix(E), np.arange(problem.dimension), np.zeros(len(held)), 1 / problem.diagonal
             )
             cycle = preconditioner(problem, rows, hierarchy)
@@ -114,7 +113,7 @@ def test_steps_of_conjugate_gradients_tell_the_energy_of_the_error_and_the_spect
     problem = SMALL["a row an unknown"]
     K, n = problem.stiffness.toarray(), problem.dimension
     cycle = preconditioner(problem, [])
-    none = HeldRows(sp.csr_matrix((0, n)), np.arange(n), np.zeros(0), np.ones(n))
+    none = AssembledRows(sp.csr_matrix((0, n)), np.arange(n), np.zeros(0), np.ones(n))
     r = np.random.default_rng(2).standard_normal(n)
     exact = r @ np.linalg.solve(K, r)
     lower = np.linalg.cholesky(K)

@@ -11,9 +11,8 @@ from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.elimination import BackSubstitution, eliminate
 from contactqp.linalg.factorization import DENSE_SIZE, DIAGONAL_PIVOTS, SuperLU, fill_reducing_order, forget_triangles
-from contactqp.linalg.trailing_block import TrailingBlock
+from contactqp.linalg.schur import BackSubstitution, TrailingBlock, eliminate
 
 
 def two_blocks(second_modulus=1.0):

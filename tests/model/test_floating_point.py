@@ -13,7 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg.extended_rows import velocity_of
+from contactqp.linalg.extended import velocity_of
 from tests.blocks_in_space import on_paraboloid
 from tests.examples import truss
 from tests.public_objects import solid

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.linalg.extended_rows import velocity_of
+from contactqp.linalg.extended import velocity_of
 from contactqp.study.check_options import CheckOptions
 from contactqp.study.friction_check import check_forces
 from tests.cli.test_cli import CASES, run

@@ -17,7 +17,7 @@ from contactqp.analysis.motion.schemes.scheme import State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import Unsupported
-from contactqp.linalg.intrinsic_size import stiffness_sizes
+from contactqp.linalg.measures import stiffness_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_only

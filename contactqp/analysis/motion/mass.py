@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.factorization import factorise, null_space
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
 

@@ -16,9 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.motion.step_contact import Answered, Posed
-from contactqp.linalg.intrinsic_size import HELD_BY_DOUBLES
-from contactqp.linalg.measures import beyond, ratio
-from contactqp.linalg.row_sizes import row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
@@ -159,7 +157,7 @@ class StepJudge:
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
     def _intrinsic_size(self, load: Block, x: Block) -> Vector:
-        """(steps,) the size of each step, as in `contactqp.linalg.intrinsic_size`: loads and |x|_K, inertia
+        """(steps,) the size of each step, as in `contactqp.linalg.measures`: loads and |x|_K, inertia
         included.
         """
         D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)

@@ -15,12 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
-from contactqp.model.floating_point import computes
+from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Certificate
+from contactqp.model.solution import Certificate, Solution
 from contactqp.solving.solve import solve
 
 # Below this a dense matrix costs nothing and is easier to look at.

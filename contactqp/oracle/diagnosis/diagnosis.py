@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer, Certificate
+from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.duplicates import duplicates
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding

@@ -18,8 +18,7 @@ from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer, Certificate
+from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import judge

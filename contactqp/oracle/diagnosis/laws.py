@@ -13,11 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import extend
-from contactqp.linalg.extended_rows import extended_rows
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
-from contactqp.model.verdicts import Violations
+from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import unit_of

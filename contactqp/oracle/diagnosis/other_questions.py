@@ -17,8 +17,7 @@ from contactqp.linalg.condensation import unknown_scale
 from contactqp.linalg.iteration import iterated
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer, Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.diagnosis.symptoms import NAMED

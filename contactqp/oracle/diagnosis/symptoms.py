@@ -8,7 +8,7 @@ import numpy as np
 
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer, Certificate, Violations
+from contactqp.model.solution import Answer, Certificate, Violations
 from contactqp.oracle.diagnosis.finding import Finding
 from contactqp.oracle.foreign.judged_contacts import slips
 

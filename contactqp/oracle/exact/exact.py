@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

@@ -20,7 +20,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
 # Names listed in a message before it says how many more there are.

@@ -12,8 +12,7 @@ from contactqp.linalg.measures import lengths_that_meet
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.solution import Solution
-from contactqp.model.verdicts import Answer, Certificate
+from contactqp.model.solution import Answer, Certificate, Solution
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 # Without bounds, forces and gaps that differ by less than this part of the largest are the same.

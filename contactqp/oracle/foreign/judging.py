@@ -5,7 +5,7 @@ from __future__ import annotations
 from contactqp.certificate.certificate import compute_certificate
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Certificate
+from contactqp.model.solution import Certificate
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.recovery import Recovery, recoveries
 

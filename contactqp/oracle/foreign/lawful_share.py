@@ -16,7 +16,7 @@ from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.judged_contacts import slips
 

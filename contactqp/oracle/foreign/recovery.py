@@ -27,15 +27,14 @@ from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
-from contactqp.linalg.extended import extend
-from contactqp.linalg.extended_rows import extended_rows
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.linalg.polishing import answer_on, shift_to_least_norm
+from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.lawful_share import lawful_share

@@ -9,9 +9,8 @@ import numpy as np
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, Solution
-from contactqp.model.verdicts import Answer
-from contactqp.solving.multiplicity import equilibria
+from contactqp.model.solution import Answer, Candidate, Solution
+from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, solve
 
 # Contacts of which all combinations of open, stick and slip are tried.

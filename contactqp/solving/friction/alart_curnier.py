@@ -9,9 +9,19 @@ sticks, and where it slips, with t = y/|y|, y = r_T - u_T, radius b = mu (r_N - 
 
 Scaled contacts have a compliance of one, the parameter of both projections. A step uses W + a I; a shrinks with success
 and grows where the residual of the natural map does not fall (proximal point, Acary, Bremond and Huber 2018).
+
+Proximal points of Coulomb's law, each by semismooth Newton (Acary, Bremond and Huber 2018, section on PPA).
+
+    r <- the forces of (W + a I) r + (q - a r_old)
+
+A step is a regular problem however singular W is; its fixed points are the answers of W. The weight a falls while
+Newton's method finds proximal points quickly, and grows where it does not.
 """
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
 
 import numpy as np
 import scipy.sparse as sp
@@ -126,3 +136,37 @@ def _block_diagonal(blocks: Array) -> sp.csr_array:
     m, d, _ = blocks.shape
     column = np.broadcast_to(d * np.arange(m)[:, None, None] + np.arange(d)[None, None, :], blocks.shape)
     return sp.csr_array((blocks.ravel(), column.ravel(), d * np.arange(m * d + 1)), shape=(m * d, m * d))
+
+
+# The weight, contacts having a compliance of one: at first, at least, and at most before it is given up.
+FIRST, LEAST, MOST = 1e-2, 1e-9, 1e3
+# Newton's steps for one proximal point, and those after which the weight halves; the weight grows by this factor.
+STEPS, FEW, GROWTH = 25, 6, 4.0
+# A proximal point is found where its own residual has fallen to this part.
+FOUND = 1e-2
+PROXIMAL_ROUNDING = 1e-14
+
+
+def proximal_points(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
+    """Iterates, one a proximal point, until Newton's method finds none at any weight."""
+    here, weight, count = start, FIRST, 0
+    while weight <= MOST:
+        nearby = _regular(form, here, weight)
+        owed = Iterate.at(nearby, here.force, here.joint_force)
+        found = newton(nearby, owed, STEPS, target=max(1e-3 * owed.error, PROXIMAL_ROUNDING))
+        if found.error <= max(FOUND * owed.error, 10 * PROXIMAL_ROUNDING):
+            weight = max(weight / 2, LEAST) if found.iterations <= FEW else weight
+            count += 1
+            here = Iterate.at(form, found.force, found.joint_force, count)
+            yield here
+        else:
+            weight *= GROWTH
+
+
+def _regular(form: LocalForm, centre: Iterate, weight: float) -> LocalForm:
+    """The problem of the proximal point of `centre`."""
+    size = form.m * form.d
+    nearby = copy.copy(form)
+    nearby.W = form.W + weight * (sp.identity(size, format="csr") if form.sparse else np.eye(size))
+    nearby.q = form.q - weight * centre.force.ravel()
+    return nearby

@@ -26,7 +26,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths, onto_cone
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # What the conic solver is asked for, on data of size one; Newton's method does the rest.
 TOLERANCE = 1e-11

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.model.arrays import Array, Vector
 from contactqp.solving.methods import Settings
-from contactqp.solving.methods.quadratic_program import collected_words
+from contactqp.solving.methods.backends import collected_words
 
 SOLVERS = ("clarabel", "scs", "cvxpy")
 # Interior points know forces to the square root of their gap: of the root this part of the tolerance is asked for, down

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from contactqp.certificate.figures import holds
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import Status, answer_in
-from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.friction_states import FrictionalRows, Status, answer_in
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from contactqp.solving.friction.combinations import Combinations, refuse_many
 
 # Of the largest displacement that the loads make without contacts, what rounding may leave of another.

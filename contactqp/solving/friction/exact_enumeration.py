@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
-from contactqp.model.floating_point import own_floating_point
+from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK

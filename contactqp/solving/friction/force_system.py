@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, Status
-from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.friction_states import OPEN, SINGULAR, SLIP_ON, STICK, FrictionalRows, Status
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # Of the rows, this part may differ from those factorised before it is cheaper to factorise again.
 CHANGED_ROWS = 0.15

@@ -1,8 +1,12 @@
-"""What the algorithms of the local form hand to each other."""
+"""What the algorithms of the local form hand to each other.
+
+Aitken's relaxation of a fixed point of friction bounds, b <- b + w (F(b) - b).
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,3 +60,19 @@ class Deadline:
     def refuse_if_passed(self, who: str) -> None:
         if self.passed:
             raise NotConverged(f"{who}: stopped at the time limit of {self._limit:g} s")
+
+
+# The factor stays between these: a full step, and one small enough for mu = 20 mu_c.
+RELAXATION = (0.05, 1.0)
+
+
+def aitken(
+    relaxation: float, before: Vector | None, missing: Vector, dot: Callable[[Vector, Vector], float] = np.dot
+) -> float:
+    """The next factor (Irons and Tuck 1969), from F(b) - b of the step before, None at first, and of this one."""
+    if before is None:
+        return relaxation
+    change = missing - before
+    size = float(dot(change, change))
+    wanted = relaxation if size == 0 else -relaxation * float(dot(before, change)) / size
+    return float(np.clip(wanted, *RELAXATION))

@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.solving.friction.admm import admm
-from contactqp.solving.friction.alart_curnier import newton
-from contactqp.solving.friction.convex_steps import ConvexSteps
-from contactqp.solving.friction.fixed_points import cone_fixed_point, tresca_fixed_point
+from contactqp.solving.friction.alart_curnier import newton, proximal_points
+from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
 from contactqp.solving.friction.iterate import Deadline, Iterate
 from contactqp.solving.friction.local_form import LocalForm
-from contactqp.solving.friction.proximal_point import proximal_points
 from contactqp.solving.methods import Method, Settings, find
 
 Accepted = Callable[[Iterate], bool]

@@ -24,8 +24,7 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, St
 from contactqp.linalg.measures import lengths_that_meet, ratio
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, Solution
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer, Candidate, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.

@@ -10,11 +10,10 @@ import numpy as np
 from contactqp.certificate.figures import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK
-from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from contactqp.solving.friction.combinations import MOST_CONTACTS
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.existence_test import balancing_forces

@@ -23,13 +23,12 @@ from contactqp.errors import BackendFailed, NoEquilibrium, NotConverged
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
-from contactqp.linalg.frictional_rows import FrictionalRows
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
-from contactqp.solving.friction.aitken import RELAXATION, aitken
+from contactqp.model.solution import Answer
+from contactqp.solving.friction.iterate import RELAXATION, aitken
 from contactqp.solving.methods import Method, Settings
 
 # Enough for contractions up to 0.9; what is slower is not getting there.

@@ -8,14 +8,14 @@ from contactqp.errors import BackendMissing, InvalidProblem, Unsupported
 from contactqp.solving.methods import (
     active_set,
     augmented_lagrangian,
+    backends,
+    cvxpy_models,
     lagrange_multiplier,
     lemke,
     master_slave,
-    modelled,
     penalty,
     perturbed_lagrangian,
     projected_gauss_seidel,
-    quadratic_program,
 )
 from contactqp.solving.methods.method import Method, Settings
 
@@ -23,8 +23,8 @@ __all__ = ["Method", "Settings", "find", "methods", "register"]
 
 _MODULES = (
     active_set,
-    quadratic_program,
-    modelled,
+    backends,
+    cvxpy_models,
     lemke,
     projected_gauss_seidel,
     master_slave,

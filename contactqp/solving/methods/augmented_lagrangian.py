@@ -29,8 +29,7 @@ from contactqp.solving.methods.stick_and_slip import (
     status_rows,
 )
 from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered, spread, springs
-from contactqp.solving.methods.textbook_ending import Budget
-from contactqp.solving.methods.textbook_loop import active_set_loop
+from contactqp.solving.methods.textbook_loop import Budget, active_set_loop
 
 NAME = "augmented-lagrangian"
 

@@ -18,8 +18,7 @@ import numpy as np
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.solving.methods.floating_bodies import NEGLIGIBLE, FloatingBodies
-from contactqp.solving.methods.textbook_algebra import SingularSystem, spread
+from contactqp.solving.methods.textbook_algebra import NEGLIGIBLE, FloatingBodies, SingularSystem, spread
 
 
 @dataclass(frozen=True, eq=False)

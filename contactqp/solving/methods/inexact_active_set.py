@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.multigrid_bounds import dual_norm, force_norm
-from contactqp.linalg.conjugate_gradients import ConjugateGradients
-from contactqp.linalg.contact_iteration import ContactIteration, HeldRows, Limits
+from contactqp.linalg.iteration import ConstrainedRows, ContactIteration, Limits
+from contactqp.linalg.krylov import ConjugateGradients
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Candidate
@@ -44,7 +44,7 @@ UNLOADED = 1e-4
 # An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
 SETTLED = 1e-4
 # Forces and lengths of this part of the energy norm of the displacement are nothing
-# (`contactqp.linalg.intrinsic_size`): a tenth of what the certificate takes for nothing.
+# (`contactqp.linalg.measures`): a tenth of what the certificate takes for nothing.
 NOTHING = 1e-13
 # Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
 # certificate shall prove 1e-6.
@@ -144,13 +144,13 @@ class _Search:
         self.way.learn(run)
         return stopped
 
-    def _start_on_set(self) -> tuple[NDArray[np.intp], HeldRows, ConjugateGradients]:
+    def _start_on_set(self) -> tuple[NDArray[np.intp], ConstrainedRows, ConjugateGradients]:
         on_set = np.concatenate([np.flatnonzero(self.closed), np.arange(self.m, len(self.limit))])
         held = self.way.held(on_set, self.limit[on_set])
         self.way.close(held, self.x, self.residual)
         return on_set, held, self.way.run(self.x, self.residual, on_set, held)
 
-    def _steps_on_set(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> str:
+    def _steps_on_set(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> str:
         goal: _Goal | None = None
         while True:
             self._look(run, held, on_set)
@@ -187,7 +187,7 @@ class _Search:
     def _penetration(self) -> Vector:
         return np.asarray((self.way.lengths(self.x) - self.limit)[: self.m])
 
-    def _look(self, run: ConjugateGradients, held: HeldRows, on_set: NDArray[np.intp]) -> None:
+    def _look(self, run: ConjugateGradients, held: ConstrainedRows, on_set: NDArray[np.intp]) -> None:
         """Forces of the moment, and the contacts whose sign contradicts the set by more than the tolerance allows."""
         self.force = np.zeros(len(self.limit))
         self.force[on_set] = held.forces(run.residual)

@@ -21,7 +21,6 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, status_names
-from contactqp.solving.methods.floating_bodies import FloatingBodies
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.stick_and_slip import (
     FrictionalEnforcement,
@@ -30,9 +29,8 @@ from contactqp.solving.methods.stick_and_slip import (
     origins,
     status_rows,
 )
-from contactqp.solving.methods.textbook_algebra import SingularSystem
-from contactqp.solving.methods.textbook_ending import Budget, last_candidate
-from contactqp.solving.methods.textbook_rounding import Sizes
+from contactqp.solving.methods.textbook_algebra import FloatingBodies, SingularSystem
+from contactqp.solving.methods.textbook_loop import Budget, Sizes, last_candidate
 
 # Contacts that a message names.
 MOST_NAMES = 8

@@ -132,7 +132,7 @@ def _look_at(history: History, model: Model) -> None:
 
 def contact_count(model: Model, history: History | None) -> ContactCount:
     """Of a case that was solved."""
-    from contactqp.certificate.candidates import candidates_of
+    from contactqp.certificate.subset_bounds import candidates_of
 
     problem = model.problem
     pairings = [contact.pairing for contact in getattr(model, "contacts", ())]

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from contactqp.errors import BackendMissing, InvalidProblem
-from contactqp.linalg.forking import renew_in_child
+from contactqp.linalg.threads import renew_in_child
 from contactqp.study.digest import source_digest
 from contactqp.study.running.child import Children
 from contactqp.study.running.workers import ONE_THREAD, Crew

@@ -15,7 +15,7 @@ from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
-from contactqp.model.verdicts import FIGURES, Answer
+from contactqp.model.solution import FIGURES, Answer
 from contactqp.scene.models import build
 
 CASES = Path(__file__).parents[3] / "cases"

@@ -11,7 +11,7 @@ from contactqp.distributed.distributing import distribute, part_of, share_of_fir
 from contactqp.distributed.portion import whole_portion
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
-from contactqp.linalg.intrinsic_size import bodies
+from contactqp.linalg.measures import bodies
 
 ranks = Ranks()
 # Of products with rows of some hundred entries; and what answers may differ by.

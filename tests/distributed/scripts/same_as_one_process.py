@@ -9,7 +9,7 @@ import numpy as np
 import contactqp as cq
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.pieces import distributed_model
-from contactqp.linalg.intrinsic_size import bodies
+from contactqp.linalg.measures import bodies
 from contactqp.scene.models import build
 
 ranks = Ranks()

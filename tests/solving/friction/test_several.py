@@ -7,7 +7,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.figures import holds
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 from tests.solving.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 
 # Klarbring's (1990) family; critical coefficient W_nn/|W_nt| = 1/2. Free displacement q = W f.

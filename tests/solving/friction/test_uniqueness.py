@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.critical_coefficients import _one_sign
+from contactqp.certificate.critical_friction import _one_sign
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.elements.geometry import Block
 from contactqp.elements.material import Material
@@ -14,7 +14,7 @@ from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import REFERENCES
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg.contact_compliance import frictional_compliance
+from contactqp.linalg.delassus import frictional_compliance
 from tests.solving.friction.problems import (
     TOUCH,
     known_answer,
@@ -294,7 +294,7 @@ def test_foreign_and_large_answers_are_still_certified(monkeypatch: pytest.Monke
     assert not wrong.passed
     assert wrong.uniqueness == (SEVERAL,), "that is a property of the problem"
     assert cq.certify(problem, [np.nan, 0.0], [0.0], [0.0]).uniqueness == (UNKNOWN,)
-    monkeypatch.setattr("contactqp.certificate.critical_coefficients.MOST_CONTACTS", 0)
+    monkeypatch.setattr("contactqp.certificate.critical_friction.MOST_CONTACTS", 0)
     skipped = cq.solve(problem, algorithm="tresca").certificate
     assert skipped.uniqueness == (UNKNOWN,)
     assert skipped.notes == ("uniqueness was not examined: 1 contacts, at most 0 are examined",)

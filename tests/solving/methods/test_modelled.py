@@ -9,8 +9,8 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported
 from contactqp.model.problem import ContactProblem
+from contactqp.solving.methods.cvxpy_models import METHODS, solve_modelled
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.modelled import METHODS, solve_modelled
 from tests.solving.methods.static_examples import EXAMPLES, TWO_BARS, Example, require_answer
 
 PERMISSIVE = ("CLARABEL", "OSQP", "SCS", "PIQP", "PROXQP", "HIGHS", "DAQP", "QPALM")

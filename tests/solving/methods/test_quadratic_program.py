@@ -12,14 +12,8 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
+from contactqp.solving.methods.backends import BACKENDS, METHODS, Backend, backend_options, solve_quadratic_program
 from contactqp.solving.methods.method import Method, Settings
-from contactqp.solving.methods.quadratic_program import (
-    BACKENDS,
-    METHODS,
-    Backend,
-    backend_options,
-    solve_quadratic_program,
-)
 from tests.solving.methods.static_examples import EXAMPLES, FREE, TWO_BARS, Example, require_answer, require_near
 
 INSTALLED = tuple(method for method in METHODS if method.installed)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.certificate.candidates import among, take_all, widened
 from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.certificate.subset_bounds import among, take_all, widened
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.model.arrays import Vector

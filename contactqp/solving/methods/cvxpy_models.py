@@ -11,9 +11,8 @@ from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsu
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.backends import BACKENDS, backend_options
+from contactqp.solving.methods.backends import BACKENDS, backend_options, collected_words
 from contactqp.solving.methods.method import Method, Settings
-from contactqp.solving.methods.quadratic_program import collected_words
 
 NAME = "cvxpy"
 

@@ -17,10 +17,10 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import Residuals, lay_out, lengths_that_meet, own_compliance
-from contactqp.linalg.polishing import WITHIN_ROUNDING
+from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000

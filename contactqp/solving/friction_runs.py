@@ -1,30 +1,136 @@
-"""An answer with Coulomb friction, by the algorithm asked for or by the first that finds one."""
+"""The associated relaxation as an algorithm of `solve`: right as what it is, and never called Coulomb's answer.
+
+Rigid motions that no contact, no friction and no tie of an answer resists, put to rest; forces that are noise.
+
+An answer with Coulomb friction, by the algorithm asked for or by the first that finds one.
+"""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.figures import holds, rounded_slips
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
-from contactqp.linalg.condensation import condense
+from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
+from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, FrictionalRows, Status, answer_in
 from contactqp.linalg.iteration import iterated
+from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
+from contactqp.model.arrays import Array
+from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, Final
-from contactqp.model.verdicts import Answer
-from contactqp.solving.associated_attempt import solve_associated
-from contactqp.solving.condensed_attempt import described
+from contactqp.model.solution import Answer, Candidate, Final
+from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.combinations import MOST_CONTACTS
 from contactqp.solving.friction.enumeration import all_equilibria
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.solving.friction.free_motion import at_rest, free_motions, without_noise
 from contactqp.solving.friction.local_algorithms import ALGORITHMS, TAKEN
 from contactqp.solving.friction.newton import refined, solve_newton
 from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.friction.tresca import solve_tresca
-from contactqp.solving.metering import Meter, MeteredAttempt
 from contactqp.solving.methods import Method, Settings
-from contactqp.solving.whole_attempt import WholeAttempt
+from contactqp.solving.runs import CondensedAttempt, Meter, MeteredAttempt, WholeAttempt, described
+
+
+def solve_associated(problem: ContactProblem, method: Method, settings: Settings) -> tuple[Answer, str]:
+    """The relaxation's answer and what to call it: in the plane by `method`, in space by Clarabel.
+
+    Raises
+    ------
+    NoEquilibrium
+        Constraints conflict, or a load drives what nothing holds.
+    NotConverged, BackendFailed, BackendMissing
+        The convex solver gave up, or what it found is not the relaxation's answer.
+    Unsupported
+        A method that is approximate by design.
+    """
+    if not method.exact:
+        raise Unsupported(f"{method.name}: the associated relaxation takes an exact method")
+    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        try:
+            answer = relaxed_in_space(problem, condense(problem))
+        except NotConverged:
+            refuse_conflict(problem, condense(problem))
+            refuse_driven_motion(problem, condense(problem))
+            raise
+        return answer, "associated with clarabel (not Coulomb)"
+    relaxed = relaxed_in_the_plane(problem)
+    # A start has one force a contact, and the program two.
+    found = CondensedAttempt(relaxed, method, replace(settings, warm_start=None), "auto").final(polished=True)
+    parts = (found.displacement, found.normal_force, found.tie_force)
+    certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
+    if not certificate.passed:
+        raise NotConverged(f"associated with {method.name}: {'; '.join(certificate.failures)}")
+    return recovered(problem, *parts), f"associated with {method.name} (not Coulomb)"
+
+
+# A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
+NOISE = 1e-15
+
+
+def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
+    """An orthonormal basis (n, q) of the rigid motions along which no contact that pushes moves and no tie."""
+    basis = condensation.rigid.basis
+    if not basis.shape[1] or problem.tangent is None or problem.friction is None:
+        return basis
+    pushes = answer.normal_force > 0
+    rows = sp.vstack(
+        [
+            problem.normal[pushes],
+            problem.tangent[np.repeat(pushes & (problem.friction > 0), problem.tangent.shape[0] // problem.contacts)],
+            problem.tie,
+        ]
+    )
+    if not rows.shape[0]:
+        return basis
+    size = np.max(abs(rows) @ abs(basis), axis=1, initial=0.0)
+    _, values, rotation = np.linalg.svd((rows @ basis) / np.where(size > 0, size, 1.0)[:, None])
+    return np.asarray(basis @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+
+def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer, free: Array) -> Answer:
+    """The answer of least norm along its free motions, where contacts that do not push leave room for it.
+
+    What is taken away leaves its rounding behind, which is refined away.
+    """
+    if not free.shape[1]:
+        return answer
+    u = answer.displacement
+    resting = replace(answer, displacement=u - free @ (free.T @ u))
+    rows = FrictionalRows(problem, condensation)
+    for found in (answer_in(problem, condensation, rows, _combination(problem, answer), resting), resting):
+        if holds(problem, found):
+            return found
+    return answer
+
+
+def _combination(problem: ContactProblem, answer: Answer) -> Status:
+    """(m,) open where nothing pushes; sticking where the slip is no more than rounding of the displacement."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    rounding = rounded_slips(row_sizes(problem, problem.tangent).size, answer.displacement, problem.slip_origin)
+    way = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)
+    closed = np.where(lengths(slip) <= rounding, STICK, way)
+    return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
+
+
+def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
+    """The answer without contact forces that are beneath the rounding of the stiffness, where it holds without them."""
+    force = answer.normal_force
+    heard = force_measure(problem.normal, force, forces_that_meet(problem, answer)) > NOISE
+    if np.all(heard | (force == 0)) or answer.friction_force is None:
+        return answer
+    friction = np.where(heard[:, None], answer.friction_force, 0.0)
+    quiet = replace(answer, normal_force=np.where(heard, force, 0.0), friction_force=friction)
+    return quiet if holds(problem, quiet) else answer
+
 
 # Of bodies, in the order in which they are listed; those that are registered follow.
 NAMES = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", *TAKEN)

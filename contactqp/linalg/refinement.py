@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, extend
-from contactqp.linalg.extended_rows import ExtendedRows, extended_rows
+from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
 from contactqp.linalg.measures import (
     Residuals,
     force_measure,
@@ -28,7 +27,7 @@ from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.verdicts import Answer
+from contactqp.model.solution import Answer
 
 # Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12

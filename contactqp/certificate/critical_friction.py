@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.contact_compliance import ContactCompliance, contact_compliance
+from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import iterated
-from contactqp.model.arrays import Array, Vector
-from contactqp.model.floating_point import computes, own_floating_point
+from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 
@@ -36,7 +35,7 @@ MOST_COMBINED = 6
 # A determinant of this part of the product of its rows' lengths may be zero.
 SINGULAR = 1e-12
 # Singular values of this part of the largest are zero.
-DEPENDENT = 1e-11
+SINGULAR_SYSTEM = 1e-11
 
 OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 
@@ -208,7 +207,7 @@ def _one_sign(W: Array, mu: Vector) -> bool:
         return False
     # A small determinant may be that of many small eigenvalues, and its sign still be known.
     values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
-    return bool(np.all(values[:, -1] > DEPENDENT * values[:, 0]))
+    return bool(np.all(values[:, -1] > SINGULAR_SYSTEM * values[:, 0]))
 
 
 def _above(friction: Vector, critical: Vector) -> Vector:

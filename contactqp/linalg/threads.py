@@ -1,4 +1,6 @@
-"""OpenBLAS on one thread around the small dense systems of the contacts.
+"""Locks that another thread holds while the process is forked: in the child nobody would ever release them.
+
+OpenBLAS on one thread around the small dense systems of the contacts.
 
 Two threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
 process has the second core: they wait for each other by spinning. MKL, which PARDISO runs on, keeps its threads.
@@ -6,14 +8,36 @@ process has the second core: they wait for each other by spinning. MKL, which PA
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
-from contactqp.linalg.forking import renew_in_child
 from contactqp.model.problem import ContactProblem
+
+
+def renew_in_child(renew: Callable[[], None]) -> None:
+    """Call this in every process that is forked from this one, where the platform forks."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=renew)
+
+
+def _renew_cached_properties() -> None:
+    """Give the cached properties of the package new locks: one lock serves all instances of a class."""
+    modules = [module for name, module in tuple(sys.modules.items()) if name.partition(".")[0] == "contactqp"]
+    kinds = {kind for module in modules for kind in vars(module).values() if isinstance(kind, type)}
+    for kind in kinds:
+        for attribute in vars(kind).values():
+            if isinstance(attribute, cached_property) and hasattr(attribute, "lock"):
+                attribute.lock = threading.RLock()
+
+
+if sys.version_info < (3, 12):  # from 3.12 on they have no lock
+    renew_in_child(_renew_cached_properties)
+
 
 # Contacts from which a second thread pays.
 THREADS_PAY = 1500

@@ -1,0 +1,226 @@
+"""Every equilibrium of a small problem with Coulomb friction, each certified.
+
+How far the associated relaxation of friction is from Coulomb's answer.
+
+Whether a frictional problem surely has a solution.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.idle_rows import acting_rows
+from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.friction_states import FrictionalRows
+from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.local_problem import LocalProblem, LocalSolution
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.contact_form import ContactForm
+from contactqp.solving.friction.existence_test import interior_margin
+from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction_runs import found_by_enumeration
+from contactqp.solving.local_solving import local_equilibria
+from contactqp.solving.methods import find
+from contactqp.solving.solve import Begun, solve
+
+
+@overload
+def equilibria(problem: ContactProblem) -> tuple[Solution, ...]: ...
+
+
+@overload
+def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
+
+
+@own_floating_point
+def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
+    """All states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
+
+    Above a critical coefficient of friction a problem may have none, several, or a continuum of which some members are
+    returned. All combinations of open, stick and slip are tried (`contactqp.solving.friction.enumeration`).
+
+    Parameters
+    ----------
+    problem : ContactProblem or LocalProblem
+        With friction, at most eight contacts, one tangential row a contact; or in local form in the plane, its operator
+        symmetric or not.
+
+    Returns
+    -------
+    tuple of Solution or LocalSolution
+        One for each displacement (velocity), certified; empty where there is no equilibrium. Where contacts are
+        redundant, the forces are one choice among many.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no friction: `solve` has the one answer.
+    Unsupported
+        More than eight contacts, or two tangential rows a contact.
+    NotCertified
+        The certificate refuses one of them.
+
+    Examples
+    --------
+    Klarbring's (1990) one contact, mu = 0.8 above the critical 0.5, has three: open, stick, slip.
+
+    >>> import contactqp as cq
+    >>> data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    >>> [str(s.contact_status[0]) for s in cq.equilibria(cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8))]
+    ['open', 'stick', 'slip']
+    """
+    if isinstance(problem, LocalProblem):
+        return local_equilibria(problem)
+    refuse_other("equilibria", problem, ContactProblem, LocalProblem)
+    if not problem.frictional:
+        raise InvalidProblem(
+            "equilibria: expected a problem with friction; without it the minimum is what solve returns"
+        )
+    if (rows := acting_rows(problem)) is not None:
+        rows.refuse_conflict()
+        return tuple(rows.solution(one) for one in equilibria(rows.problem))
+    started = time.perf_counter()
+    with problem.lock:
+        found = found_by_enumeration(problem)
+    spent = time.perf_counter() - started
+    method = replace(find("active-set"), name="enumeration")
+    return tuple(Begun(problem, method, attempt, True, spent).finish() for attempt in found)
+
+
+@dataclass(frozen=True, eq=False)
+class AssociatedDifference(ReadOnly):
+    """Both answers, and associated less Coulomb."""
+
+    coulomb: Solution
+    associated: Solution
+    displacement: Vector  # (n,) [length]
+    normal_force: Vector  # (m,) [force]
+    friction_force: NDArray[np.float64]  # (m, d-1) [force]
+    opening: Vector  # (m,) mu |s| where the relaxation slides under load: the gap that it opens [length]
+    displacement_part: float  # |du|_K / |u|_K, absolute where Coulomb's answer has no energy
+    force_part: float  # largest change of a contact force, of the largest contact force
+
+    def __str__(self) -> str:
+        return (
+            f"the associated relaxation is off Coulomb's displacement by {self.displacement_part:.3g} in energy, off "
+            f"its forces by {self.force_part:.3g}, and opens contacts that slide by up to "
+            f"{np.max(self.opening, initial=0.0):.3g}"
+        )
+
+
+@own_floating_point
+def associated_difference(
+    problem: ContactProblem, coulomb: Solution | None = None, method: str = "active-set", **options: Any
+) -> AssociatedDifference:
+    """Solve Coulomb's law and its associated relaxation, min 1/2 u'Ku - f'u over E_N u + mu |E_T u - o| <= g, A u = b.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        With friction.
+    coulomb : Solution, optional
+        Coulomb's answer, where it is known; else `solve(problem, method)`.
+    method : str
+        The exact method of both convex problems.
+    **options
+        Of `solve`.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no friction, or `coulomb` is of another problem.
+    NoEquilibrium, NotConverged, NotCertified, BackendFailed, Unsupported
+        As `solve`.
+
+    Examples
+    --------
+    A block of one spring is pressed with 2 and pulled by 3, mu = 1/2: friction holds 1; relaxed, it climbs as it
+    slides, against its spring, and the ground presses more.
+
+    >>> import contactqp as cq
+    >>> data = dict(stiffness=[[2.0, 0.0], [0.0, 2.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
+    >>> found = associated_difference(cq.ContactProblem(**data, load=[-2.0, 3.0], friction=0.5))
+    >>> found.coulomb.normal_force.round(9), found.associated.normal_force.round(9), found.opening.round(9)
+    (array([2.]), array([2.8]), array([0.4]))
+    """
+    if not problem.frictional or problem.friction is None:
+        raise InvalidProblem("associated_difference: expected a problem with friction")
+    if coulomb is not None and coulomb.problem is not problem:
+        raise InvalidProblem("coulomb: expected a solution of this very problem")
+    right = solve(problem, method, **options) if coulomb is None else coulomb
+    other = solve(problem, method, algorithm="associated", **options)
+    moved = other.displacement - right.displacement
+    energy, own = (_energy_norm(problem, v) for v in (moved, right.displacement))
+    forces = [np.column_stack([s.normal_force, _friction(s)]) for s in (other, right)]
+    change, largest = forces[0] - forces[1], float(np.max(abs(forces[1]), initial=0.0))
+    worst = float(np.max(abs(change), initial=0.0))
+    slip = np.zeros((problem.contacts, 1)) if other.slip is None else other.slip
+    opening = np.where(other.normal_force > 0, problem.friction * np.linalg.norm(slip, axis=1), 0.0)
+    return AssociatedDifference(
+        coulomb=right,
+        associated=other,
+        displacement=moved,
+        normal_force=change[:, 0],
+        friction_force=change[:, 1:],
+        opening=opening,
+        displacement_part=energy / own if own > 0 else energy,
+        force_part=worst / largest if largest > 0 else worst,
+    )
+
+
+def _energy_norm(problem: ContactProblem, u: Vector) -> float:
+    return float(np.sqrt(max(u @ (problem.stiffness @ u), 0.0)))
+
+
+def _friction(solution: Solution) -> NDArray[np.float64]:
+    return np.zeros((len(solution.normal_force), 1)) if solution.friction_force is None else solution.friction_force
+
+
+@own_floating_point
+def existence_margin(problem: ContactProblem | LocalProblem) -> float:
+    """The test of Acary, Cadoux, Lemarechal and Malick (2011): positive where a solution surely exists.
+
+    The largest x <= 1 such that some velocity u = W y + V l + q has u_N - x >= mu |u_T| at every contact, in a scale in
+    which contacts have a compliance of one and q entries of size one. Where it is positive there are forces that
+    satisfy the law, whatever the coefficients of friction; the test is sufficient, not necessary.
+
+    Raises
+    ------
+    InvalidProblem
+        A contact problem without friction: the minimum exists where the constraints do not conflict.
+    Unsupported
+        Bodies float, or a local problem has joints without compliance: the theorem has neither.
+    BackendMissing, BackendFailed
+        Of Clarabel.
+
+    Examples
+    --------
+    A block jammed between walls that close in on it has no solution:
+
+    >>> import numpy as np
+    >>> W = np.zeros((4, 4))
+    >>> W[::2, ::2], W[1::2, 1::2] = [[1.0, -1.0], [-1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]]
+    >>> existence_margin(LocalProblem(delassus=W, offset=[-0.1, 0.0, -0.1, 0.0], friction=0.5, dimension=2)) < 0
+    True
+    """
+    refuse_other("existence_margin", problem, ContactProblem, LocalProblem)
+    form = LocalForm(problem if isinstance(problem, LocalProblem) else _local(problem))
+    if np.any(form.joint_signs < 0):
+        raise Unsupported("existence_margin: bodies that float, or joints without compliance (the theorem has neither)")
+    return interior_margin(form)
+
+
+def _local(problem: ContactProblem) -> LocalProblem:
+    if not problem.frictional:
+        raise InvalidProblem("existence_margin: expected a problem with friction")
+    with problem.lock:
+        way = condense(problem)
+        return ContactForm(problem, way, FrictionalRows(problem, way)).local
