@@ -26,8 +26,8 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, extend, extended_rows
-from contactqp.linalg.measures import Residuals, lengths_that_meet, stiffness_sizes
+from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
+from contactqp.linalg.measures import lengths_that_meet, stiffness_sizes
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
@@ -295,7 +295,7 @@ def _of_penetration(
     def left_by(displacement: Vector) -> Vector:
         return np.asarray((excess + problem.normal @ displacement)[closed] / measure / largest)
 
-    nothing = extend(np.zeros(problem.dimension)), extend(-excess[closed]), extend(np.zeros(problem.ties))
+    nothing = np.zeros(problem.dimension), -excess[closed], np.zeros(problem.ties)
     saddle = saddle_point(condensation, closed)
     closing, _, _ = correction(condensation, saddle, *nothing)
     if not saddle.redundant or np.max(abs(left_by(closing))) <= MISSED:
@@ -380,10 +380,10 @@ def _close(
         saddle = saddle_point(condensation, closed)
         step = extend(np.zeros(problem.dimension))
         for _ in range(CLOSING_SWEEPS):
-            gap = extend(problem.gap) - rows.normal @ (start + step)
-            open_tie = extend(problem.tie_value) - rows.tie @ (start + step)
-            step = step + correction(condensation, saddle, extend(np.zeros(len(start))), gap[closed], open_tie)[0]
-        gap = extend(problem.gap) - rows.normal @ (start + step)
+            gap = rows.gap(problem, start + step)
+            open_tie = (extend(problem.tie_value) - rows.tie @ (start + step)).double()
+            step = step + correction(condensation, saddle, np.zeros(len(start)), gap.double()[closed], open_tie)[0]
+        gap = rows.gap(problem, start + step)
         penetrated = np.flatnonzero(-gap.double() > WITHIN_ROUNDING * length)
         if not penetrated.size:
             return step, saddle

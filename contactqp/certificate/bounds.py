@@ -57,9 +57,9 @@ from contactqp.certificate.energy_norm import (
 )
 from contactqp.certificate.multigrid_bounds import Forces, Unrepaired, distances
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.extended import Extended, extend, extended_rows
+from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
 from contactqp.linalg.iteration import ContactIteration, Iteration, Limits
-from contactqp.linalg.measures import Residuals, lengths_that_meet, own_compliance, rigid_part
+from contactqp.linalg.measures import lengths_that_meet, own_compliance, rigid_part
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector

@@ -24,9 +24,10 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
-from contactqp.linalg.measures import Residuals, own_compliance, plain_residuals, ratio, residuals
+from contactqp.linalg.measures import own_compliance, ratio
 from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.stages import CERTIFY, stage
 from contactqp.model.arrays import Vector, own_floating_point

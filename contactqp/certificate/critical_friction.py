@@ -121,10 +121,10 @@ def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
 def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFriction:
     """`critical_friction`, made once for a stiffness, its rows and coefficients."""
     mu = np.zeros(problem.contacts) if problem.friction is None else problem.friction
-    known = problem._shared.get("critical_friction")
+    known = problem._computed.critical_friction
     if known is None or not np.array_equal(known._friction, mu):
         known = _made(problem, mu, contact_compliance(problem, condensation))
-        problem._shared["critical_friction"] = known
+        problem._computed.critical_friction = known
     found: CriticalFriction = known
     return found
 

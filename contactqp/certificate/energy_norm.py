@@ -100,10 +100,12 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     left = _left_along(problem, condensation, motions, load, tied)
     load = without_part_along(motions, load)
     u, eta, no_contact = (extend(np.zeros(size)) for size in (problem.dimension, problem.ties, problem.contacts))
-    none = extend(np.zeros(0))
+    none = np.zeros(0)
 
     def step(residual: Extended) -> tuple[Vector, Vector, float]:
-        du, _, dn = correction(condensation, saddle, residual, none, -(rows.tie @ u) if tied else none)
+        du, _, dn = correction(
+            condensation, saddle, residual.double(), none, -(rows.tie @ u).double() if tied else none
+        )
         return du, dn if tied else np.zeros(problem.ties), energy_norm(problem, extend(du))[0]
 
     du, dn, first = step(load)

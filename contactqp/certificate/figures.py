@@ -35,13 +35,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.extended import extend, extended_rows, images
+from contactqp.linalg.extended import Residuals, extend, extended_rows, images, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
     ROUNDING_OF_LENGTH,
     ContactEntries,
-    Residuals,
     beyond,
     bodies,
     contact_entries,
@@ -50,7 +49,6 @@ from contactqp.linalg.measures import (
     nothing,
     outer_forces,
     ratio,
-    residuals,
     row_sizes,
     stiffness_sizes,
     vector_measure,
@@ -109,13 +107,13 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> flo
 
 def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
     """|K z| (r, n), formed once for the motions of a stiffness."""
-    known = problem._shared.get("left_of_stiffness")
+    known = problem._computed.rounding_of_motions
     if known is None or known[0] is not rigid:
         forces = rigid.forces
         if forces is None:
             forces = images(problem.stiffness_rows, rigid.motions)
         known = rigid, abs(forces.T)
-        problem._shared["left_of_stiffness"] = known
+        problem._computed.rounding_of_motions = known
     return np.asarray(known[1])
 
 

@@ -208,16 +208,16 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
     if not (idle_contacts.any() or idle_ties.any()):
         return None
     contacts, ties = np.flatnonzero(~idle_contacts), np.flatnonzero(~idle_ties)
-    known = problem._shared.get("acting")
+    known = problem._computed.acting
     if known is None or not np.array_equal(known[0], contacts):
-        known = problem._shared["acting"] = (contacts, problem.with_contacts(contacts).with_ties(ties))
+        known = problem._computed.acting = (contacts, problem.with_contacts(contacts).with_ties(ties))
     changes: dict[str, Any] = dict(load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties])
     changes |= dict(dof_names=problem.dof_names, units=problem.units)
     changes |= dict(contact_names=[problem.contact_name(int(i)) for i in contacts])
     if problem.friction is not None and problem.slip_origin is not None:
         changes |= dict(friction=problem.friction[contacts], slip_origin=problem.slip_origin[contacts])
     few = known[1].replace(**changes)
-    if "load_size" in problem._shared:
+    if problem.load_sum is not None:
         few = few.with_load_sum(problem.load, problem.load_size)
     return ActingRows(problem, contacts, ties, few)
 

@@ -30,9 +30,9 @@ from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force
 from contactqp.certificate.failures import failed_errors
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import extend, extended_rows, residuals
 from contactqp.linalg.factorization import inverse_root
-from contactqp.linalg.measures import HELD_BY_DOUBLES, residuals, row_sizes, stiffness_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes, stiffness_sizes
 from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import Bounds, bounds, no_bounds
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.extended import extend
+from contactqp.linalg.extended import Residuals, extend
 from contactqp.linalg.factorization import RigidMotions
-from contactqp.linalg.measures import Residuals, lay_out, lengths_that_meet, own_compliance
+from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
 from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -38,8 +38,8 @@ def first_candidates(problem: ContactProblem) -> NDArray[np.intp] | None:
     """The contacts nearest to closing, gaps measured in energy, or those of the last load; None: all are few enough."""
     if not _many(problem):
         return None
-    if "among" in problem._shared:
-        return np.asarray(problem._shared["among"][0])
+    if problem._computed.subset is not None:
+        return np.asarray(problem._computed.subset[0])
     touched = len(np.unique(problem.normal.indices))
     nearness = problem.gap / np.sqrt(np.maximum(own_compliance(problem, problem.normal), np.finfo(float).tiny))
     count = max(1, FIRST * problem.contacts // touched)
@@ -53,45 +53,58 @@ def believed_candidates(problem: ContactProblem, answer: Answer) -> NDArray[np.i
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
-    before = problem._shared["among"][0] if "among" in problem._shared else closed
+    before = closed if problem._computed.subset is None else problem._computed.subset[0]
     return np.union1d(before, closed).astype(np.intp)
 
 
 def candidates_of(problem: ContactProblem) -> NDArray[np.intp] | None:
     """The contacts that a problem, once solved, was condensed onto; None: all of them."""
-    return np.asarray(problem._shared["among"][0]) if "among" in problem._shared else None
+    return None if problem._computed.subset is None else np.asarray(problem._computed.subset[0])
 
 
 def take_all(problem: ContactProblem) -> None:
     """Have every contact of a problem condensed onto, however many there are."""
-    problem._shared.pop("among", None)
-    problem._shared["few_enough"] = True
+    problem._computed.subset, problem._computed.all_contacts = None, True
 
 
 def _many(problem: ContactProblem) -> bool:
-    shared = problem._shared
-    if "few_enough" not in shared:
-        shared["few_enough"] = problem.contacts < 2 or len(np.unique(problem.normal.indices)) <= MANY
-    return not shared["few_enough"] and not problem.frictional
+    if problem._computed.all_contacts is None:
+        problem._computed.all_contacts = problem.contacts < 2 or len(np.unique(problem.normal.indices)) <= MANY
+    return not problem._computed.all_contacts and not problem.frictional
 
 
 def among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
     """The problem with some of its contacts; kept, with its condensation, for the loads that follow."""
-    return _kept_among(problem, candidates, "among")
+    computed = problem._computed
+    computed.subset = _with_contacts(problem, candidates, computed.subset)
+    return _under_its_load(problem, candidates, computed.subset[1])
 
 
-def _kept_among(problem: ContactProblem, candidates: NDArray[np.intp], place: str) -> ContactProblem:
-    """Candidates that only a certificate asks for have a place of their own: what solves is not to grow by them."""
-    shared = problem._shared
-    solved, few = shared.get("among", (None, None))
-    if solved is None or not np.array_equal(solved, candidates):
-        known, few = shared.get(place, (None, None))
-        if known is None or not np.array_equal(known, candidates):
-            lay_out(problem)
-            few = problem.with_contacts(candidates)
-            few._shared["few_enough"] = True
-            shared[place] = (candidates, few)
-    changed: ContactProblem = few.replace(
+def _judged_among(problem: ContactProblem, candidates: NDArray[np.intp]) -> ContactProblem:
+    """`among` for a certificate, whose contacts are kept apart: what is solved shall not grow by them."""
+    computed = problem._computed
+    if computed.subset is not None and np.array_equal(computed.subset[0], candidates):
+        return _under_its_load(problem, candidates, computed.subset[1])
+    computed.judged_subset = _with_contacts(problem, candidates, computed.judged_subset)
+    return _under_its_load(problem, candidates, computed.judged_subset[1])
+
+
+Subset = tuple[NDArray[np.intp], ContactProblem]  # contacts, and the problem with these alone
+
+
+def _with_contacts(problem: ContactProblem, candidates: NDArray[np.intp], before: Subset | None) -> Subset:
+    """Return the contacts with the problem that has these alone: the one of before where they are the same."""
+    if before is not None and np.array_equal(before[0], candidates):
+        return before
+    lay_out(problem)
+    subset = problem.with_contacts(candidates)
+    subset._computed.all_contacts = True
+    return candidates, subset
+
+
+def _under_its_load(problem: ContactProblem, candidates: NDArray[np.intp], subset: ContactProblem) -> ContactProblem:
+    """Return the subset's problem under the load, gaps and tie values of the whole problem."""
+    return subset.replace(
         load=problem.load,
         gap=problem.gap[candidates],
         tie_value=problem.tie_value,
@@ -99,7 +112,6 @@ def _kept_among(problem: ContactProblem, candidates: NDArray[np.intp], place: st
         contact_names=[problem.contact_name(int(i)) for i in candidates],
         units=problem.units,
     )
-    return changed
 
 
 def widened(problem: ContactProblem, candidates: NDArray[np.intp], gap: Vector, u: Vector) -> NDArray[np.intp] | None:
@@ -126,7 +138,7 @@ def bounds_among(
     contacts; these have no force then, and a bound of it by (1) of `bounds`.
     """
     for _ in range(WIDENINGS):
-        few = _kept_among(problem, candidates, "judged")
+        few = _judged_among(problem, candidates)
         condensation = condense(few)
         of_few = Answer(answer.displacement, answer.normal_force[candidates], None, answer.tie_force)
         known = bounds(few, of_few, Residuals(left.force, left.gap[candidates], left.tie), condensation)

@@ -351,14 +351,14 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:
     """Whether the rows of all contacts and ties are independent, whatever is closed; found out once."""
-    if "independent_rows" not in problem._shared:
+    if problem._computed.independent_rows is None:
         tangent = np.zeros((0, len(condensation.scale)))
         if condensation.tangent is not None:
             tangent = condensation.tangent.toarray()
         felt = tangent[np.any(tangent != 0, axis=1)]
         rows = np.vstack([condensation.normal, felt, condensation.tie]) * condensation.scale
-        problem._shared["independent_rows"] = _independent(_unit(rows))
-    return bool(problem._shared["independent_rows"])
+        problem._computed.independent_rows = _independent(_unit(rows))
+    return problem._computed.independent_rows
 
 
 def _independent(rows: Array) -> bool:

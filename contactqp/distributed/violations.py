@@ -1,7 +1,7 @@
 """What an answer violates, each rank its own part: the figures of `contactqp.certificate.figures`, in the same
 measures.
 
-Residuals are formed in double precision, as `contactqp.linalg.measures.plain_residuals` forms them: a figure is
+Residuals are formed in double precision, as `contactqp.linalg.extended.plain_residuals` forms them: a figure is
 known to a few dozen roundings, 1e-14 or so, and what is smaller than that says nothing but that it is.
 """
 

@@ -278,7 +278,7 @@ class Condensation:
         size = self.reduced_size(problem, inner)
         data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
         reduced = problem.transformed(*data)
-        reduced._shared.update(condensation=self._of_reduced(reduced), unknown_scale=self.scale)
+        reduced._computed.condensation, reduced._computed.unknown_scale = self._of_reduced(reduced), self.scale
         return reduced
 
     def cleared_rows(self, rows: ExtendedRows) -> ExtendedRows:
@@ -373,8 +373,8 @@ def _orthonormal_by_body(motions: Array) -> Array:
 
 def unknown_scale(problem: ContactProblem) -> Array:
     """D (n,): 1/sqrt(K_jj); without stiffness, what makes the unknown's largest row entry as large as others'."""
-    if "unknown_scale" in problem._shared:
-        return np.asarray(problem._shared["unknown_scale"])
+    if problem._computed.unknown_scale is not None:
+        return problem._computed.unknown_scale
     D = inverse_root(problem.diagonal)
     bare = problem.diagonal == 0
     if np.any(bare):
@@ -388,16 +388,15 @@ def unknown_scale(problem: ContactProblem) -> Array:
 
 def condense(problem: ContactProblem) -> Condensation:
     """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
-    shared: dict[str, Any] = problem._shared
     if any(np.any(idle) for idle in problem.idle_rows()):
         raise Unsupported(
             "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "
             "solve, certify, equilibria, paths and motions leave them out; here, leave them out yourself"
         )
-    if "condensation" not in shared:
+    if problem._computed.condensation is None:
         with stage(CONDENSE):
-            shared["condensation"] = Condensation(problem)
-    condensation: Condensation = shared["condensation"]
+            problem._computed.condensation = Condensation(problem)
+    condensation: Condensation = problem._computed.condensation
     return condensation
 
 

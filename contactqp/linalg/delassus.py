@@ -144,9 +144,9 @@ class ContactCompliance:
 
 def contact_compliance(problem: ContactProblem, condensation: Condensation) -> ContactCompliance:
     """Made once for a stiffness and its rows."""
-    if "contact_compliance" not in problem._shared:
-        problem._shared["contact_compliance"] = _made(problem, condensation)
-    made: ContactCompliance = problem._shared["contact_compliance"]
+    if problem._computed.contact_compliance is None:
+        problem._computed.contact_compliance = _made(problem, condensation)
+    made: ContactCompliance = problem._computed.contact_compliance
     return made
 
 

@@ -11,6 +11,7 @@ The matrices of a problem for products in twice double precision, laid out once 
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 EPS = 2.0**-104
 # Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
@@ -223,26 +225,104 @@ class ExtendedRows:
         twin.stiffness = ClearedRows(self.stiffness, motions, inverse)
         return twin
 
+    def gap(self, problem: ContactProblem, displacement: Extended) -> Extended:
+        """Return g - E_N u (m,)."""
+        return Extended(problem.gap) - self.normal @ displacement
+
     def slip(self, displacement: Extended) -> Extended:
         """E_T u, flat."""
         return Extended(np.zeros(0)) if self.tangent is None else self.tangent @ displacement
 
 
 def _stiffness_rows(problem: ContactProblem) -> SparseRows:
-    shared = problem._shared
-    if "extended_stiffness" not in shared:
-        shared["extended_stiffness"] = SparseRows(problem.stiffness_rows)
-    rows: SparseRows = shared["extended_stiffness"]
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.extended is None:
+        of_stiffness.extended = SparseRows(problem.stiffness_rows)
+    rows: SparseRows = of_stiffness.extended
     return rows
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
     """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
-    shared = problem._shared
-    if "extended" not in shared:
-        shared["extended"] = ExtendedRows(problem)
-    rows: ExtendedRows = shared["extended"]
+    if problem._computed.extended is None:
+        problem._computed.extended = ExtendedRows(problem)
+    rows: ExtendedRows = problem._computed.extended
     return rows
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedAnswer:
+    """A displacement with contact and tie forces in twice double precision; friction forces in doubles, if any."""
+
+    displacement: Extended  # (n,)
+    normal_force: Extended  # (m,)
+    tie_force: Extended  # (k,)
+    friction_force: Extended | Array | None = None  # (m, d-1), or flat in extended precision
+
+    @classmethod
+    def of(cls, answer: Answer) -> ExtendedAnswer:
+        """Return the answer that these doubles are."""
+        u, normal, tie = Extended(answer.displacement), Extended(answer.normal_force), Extended(answer.tie_force)
+        return cls(u, normal, tie, answer.friction_force)
+
+    @classmethod
+    def at_rest(cls, problem: ContactProblem) -> ExtendedAnswer:
+        """Return the displacement of zero without forces."""
+        return cls(*(Extended(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties)))
+
+    def corrected(self, du: Vector, closed: NDArray[np.intp], dl: Vector, dn: Vector) -> ExtendedAnswer:
+        """Return the answer with a correction in doubles; contact forces (q,) are those of the closed contacts."""
+        force = self.normal_force.added_at(closed, dl)
+        return ExtendedAnswer(self.displacement + du, force, self.tie_force + dn, self.friction_force)
+
+    def double(self) -> Answer:
+        """Return the answer without friction, rounded to double precision."""
+        return Answer(self.displacement.double(), self.normal_force.double(), None, self.tie_force.double())
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What an answer leaves of equilibrium, gaps and ties, in extended precision."""
+
+    force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
+    gap: Extended  # (m,) g - E_N u
+    tie: Extended  # (k,) b - A u
+
+    @classmethod
+    def at_rest(cls, problem: ContactProblem) -> Residuals:
+        """Return those of the displacement of zero without forces: the data of the problem."""
+        return cls(Extended(problem.load), Extended(problem.gap), Extended(problem.tie_value))
+
+    def double(self, closed: NDArray[np.intp]) -> tuple[Vector, Vector, Vector]:
+        """Return forces, gaps of the closed contacts and ties in double precision."""
+        return self.force.double(), self.gap[closed].double(), self.tie.double()
+
+
+def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer) -> Residuals:
+    """Return the residuals of an answer, formed with these rows in extended precision."""
+    u, friction = answer.displacement, answer.friction_force
+    outer = extend(problem.load) - rows.contact_force(answer.normal_force, answer.tie_force)
+    if friction is not None:
+        outer = outer - rows.friction_force(friction)
+    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
+    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
+
+
+def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """Return the residuals of an answer, formed in extended precision."""
+    return residuals_of(extended_rows(problem), problem, ExtendedAnswer.of(answer))
+
+
+def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
+    """Return the residuals of an answer in double precision, each to a few dozen roundings of the sizes that meet."""
+    u = answer.displacement
+    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
+    if problem.tangent is not None and answer.friction_force is not None:
+        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
+    force = problem.load - problem.stiffness_rows @ u - outer
+    return Residuals(
+        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
+    )
 
 
 def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:

@@ -26,8 +26,16 @@ from functools import cached_property
 import numpy as np
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows, two_product
-from contactqp.linalg.measures import imbalance, residuals_of
+from contactqp.linalg.extended import (
+    Extended,
+    ExtendedAnswer,
+    ExtendedRows,
+    extend,
+    extended_rows,
+    residuals_of,
+    two_product,
+)
+from contactqp.linalg.measures import imbalance
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
@@ -308,7 +316,8 @@ def _refined(
             system = StateSystem(problem, condensation, rows, status, directions, turning, independent)
             regular = regular and system.regular
         last = size
-        left = residuals_of(exact, problem, u, force, tie, stick + _bound(problem, force, directions))
+        friction = stick + _bound(problem, force, directions)
+        left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
         # Relative to the largest of each kind: no unit is compared with another.

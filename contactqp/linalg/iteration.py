@@ -208,14 +208,14 @@ def iterated(problem: ContactProblem) -> bool:
 def _held(problem: ContactProblem) -> bool:
     """Whether no body floats, as far as a hierarchy can tell."""
     with problem.lock:
-        if "held" not in problem._shared:
+        if problem._computed.supported is None:
             try:
                 iteration(problem)
             except Unsupported:
-                problem._shared["held"] = False
+                problem._computed.supported = False
             else:
-                problem._shared["held"] = True
-        return bool(problem._shared["held"])
+                problem._computed.supported = True
+        return problem._computed.supported
 
 
 class Iteration(ContactIteration):
@@ -251,7 +251,8 @@ class Iteration(ContactIteration):
                 f"pyamg: the body of {problem.dof_name(member)} floats: no support holds all of its motions (least "
                 f"energy {hierarchy.held[floating[0]]:.1e} of its diagonal's); {_INSTEAD}"
             )
-        problem._shared.setdefault("bodies", hierarchy.bodies)
+        if problem._computed.of_stiffness.bodies is None:
+            problem._computed.of_stiffness.bodies = hierarchy.bodies
         self.matrix = hierarchy.levels[0].matrix
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
         self._sizes = stiffness_sizes(problem)
@@ -352,8 +353,7 @@ _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso o
 
 def iteration(problem: ContactProblem) -> Iteration:
     """Made once for a stiffness and its rows; shared by every problem that `replace` derives."""
-    shared = problem._shared
-    if "iteration" not in shared:
-        shared["iteration"] = Iteration(problem)
-    way: Iteration = shared["iteration"]
-    return way
+    if problem._computed.iteration is None:
+        problem._computed.iteration = Iteration(problem)
+    made: Iteration = problem._computed.iteration
+    return made

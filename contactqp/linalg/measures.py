@@ -32,7 +32,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import lengths
@@ -51,14 +51,12 @@ class RowSizes:
 
 def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
     """Those of rows with as many columns as the problem has unknowns; its own are laid out once."""
-    for name in ("normal", "tangent", "tie"):
-        if rows is getattr(problem, name):
-            key = f"sizes_of_{name}"
-            if key not in problem._shared:
-                problem._shared[key] = sizes_of(rows, problem.diagonal)
-            made: RowSizes = problem._shared[key]
-            return made
-    return sizes_of(rows, problem.diagonal)
+    if rows is not problem.normal and rows is not problem.tangent and rows is not problem.tie:
+        return sizes_of(rows, problem.diagonal)
+    made: dict[int, RowSizes] = problem._computed.row_sizes
+    if id(rows) not in made:
+        made[id(rows)] = sizes_of(rows, problem.diagonal)
+    return made[id(rows)]
 
 
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
@@ -106,10 +104,10 @@ class ContactEntries:
 
 def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
     """Those of `normal` or `tangent`, laid out once for the rows."""
-    key = f"entries_of_{name}"
-    if key not in problem._shared:
-        problem._shared[key] = entries_of(getattr(problem, name), problem.contacts)
-    entries: ContactEntries = problem._shared[key]
+    rows, made = getattr(problem, name), problem._computed.contact_entries
+    if id(rows) not in made:
+        made[id(rows)] = entries_of(rows, problem.contacts)
+    entries: ContactEntries = made[id(rows)]
     return entries
 
 
@@ -217,17 +215,17 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
 def bodies(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the body, a connected part of K, that each unknown belongs to."""
-    if "bodies" not in problem._shared:
-        _, problem._shared["bodies"] = connected_parts(problem.stiffness_rows)
-    body: NDArray[np.intp] = problem._shared["bodies"]
-    return body
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.bodies is None:
+        of_stiffness.bodies = connected_parts(problem.stiffness_rows)[1].astype(np.intp)
+    return of_stiffness.bodies
 
 
 def _parts(problem: ContactProblem) -> NDArray[np.intp]:
     """(n,) the number of the part, bodies connected by contacts and ties, that each unknown belongs to."""
     from scipy.sparse.csgraph import connected_components
 
-    if "parts" not in problem._shared:
+    if problem._computed.parts is None:
         body = bodies(problem)
         count = int(body.max(initial=-1)) + 1
         joints = sp.vstack([rows for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None])
@@ -235,9 +233,8 @@ def _parts(problem: ContactProblem) -> NDArray[np.intp]:
         places = (np.ones(joints.nnz), body[joints.indices], joints.indptr)
         touched = sp.csr_matrix(places, shape=(joints.shape[0], count))
         graph = sp.bmat([[sp.csr_matrix((count, count)), touched.T], [touched, None]])
-        problem._shared["parts"] = connected_components(graph, directed=False)[1][:count][body]
-    part: NDArray[np.intp] = problem._shared["parts"]
-    return part
+        problem._computed.parts = connected_components(graph, directed=False)[1][:count][body]
+    return problem._computed.parts
 
 
 def _first_unknowns(rows: Any) -> tuple[Any, Any]:
@@ -280,15 +277,14 @@ def scale_of_unknowns(problem: ContactProblem) -> Vector:
 
     A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts.
     """
-    if "scale_of_unknowns" not in problem._shared:
+    if problem._computed.scale_of_unknowns is None:
         K = problem.diagonal
         D = np.divide(1.0, np.sqrt(K), out=np.zeros_like(K), where=K > 0)
         if not np.all(K > 0):
             for rows in (problem.normal, problem.tie):
                 D = np.maximum(D, np.where(K > 0, 0.0, _given_by(rows, D)))
-        problem._shared["scale_of_unknowns"] = D
-    scale: Vector = problem._shared["scale_of_unknowns"]
-    return scale
+        problem._computed.scale_of_unknowns = D
+    return problem._computed.scale_of_unknowns
 
 
 def _given_by(rows: Any, D: Vector) -> Vector:
@@ -304,67 +300,30 @@ def _given_by(rows: Any, D: Vector) -> Vector:
 
 def _untouched(problem: ContactProblem) -> Any:
     """(n,) whether neither the stiffness nor a row touches an unknown."""
-    if "untouched" not in problem._shared:
+    if problem._computed.untouched is None:
         touched = problem.diagonal > 0
         for rows in (problem.normal, problem.tangent, problem.tie):
             if rows is not None:
                 touched[rows.indices[rows.data != 0]] = True
-        problem._shared["untouched"] = ~touched
-    return problem._shared["untouched"]
+        problem._computed.untouched = ~touched
+    return problem._computed.untouched
 
 
 def stiffness_sizes(problem: ContactProblem) -> Any:
     """|K|, made once for a stiffness."""
-    if "stiffness_sizes" not in problem._shared:
-        problem._shared["stiffness_sizes"] = abs(problem.stiffness_rows)
-    return problem._shared["stiffness_sizes"]
+    of_stiffness = problem._computed.of_stiffness
+    if of_stiffness.sizes is None:
+        of_stiffness.sizes = abs(problem.stiffness_rows)
+    return of_stiffness.sizes
 
 
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """What an answer leaves, in extended precision."""
-
-    force: Extended  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu
-    gap: Extended  # (m,) g - E_N u
-    tie: Extended  # (k,) b - A u
-
-
-def residuals_of(
-    rows: ExtendedRows, problem: ContactProblem, u: Extended, force: Extended, tie: Extended, friction: Any = None
-) -> Residuals:
-    """The residuals of a displacement (n,), contact forces (m,), tie forces (k,) and friction (m, d-1), if any."""
-    outer = extend(problem.load) - rows.contact_force(force, tie)
-    if friction is not None:
-        outer = outer - rows.friction_force(friction)
-    gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
-    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
-
-
 def lay_out(problem: ContactProblem) -> None:
     """Make what residuals and figures need of the stiffness, for every answer that follows."""
     extended_rows(problem), stiffness_sizes(problem), bodies(problem)
-
-
-def residuals(problem: ContactProblem, answer: Answer) -> Residuals:
-    """The residuals of an answer."""
-    parts = (extend(answer.displacement), extend(answer.normal_force), extend(answer.tie_force))
-    return residuals_of(extended_rows(problem), problem, *parts, answer.friction_force)
-
-
-def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
-    """The residuals of an answer in double precision, each entry to a few dozen roundings of the sizes that meet."""
-    u = answer.displacement
-    outer = problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
-    if problem.tangent is not None and answer.friction_force is not None:
-        outer = outer + problem.tangent.T @ answer.friction_force.ravel()
-    force = problem.load - problem.stiffness_rows @ u - outer
-    return Residuals(
-        extend(force), extend(problem.gap - problem.normal @ u), extend(problem.tie_value - problem.tie @ u)
-    )
 
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:

@@ -8,21 +8,23 @@ answer is right to the last digits of double precision as long as eps * conditio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
 from contactqp.linalg.delassus import delassus
-from contactqp.linalg.extended import Extended, ExtendedRows, extend, extended_rows
-from contactqp.linalg.measures import (
+from contactqp.linalg.extended import (
+    Extended,
+    ExtendedAnswer,
+    ExtendedRows,
     Residuals,
-    force_measure,
-    forces_that_meet,
-    imbalance,
-    lengths_that_meet,
+    extend,
+    extended_rows,
     residuals_of,
 )
+from contactqp.linalg.measures import force_measure, forces_that_meet, imbalance, lengths_that_meet
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
@@ -54,19 +56,21 @@ SLIGHT = 2**10 * float(np.finfo(float).eps)
 SHIFT_SLACK = 1e-15
 
 
-@dataclass(frozen=True, eq=False)
-class OnSet:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OnSet(ExtendedAnswer):
     """The equality-constrained answer on one set of closed contacts, in extended precision."""
 
-    displacement: Extended
-    normal_force: Extended
-    tie_force: Extended
     gap: Extended
     saddle: SaddlePoint
     contraction: float  # of the refinement: the part of a correction that its successor still finds missing
     remainder: float  # what further refinement would change, the largest entry in the square root of energy
     nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
+
+    @cached_property
+    def doubles(self) -> Answer:
+        """The answer in double precision."""
+        return self.double()
 
 
 def answer_on(
@@ -98,12 +102,14 @@ def answer_on(
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
     """The part by which the outer forces miss balance on rigid motions, if noise does not make them miss it."""
-    u, push, tie = found.displacement.double(), found.normal_force.double(), found.tie_force.double()
-    missed = imbalance(problem, Answer(u, push, None, tie), condensation.rigid)
+    if not condensation.rigid.count:
+        return 0.0
+    missed = imbalance(problem, found.doubles, condensation.rigid)
     if missed <= BALANCED:
         return missed
     push, tie = _forces_beyond_noise(condensation, found)
-    return min(missed, imbalance(problem, Answer(u, push, None, tie), condensation.rigid))
+    loud = Answer(found.doubles.displacement, push, None, tie)
+    return min(missed, imbalance(problem, loud, condensation.rigid))
 
 
 def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vector, Vector]:
@@ -112,9 +118,10 @@ def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vect
     On a body that nothing else loads such noise would be all that drives it.
     """
     compliance = delassus(condensation).compliance
-    force = np.concatenate([found.normal_force.double(), found.tie_force.double()])
+    push, tie = found.doubles.normal_force, found.doubles.tie_force
+    force = np.concatenate([push, tie])
     force[abs(force) * compliance <= found.nothing] = 0.0
-    return force[: len(found.normal_force)], force[len(found.normal_force) :]
+    return force[: len(push)], force[len(push) :]
 
 
 def _refined(
@@ -131,24 +138,23 @@ def _refined(
     saddle = saddle_point(condensation, closed)
     size_of = _CorrectionSize(problem, condensation, closed)
     if start is None:
-        u, force, tie = (extend(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties))
-        left = Residuals(extend(problem.load), extend(problem.gap), extend(problem.tie_value))
+        answer, left, whole = ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem), 0.0
     else:
         kept = np.isin(np.arange(problem.contacts), closed)
         left = None if np.any(start.normal_force[~kept]) else left
-        u, tie = extend(start.displacement), extend(start.tie_force)
-        force = extend(np.where(kept, start.normal_force, 0.0))
-    whole = size_of(u.double(), force.double()[closed], tie.double())
+        begun = Answer(start.displacement, np.where(kept, start.normal_force, 0.0), None, start.tie_force)
+        answer = ExtendedAnswer.of(begun)
+        whole = size_of(begun.displacement, begun.normal_force[closed], begun.tie_force)
     last, q = np.inf, saddle.contraction
     for sweep in range(MAX_SWEEPS):
         if left is None:
-            left = residuals_of(rows, problem, u, force, tie)
-        du, dl, dn = correction(condensation, saddle, left.force, left.gap[closed], left.tie)
+            left = residuals_of(rows, problem, answer)
+        du, dl, dn = correction(condensation, saddle, *left.double(closed))
         left = None
-        u, force, tie = u + du, force.added_at(closed, dl), tie + dn
+        answer = answer.corrected(du, closed, dl, dn)
         if at_rest and sweep == 0 and start is None and saddle.free.shape[1]:
-            found = Answer(u.double(), force.double(), None, tie.double())
-            u = u + shift_to_least_norm(problem, condensation, found, closed)[0]
+            shift, _ = shift_to_least_norm(problem, condensation, answer.double(), closed)
+            answer = replace(answer, displacement=answer.displacement + shift)
         size = size_of(du, dl, dn)
         whole = max(whole, size)
         if sweep == 1 and q is None:
@@ -161,7 +167,16 @@ def _refined(
     nothing = INVISIBLE * whole * np.sqrt(delassus(condensation).compliance)
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
-    return OnSet(u, force, tie, extend(problem.gap) - rows.normal @ u, saddle, q, remainder, nothing)
+    return OnSet(
+        displacement=answer.displacement,
+        normal_force=answer.normal_force,
+        tie_force=answer.tie_force,
+        gap=rows.gap(problem, answer.displacement),
+        saddle=saddle,
+        contraction=q,
+        remainder=remainder,
+        nothing=nothing,
+    )
 
 
 class _CorrectionSize:
@@ -178,11 +193,11 @@ class _CorrectionSize:
 
 
 def correction(
-    condensation: Condensation, saddle: SaddlePoint, residual: Extended, gap: Extended, open_tie: Extended
+    condensation: Condensation, saddle: SaddlePoint, residual: Vector, gap: Vector, open_tie: Vector
 ) -> tuple[Vector, Vector, Vector]:
     """One solve of the full saddle-point system with the condensed factors, in double precision."""
-    reduced, inner = condensation.reduce_residual(residual.double())
-    dx, dl, dn = saddle.solve(reduced, gap.double(), open_tie.double())
+    reduced, inner = condensation.reduce_residual(residual)
+    dx, dl, dn = saddle.solve(reduced, gap, open_tie)
     return condensation.expand(dx, inner), dl, dn
 
 
@@ -245,7 +260,7 @@ def polish(
 
 
 def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
-    u = answer.displacement.double()
+    u = answer.doubles.displacement
     missing = abs((extend(problem.tie_value) - extended_rows(problem).tie @ answer.displacement).double())
     rounding = WITHIN_ROUNDING * lengths_that_meet(problem, problem.tie, problem.tie_value, u)
     return bool(np.all(missing <= np.maximum(rounding, answer.nothing[problem.contacts :])))
@@ -258,11 +273,11 @@ def _exchanged(problem: ContactProblem, answer: OnSet) -> NDArray[np.intp] | Non
     """
     closed = answer.saddle.closed
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
     excess = (-answer.gap.double() / length)[closed[dependent]]
     if not np.any(excess > WITHIN_ROUNDING):
         return None
-    leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.normal_force.double()[closed])
+    leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.doubles.normal_force[closed])
     return closed if leaving is None else np.delete(closed, leaving)
 
 
@@ -270,15 +285,15 @@ def _wrong(
     problem: ContactProblem, answer: OnSet, closed: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Contacts that must open, in tension or apart though they push, and contacts penetrated, beyond rounding."""
-    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement.double())
+    gap, push = answer.gap.double(), answer.doubles.normal_force
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.doubles.displacement)
     rounding = np.maximum(WITHIN_ROUNDING * length, answer.nothing[: problem.contacts])
-    penetrated = np.flatnonzero(-answer.gap.double() > rounding)
+    penetrated = np.flatnonzero(-gap > rounding)
     tension = np.zeros(0, dtype=np.intp)
-    if np.any(answer.normal_force.double() < 0):
-        doubles = Answer(answer.displacement.double(), answer.normal_force.double(), None, answer.tie_force.double())
-        tension = np.flatnonzero(_push(problem, doubles) < -WITHIN_ROUNDING)
+    if np.any(push < 0):
+        tension = np.flatnonzero(_push(problem, answer.doubles) < -WITHIN_ROUNDING)
     # A contact that depends on others closes by itself or not at all, whatever force it was given.
-    apart = np.flatnonzero((answer.gap.double() > rounding) & (answer.normal_force.double() > 0))
+    apart = np.flatnonzero((gap > rounding) & (push > 0))
     return np.union1d(tension, apart).astype(np.intp), np.setdiff1d(penetrated, closed)
 
 
@@ -297,17 +312,17 @@ def _decided(
     """
     if condensation.rigid.count or not _regular(answer):
         return None
-    compliance = delassus(condensation).compliance[: len(answer.normal_force)]
+    push, gap = answer.doubles.normal_force, answer.gap.double()
+    compliance = delassus(condensation).compliance[: len(push)]
     settled = answer.nothing[: len(compliance)]
     noise = np.maximum(settled, answer.remainder * np.sqrt(compliance))
-    length = np.where(
-        np.isin(np.arange(len(noise)), closed), answer.normal_force.double() * compliance, answer.gap.double()
-    )
+    length = np.where(np.isin(np.arange(len(noise)), closed), push * compliance, gap)
     if np.any((abs(length) > settled) & (abs(length) <= noise)):
         answer = answer_on(problem, condensation, closed, caution=CAUTION)
         noise = np.maximum(answer.nothing[: len(compliance)], answer.remainder * np.sqrt(compliance))
-    tension = np.flatnonzero(answer.normal_force.double() * compliance < -noise)
-    penetrated = np.flatnonzero(answer.gap.double() < -noise)
+        push, gap = answer.doubles.normal_force, answer.gap.double()
+    tension = np.flatnonzero(push * compliance < -noise)
+    penetrated = np.flatnonzero(gap < -noise)
     return np.union1d(np.setdiff1d(closed, tension), np.setdiff1d(penetrated, closed)).astype(np.intp)
 
 
@@ -319,7 +334,7 @@ def _reached_by_drive(
         return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
-    drive = answer.saddle.drive(_net(condensation, load, answer.normal_force.double(), answer.tie_force.double()), size)
+    drive = answer.saddle.drive(_net(condensation, load, answer.doubles.normal_force, answer.doubles.tie_force), size)
     if np.any(drive):  # unless noise alone drives it
         drive = answer.saddle.drive(_net(condensation, load, *_forces_beyond_noise(condensation, answer)), size)
     if not np.any(drive):
@@ -346,7 +361,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
     from scipy.optimize import nnls
 
     closed = answer.saddle.closed
-    force = answer.normal_force[closed].double()
+    force = answer.doubles.normal_force[closed]
     contacts = condensation.normal[closed] * condensation.scale
     ties = condensation.tie * condensation.scale
     resultant = contacts.T @ force
@@ -363,7 +378,8 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> NDArray[np.in
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
     """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
-    u, push, tie = answer.displacement.double(), answer.normal_force.positive_part().double(), answer.tie_force.double()
+    u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
+    push = answer.normal_force.positive_part().double()
     root = 1.0 / unknown_scale(problem)
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
     loads = abs(problem.load) / root

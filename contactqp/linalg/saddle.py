@@ -233,16 +233,15 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
 
     They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
     """
-    shared = problem._shared
-    if "dependent_ties" not in shared:
+    if problem._computed.dependent_ties is None:
         rows = condensation.tie * condensation.scale
         rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
         kept = independent_rows(rows)
         others = np.setdiff1d(np.arange(len(rows)), kept)
         shares, *_ = np.linalg.lstsq(rows[kept].T, rows[others].T, rcond=None)
         taking_part = [kept[abs(share) > NO_PART] for share in shares.T]
-        shared["dependent_ties"] = tuple(zip(others.tolist(), taking_part, strict=True))
-    found: tuple[tuple[int, NDArray[np.intp]], ...] = shared["dependent_ties"]
+        problem._computed.dependent_ties = tuple(zip(others.tolist(), taking_part, strict=True))
+    found: tuple[tuple[int, NDArray[np.intp]], ...] = problem._computed.dependent_ties
     return found
 
 

@@ -13,7 +13,8 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,14 +39,10 @@ from contactqp.model.problem_data import (
     refuse_lost_compliances,
 )
 
-# What is kept of a stiffness alone, whatever the contacts.
-OF_STIFFNESS = ("diagonal", "stiffness_rows", "stiffness_sizes", "bodies", "extended_stiffness")
-# Where a problem with some of the ties of another keeps their numbers there.
-TIE_NUMBERS = "tie_numbers"
 # What reading a stiffness has found.
 MEASURED = ("asymmetry", "rigid_change")
-# What is kept beside the fields of a problem and is no result: a copy has it too.
-STATED = ("load_size", TIE_NUMBERS)
+# What problems that are derived from others carry along beside their data.
+CARRIED = ("load_sum", "tie_numbers", "_computed")
 
 
 @dataclass(frozen=True)
@@ -54,6 +51,50 @@ class Units:
 
     length: str = ""
     force: str = ""
+
+
+@dataclass(eq=False)
+class OfStiffness:
+    """What has been computed of a stiffness alone; problems with other contacts and ties share it."""
+
+    diagonal: Vector | None = None
+    rows: Any = None  # K as a CSR matrix
+    sizes: Any = None  # |K|
+    bodies: NDArray[np.intp] | None = None  # (n,) the connected part of K that each unknown belongs to
+    extended: Any = None  # K for products in twice double precision
+
+
+@dataclass(eq=False)
+class Computed:
+    """What has been computed of a stiffness and a set of rows, for every load, gap and friction that follow.
+
+    `ContactProblem.replace` hands it on as long as stiffness and rows stay. Entries are None until they are asked for;
+    each is made and read by one module, the one named beside it.
+    """
+
+    of_stiffness: OfStiffness = field(default_factory=OfStiffness)
+    locks: dict[int, Any] = field(default_factory=dict)  # by process
+    idle_rows: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None  # contacts and ties with rows of zeros
+    acting: Any = None  # certificate.idle_rows: the problem without them
+    unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
+    condensation: Any = None  # linalg.condensation
+    dependent_ties: Any = None  # linalg.saddle
+    contact_compliance: Any = None  # linalg.delassus
+    extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
+    iteration: Any = None  # linalg.iteration
+    supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
+    row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
+    contact_entries: dict[int, Any] = field(default_factory=dict)  # linalg.measures: likewise
+    parts: NDArray[np.intp] | None = None  # linalg.measures: bodies connected by contacts and ties
+    scale_of_unknowns: Vector | None = None  # linalg.measures
+    untouched: NDArray[np.bool_] | None = None  # linalg.measures
+    rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
+    independent_rows: bool | None = None  # certificate.uniqueness
+    critical_friction: Any = None  # certificate.critical_friction
+    all_contacts: bool | None = None  # certificate.subset_bounds: whether all contacts are condensed onto
+    subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
+    judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
+    contact_operator: Any = None  # solving.friction.contact_form
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -119,7 +160,9 @@ class ContactProblem:
     near_null_space: NDArray[np.float64] | None
     asymmetry: float
     rigid_change: float
-    _shared: dict[str, Any]
+    load_sum: Vector | None  # (n,) sizes of the forces that add up to `load`, where these are not |load|
+    tie_numbers: NDArray[np.intp] | None  # (k,) the numbers of the ties in the problem that these are some of
+    _computed: Computed
 
     @own_floating_point
     def __init__(
@@ -163,23 +206,28 @@ class ContactProblem:
             units=_units(units),
             near_null_space=read_motions("near_null_space", near_null_space, n),
         )
-        for name, value in values.items():
-            object.__setattr__(self, name, read_only(value))
-        # What is computed from stiffness and rows alone, kept for every problem that `replace` derives from this one.
-        object.__setattr__(self, "_shared", {})
+        self._keep(values, Computed())
         refuse_extreme_rows("normal", E_N, self.contact_name)
         refuse_extreme_rows("tie", A, self.tie_name)
         for kind, rows, called in (("normal", E_N, self.contact_name), ("tie", A, self.tie_name)):
             refuse_lost_compliances(kind, rows, self.diagonal, called)
 
+    def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
+        """Set the fields of the problem, arrays read-only; `load_sum` and `tie_numbers` are None where not given."""
+        for name, value in (dict(load_sum=None, tie_numbers=None) | dict(values)).items():
+            object.__setattr__(self, name, read_only(value))
+        object.__setattr__(self, "_computed", computed)
+
     @classmethod
-    def _of_checked(cls, values: Mapping[str, Any], shared: dict[str, Any]) -> ContactProblem:
-        """A problem of values that need no further check, with what it shares with the problem they come from."""
+    def _of_checked(cls, values: Mapping[str, Any], computed: Computed) -> ContactProblem:
+        """Return a problem of values that need no further check, with what has been computed for it."""
         problem = object.__new__(cls)
-        for name, value in values.items():
-            object.__setattr__(problem, name, read_only(value))
-        object.__setattr__(problem, "_shared", shared)
+        problem._keep(values, computed)
         return problem
+
+    def _values(self) -> dict[str, Any]:
+        """Return all data of the problem by the names of the fields; not what was computed from it."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_computed"}
 
     def transformed(
         self,
@@ -200,46 +248,48 @@ class ContactProblem:
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         data = dict(load=load, gap=gap, tie_value=tie_value, stiffness=stiffness)
         rows = dict(normal=sp.csr_array(normal), tie=sp.csr_array(tie))
-        return ContactProblem._of_checked(kept | frictionless | data | rows, {"load_size": load_size})
+        return ContactProblem._of_checked(kept | frictionless | data | rows | dict(load_sum=load_size), Computed())
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """Number of unknowns n."""
         return int(self.stiffness.shape[0])
 
-    @property
+    @cached_property
     def diagonal(self) -> Vector:
         """(n,) the K_jj, looked up once for a stiffness."""
-        if "diagonal" not in self._shared:
-            self._shared["diagonal"] = read_only(np.array(self.stiffness.diagonal(), dtype=float))
-        return np.asarray(self._shared["diagonal"])
+        of_stiffness = self._computed.of_stiffness
+        if of_stiffness.diagonal is None:
+            of_stiffness.diagonal = read_only(np.array(self.stiffness.diagonal(), dtype=float))
+        return of_stiffness.diagonal
 
-    @property
+    @cached_property
     def stiffness_rows(self) -> Any:
         """K as a CSR matrix; a symmetric one has the same arrays by rows as by columns."""
-        if "stiffness_rows" not in self._shared:
+        of_stiffness = self._computed.of_stiffness
+        if of_stiffness.rows is None:
             K = self.stiffness
             columns = sp.issparse(K) and K.format == "csc"
             arrays = (K.data, K.indices, K.indptr) if columns else K
-            self._shared["stiffness_rows"] = read_only(sp.csr_matrix(arrays, shape=K.shape))
-        return self._shared["stiffness_rows"]
+            of_stiffness.rows = read_only(sp.csr_matrix(arrays, shape=K.shape))
+        return of_stiffness.rows
 
-    @property
+    @cached_property
     def contacts(self) -> int:
         """Number of contacts m."""
         return int(self.normal.shape[0])
 
-    @property
+    @cached_property
     def ties(self) -> int:
         """Number of ties k."""
         return int(self.tie.shape[0])
 
-    @property
+    @cached_property
     def load_size(self) -> Vector:
         """(n,) sizes of the forces that add up to `load`; in a condensed problem more than |load|: they cancel."""
-        return np.asarray(read_only(self._shared.get("load_size", abs(self.load))))
+        return read_only(abs(self.load)) if self.load_sum is None else self.load_sum
 
-    @property
+    @cached_property
     def frictional(self) -> bool:
         """Whether any contact has a positive coefficient of friction."""
         return self.friction is not None and bool(np.any(self.friction > 0))
@@ -251,7 +301,7 @@ class ContactProblem:
         >>> float(problem.replace(load=[3.0]).load[0])
         3.0
         """
-        known = {f.name for f in fields(self)} - {*MEASURED, "_shared"}
+        known = {f.name for f in fields(self)} - {*MEASURED, *CARRIED}
         unknown = set(changes) - known
         if unknown:
             raise InvalidProblem(f"replace: unknown {sorted(unknown)}; known are {sorted(known)}")
@@ -261,7 +311,7 @@ class ContactProblem:
                 object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
             return made
         n, m, k = self.dimension, self.contacts, self.ties
-        checked: dict[str, Any] = {name: getattr(self, name) for name in (*known, *MEASURED)}
+        checked = self._values()
         for name, size in (("load", n), ("tie_value", k)):
             if name in changes:
                 checked[name] = read_vector(name, changes[name], size)
@@ -276,17 +326,15 @@ class ContactProblem:
                 checked[name] = read_names(name, changes[name], size)
         if "units" in changes:
             checked["units"] = _units(changes["units"])
-        return ContactProblem._of_checked(checked, self._shared)
+        return ContactProblem._of_checked(checked, self._computed)
 
     def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
         """The same problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
-        problem = self.replace(load=load)
-        object.__setattr__(problem, "_shared", self._shared | {"load_size": size})
-        return problem
+        return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
     def with_contacts(self, contacts: NDArray[np.intp]) -> ContactProblem:
         """The same bodies, load and ties with some of the contacts only; what comes of K alone is not made again."""
-        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
+        kept = self._values()
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
             width = self.slip_origin.shape[1]
@@ -294,15 +342,14 @@ class ContactProblem:
             friction, origin = self.friction[contacts], self.slip_origin[contacts]
             kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
-        shared = {name: value for name, value in self._shared.items() if name in (*OF_STIFFNESS, TIE_NUMBERS)}
-        return ContactProblem._of_checked(kept, shared)
+        return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""
-        if "zero_rows" not in self._shared:
-            rows = (self.normal, self.tie)
-            self._shared["zero_rows"] = read_only(tuple(np.diff(of.indptr) == 0 for of in rows))
-        contacts, ties = self._shared["zero_rows"]
+        if self._computed.idle_rows is None:
+            zero = (np.diff(self.normal.indptr) == 0, np.diff(self.tie.indptr) == 0)
+            self._computed.idle_rows = read_only(zero)
+        contacts, ties = self._computed.idle_rows
         return contacts | (self.gap == np.inf), ties
 
     @property
@@ -321,10 +368,8 @@ class ContactProblem:
 
     def with_ties(self, ties: NDArray[np.intp]) -> ContactProblem:
         """The same problem with some of its ties only, which keep their names."""
-        kept: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_shared"}
-        kept.update(tie=self.tie[ties], tie_value=self.tie_value[ties])
-        shared = {name: value for name, value in self._shared.items() if name in OF_STIFFNESS}
-        return ContactProblem._of_checked(kept, shared | {TIE_NUMBERS: ties})
+        kept = self._values() | dict(tie=self.tie[ties], tie_value=self.tie_value[ties], tie_numbers=ties)
+        return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @property
     def lock(self) -> Any:
@@ -332,16 +377,14 @@ class ContactProblem:
 
         Every process has its own: one that is forked while another thread holds it would wait for ever.
         """
-        return self._shared.setdefault(f"lock of {os.getpid()}", threading.RLock())
+        return self._computed.locks.setdefault(os.getpid(), threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
         """What is copied or pickled: the problem, without what was computed from it."""
-        stated = {name: self._shared[name] for name in STATED if name in self._shared}
-        return self.__dict__ | {"_shared": stated}
+        return self._values()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, read_only(value))
+        self._keep(state, Computed())
 
     @own_floating_point
     def energy(self, displacement: ArrayLike) -> float:
@@ -364,8 +407,7 @@ class ContactProblem:
         return self.dof_names[j] if self.dof_names else f"unknown {j}"
 
     def tie_name(self, i: int) -> str:
-        numbers = self._shared.get(TIE_NUMBERS)
-        return f"tie {i if numbers is None else numbers[i]}"
+        return f"tie {i if self.tie_numbers is None else self.tie_numbers[i]}"
 
     def __repr__(self) -> str:
         friction = ", with friction" if self.frictional else ""

@@ -62,7 +62,7 @@ class Meter:
         self._back_substitutions += now[1] - back_substitutions
 
     def _counts(self) -> tuple[int, int]:
-        known: Condensation | None = self._problem._shared.get("condensation")
+        known: Condensation | None = self._problem._computed.condensation
         return (known.factorisations, known.back_substitutions) if known else (0, 0)
 
     def read(self, iterations: int | None, corrections: int) -> Work:
@@ -334,7 +334,7 @@ class IteratedAttempt(WholeAttempt):
             )
         if condense is True:
             raise Unsupported(f"{method.name}: condensing a body this large means factorising it; {_ELSE}")
-        known: Iteration | None = problem._shared.get("iteration")
+        known: Iteration | None = problem._computed.iteration
         self._before = known.krylov_iterations if known else 0
         self._way = iteration(problem)
         self._size = problem.dimension

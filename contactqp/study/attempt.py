@@ -17,7 +17,7 @@ from contactqp.errors import (
     NotConverged,
     Unsupported,
 )
-from contactqp.model.problem import MEASURED, ContactProblem
+from contactqp.model.problem import CARRIED, MEASURED, ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.solving.solve import solve
 from contactqp.study import rows
@@ -135,7 +135,7 @@ def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outco
 
 def _fresh(problem: ContactProblem) -> ContactProblem:
     """The same problem that shares no factorisation."""
-    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in (*MEASURED, "_shared")}
+    values = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name not in (*MEASURED, *CARRIED)}
     return ContactProblem(**values)
 
 

@@ -18,8 +18,6 @@ and the rigid motions Z that the ties leave,
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from contactqp.errors import NotConverged
@@ -108,10 +106,9 @@ class ContactOperator:
 
 def contact_operator(problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> ContactOperator:
     """That of a problem's stiffness and rows, made once for all loads."""
-    shared: dict[str, Any] = problem._shared
-    if "contact_operator" not in shared:
-        shared["contact_operator"] = ContactOperator(condensation, rows)
-    operator: ContactOperator = shared["contact_operator"]
+    if problem._computed.contact_operator is None:
+        problem._computed.contact_operator = ContactOperator(condensation, rows)
+    operator: ContactOperator = problem._computed.contact_operator
     return operator
 
 

@@ -193,7 +193,8 @@ class _Run:
         rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._way.rigid.softest)
         scale = np.ones(inner.dimension)
         inner = inner.replace(contact_names=None)
-        inner._shared.update(condensation=Condensation.of_condensed(inner, rigid, scale), unknown_scale=scale)
+        inner._computed.condensation = Condensation.of_condensed(inner, rigid, scale)
+        inner._computed.unknown_scale = scale
         refuse_driven_motion(inner, condense(inner))
         if self._method.scale:
             twin, scaling = nondimensional(inner)
