@@ -195,7 +195,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("contactqp")
     if name not in _HOME:
         raise AttributeError(f"module 'contactqp' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
+    found = globals()[name] = getattr(importlib.import_module(f"contactqp.{_HOME[name]}"), name)
+    return found
 
 
 def __dir__() -> list[str]:

@@ -19,8 +19,7 @@ from contactqp.linalg.iteration import iterated
 from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.solving.methods import Method, Settings, find
-from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported
+from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported
 
 # Of `solve`, and what they are if nobody says.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)

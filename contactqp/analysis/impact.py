@@ -14,12 +14,11 @@ from contactqp.analysis.motion.mass import massless, read_mass, redistributed_ma
 from contactqp.analysis.motion.run import MotionRun
 from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
 from contactqp.analysis.motion.schemes.scheme import Body
-from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import is_number, read_vector
+from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.solving.methods import find
 
 # A start may overlap or miss a tie by this part of the lengths that meet there.

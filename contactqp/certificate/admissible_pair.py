@@ -25,12 +25,11 @@ from contactqp.certificate.energy_norm import (
     response,
 )
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import Extended, Residuals, extend, extended_rows
-from contactqp.linalg.measures import lengths_that_meet, stiffness_sizes
+from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import CAUTION, WITHIN_ROUNDING, OnSet, closed_contacts, correction, polish
-from contactqp.linalg.saddle import BALANCED, SaddlePoint, saddle_point
+from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -199,9 +198,8 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     if np.any(dropped.double()):
         undecided += sum(force_norm(problem, condensation, dropped))
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
-    entries = np.sqrt(stiffness_sizes(problem).size) + problem.contacts
-    reached = Answer(on_set.displacement.double(), on_set.normal_force.double(), None, on_set.tie_force.double())
-    allowance = entries * on_set.remainder + residual_noise(problem, reached) + undecided
+    entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
+    allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
     return AdmissiblePair(
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,
@@ -223,9 +221,9 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
     With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
     Where nothing that pushes can take the part of a tension, this is the rounding of a load that balances to rounding.
     """
-    force = on_set.normal_force
+    force, push = on_set.normal_force, on_set.doubles.normal_force
     dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
-    Z, acting = condensation.rigid.motions, np.flatnonzero(force.double() > 0)
+    Z, acting = condensation.rigid.motions, np.flatnonzero(push > 0)
     if not (Z.shape[1] and np.any(dropped.double())):
         return dropped, tie_change
     weight = 1.0 / np.sqrt(delassus(condensation).compliance)
@@ -245,7 +243,7 @@ def _without_tension(problem: ContactProblem, condensation: Condensation, on_set
 
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """How far the solution may be from an answer that penetrates by rounding."""
-    length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.displacement.double())
+    length = lengths_that_meet(problem, problem.normal, problem.gap, on_set.doubles.displacement)
     excess = np.maximum(-on_set.gap.double(), 0.0)
     excess[excess <= ZERO_GAP * length] = 0.0
     undecided = _of_noise(condensation, on_set, length)
@@ -259,7 +257,7 @@ def _of_noise(condensation: Condensation, on_set: OnSet, length: Vector) -> floa
 
     Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
     """
-    gap, force = on_set.gap.double(), on_set.normal_force.positive_part().double()
+    gap, force = on_set.gap.double(), np.maximum(on_set.doubles.normal_force, 0.0)
     touching = np.flatnonzero(abs(gap) <= WITHIN_ROUNDING * length)
     if not saddle_point(condensation, touching).redundant:
         return 0.0

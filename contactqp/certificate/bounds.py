@@ -64,7 +64,7 @@ from contactqp.linalg.refinement import WITHIN_ROUNDING
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import BOUNDS, FIGURES_ALONE, Answer
 
 # Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
 VANISHING = 1e-22
@@ -106,6 +106,11 @@ class Bounds:
     def proven(self) -> bool:
         """Whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated
+
+    @property
+    def basis(self) -> str:
+        """What a verdict without friction rests on: these bounds, if both errors have one, else the figures alone."""
+        return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
 def bounds(problem: ContactProblem, answer: Answer, left: Residuals, way: Condensation | Iteration) -> Bounds:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactqp.certificate import subset_bounds
 from contactqp.certificate.bounds import Bounds, bounds
 from contactqp.certificate.failures import (
     failed_bounds,
@@ -19,9 +20,9 @@ from contactqp.certificate.failures import (
 )
 from contactqp.certificate.figures import IMPLIED, balance, coulomb_residual, violations
 from contactqp.certificate.idle_rows import acting_rows
-from contactqp.certificate.state_answer import StateVerdict, basis_without_friction, state_verdict
+from contactqp.certificate.state_answer import StateVerdict, state_verdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among
-from contactqp.certificate.uniqueness import UNKNOWN, uniqueness
+from contactqp.certificate.uniqueness import UNKNOWN, Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.extended import Residuals, plain_residuals, residuals
@@ -32,7 +33,7 @@ from contactqp.linalg.saddle import dependent_ties
 from contactqp.linalg.stages import CERTIFY, stage
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import is_number, read_array
+from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
 # Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
@@ -88,13 +89,14 @@ def compute_certificate(
     """
     refuse_not_positive("tolerance", tolerance)
     refuse_not_positive("error_tolerance", error_tolerance)
-    refuse_other("certify", problem, ContactProblem)
+    if type(problem) is not ContactProblem:
+        refuse_other("certify", problem, ContactProblem)
     answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
     if not answer.finite():
         failures = list(not_finite_parts(problem, answer))
         return not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with stage(CERTIFY):
-        if (rows := acting_rows(problem)) is not None:
+        if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             judged = _judged(rows.problem, rows.answer(answer), tolerance, error_tolerance, factorization)
             whole: Certificate = rows.certificate(judged, answer)
             return whole
@@ -111,9 +113,9 @@ def _judged(
     with problem.lock:
         left, known, rigid, condensation = _residuals_and_bounds(problem, answer, factorization)
         found = violations(problem, answer, left, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        others = uniqueness(problem, answer, found, condensation, tolerance)
-        state = StateVerdict(basis_without_friction(known))
+        others, state = Uniqueness(), StateVerdict(known.basis)
         if problem.frictional:
+            others = uniqueness(problem, answer, found, condensation, tolerance)
             allowed = error_tolerance, ROUNDING_OF_ANSWERS * tolerance
             state = state_verdict(problem, answer, found, condensation, allowed)
             known = replace(known, energy_scale=state.energy)
@@ -162,7 +164,8 @@ def _residuals_and_bounds(
         known = bounds(problem, answer, left, iteration(problem))
         return left, known, RigidMotions(np.zeros((problem.dimension, 0))), None  # one that floats is refused
     left = residuals(problem, answer)
-    if factorization is None and (candidates := believed_candidates(problem, answer)) is not None:
+    many = factorization is None and problem.normal.nnz > subset_bounds.MANY
+    if many and (candidates := believed_candidates(problem, answer)) is not None:
         return left, *bounds_among(problem, answer, left, candidates), None
     condensation = condense(problem) if factorization is None else _matching(problem, factorization)
     return left, bounds(problem, answer, left, condensation), condensation.rigid, condensation
@@ -200,38 +203,20 @@ def status_words(certificate: Certificate, friction: Vector | None, grazing: NDA
     return status
 
 
-def refuse_not_positive(name: str, value: Any) -> None:
-    """Raise unless a number is positive and finite."""
-    if not is_number(value) or not 0 < value < np.inf:
-        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
-
-
 def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
     n, m, k = problem.dimension, problem.contacts, problem.ties
     if tie is None and k:
         raise InvalidProblem(f"tie_force: the problem has {k} ties; expected their forces, shape ({k},), got None")
-    tangential = None
+    shaped = {"displacement": (u, (n,)), "normal_force": (force, (m,))}
+    shaped["tie_force"] = (np.zeros(0) if tie is None else tie, (k,))
     if problem.slip_origin is not None:
         if friction is None and problem.frictional:
             raise InvalidProblem("friction_force: the problem has friction; expected one force a contact, got None")
         shape = problem.slip_origin.shape
-        tangential = _shaped("friction_force", np.zeros(shape) if friction is None else friction, shape)
+        shaped["friction_force"] = (np.zeros(shape) if friction is None else friction, shape)
     elif friction is not None and np.size(friction):
         raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
-    return Answer(
-        _shaped("displacement", u, (n,)),
-        _shaped("normal_force", force, (m,)),
-        tangential,
-        _shaped("tie_force", np.zeros(0) if tie is None else tie, (k,)),
-    )
-
-
-def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    array = read_array(name, value)
-    flat = (int(np.prod(shape)),)
-    if array.shape not in (shape, flat):
-        raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
-    return array.reshape(shape)
+    return Answer(**({"friction_force": None} | read_shaped(shaped)))
 
 
 def _matching(problem: ContactProblem, factorization: Condensation) -> Condensation:

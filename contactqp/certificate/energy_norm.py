@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import delassus
 from contactqp.linalg.extended import EPS, Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, inverse_root
-from contactqp.linalg.measures import forces_that_meet, rigid_part, stiffness_sizes
+from contactqp.linalg.measures import forces_that_meet, rigid_part
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION, correction
-from contactqp.linalg.saddle import REGULAR, free_motions, saddle_point
+from contactqp.linalg.saddle import REGULAR, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -43,7 +42,7 @@ def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float,
     """
     v = displacement.double()
     square = float(v @ (problem.stiffness @ v))
-    size = float(abs(v) @ (stiffness_sizes(problem) @ abs(v)))
+    size = float(abs(v) @ (problem.stiffness_sizes @ abs(v)))
     terms = problem.dimension + 2  # of the longest sum
     rounding = float(terms * np.finfo(float).eps * size)
     if rounding > FEW_DIGITS * square:
@@ -172,7 +171,7 @@ def rigid_rounding(problem: ContactProblem, condensation: Condensation, displace
     if not condensation.rigid.count:
         return 0.0
     size = abs(displacement)
-    return float(RIGID_ROUNDING * np.sqrt(size @ (stiffness_sizes(problem) @ size)))
+    return float(RIGID_ROUNDING * np.sqrt(size @ (problem.stiffness_sizes @ size)))
 
 
 def force_size(problem: ContactProblem, force: Vector) -> float:

@@ -50,7 +50,6 @@ from contactqp.linalg.measures import (
     outer_forces,
     ratio,
     row_sizes,
-    stiffness_sizes,
     vector_measure,
     without_rigid_part,
 )
@@ -220,7 +219,7 @@ def violations(
     elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
     size = intrinsic_size(problem, answer, elastic)
     none = nothing(problem, answer, elastic, size, rounding)
-    F = np.asarray(stiffness_sizes(problem) @ abs(elastic) + outer_forces(problem, answer))
+    F = np.asarray(problem.stiffness_sizes @ abs(elastic) + outer_forces(problem, answer))
     return figures(
         answer,
         (left.force.double(), left.gap.double(), left.tie.double()),

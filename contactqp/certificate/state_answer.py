@@ -25,20 +25,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, bounds
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, bounds
 from contactqp.certificate.energy_norm import RIGID_ROUNDING, energy_norm, force_size, rigid_rounding
 from contactqp.certificate.failures import failed_errors
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.extended import extend, extended_rows, residuals
 from contactqp.linalg.factorization import inverse_root
-from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes, stiffness_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions as directions_of
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import BOUNDS, FIGURES_ALONE, STATE, Answer, Violations
+from contactqp.model.solution import FIGURES_ALONE, STATE, Answer, Violations
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 if TYPE_CHECKING:
@@ -94,11 +94,6 @@ class _Distance:
             "contact forces": _part(self.force[0] - pushed + self.failing, self.force[1], nothing),
             "contact": _part(self.contact[0] + self.failing, self.contact[1], nothing),
         }
-
-
-def basis_without_friction(known: Bounds) -> str:
-    """The bounds, if displacement and forces have one; else the figures alone."""
-    return FIGURES_ALONE if known.energy_error is None or known.force_error is None else BOUNDS
 
 
 def state_verdict(
@@ -296,7 +291,7 @@ class _Comparison:
     def _rounding(self) -> float:
         """The energy norm that rounding the displacement to doubles has."""
         size = abs(self._answer.displacement)
-        held = HELD_BY_DOUBLES * np.sqrt(size @ (stiffness_sizes(self._problem) @ size))
+        held = HELD_BY_DOUBLES * np.sqrt(size @ (self._problem.stiffness_sizes @ size))
         return max(float(held), rigid_rounding(self._problem, self._condensation, self._answer.displacement))
 
     def _rubbing_size(self, friction: Array) -> float:

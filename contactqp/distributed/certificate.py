@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
-from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, refuse_not_positive, status_words
+from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
 from contactqp.certificate.failures import (
     MOST_NAMED,
     PARTS,
@@ -24,7 +24,6 @@ from contactqp.certificate.failures import (
     said_of_part,
 )
 from contactqp.certificate.figures import IMPLIED
-from contactqp.certificate.state_answer import basis_without_friction
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.balance import balance
@@ -34,6 +33,7 @@ from contactqp.distributed.violations import coulomb_residual, row_sizes, violat
 from contactqp.distributed.worst import said_of_first, said_of_worst, worst
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
+from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import FIGURES, Certificate, Violations
 
 NOT_ASKED = "no solver was given that could bound it"
@@ -109,7 +109,7 @@ def certify_distributed(
         error_tolerance=error_tolerance,
         passed=not failures,
         proven=known.proven,
-        basis=basis_without_friction(known),
+        basis=known.basis,
         violations=found,
     )
 

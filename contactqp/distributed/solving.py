@@ -21,9 +21,8 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.model.solution import Candidate, Work
-from contactqp.solving.methods import Settings, find
+from contactqp.solving.methods import Settings, find, refuse_arguments
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
-from contactqp.solving.solving_arguments import refuse_arguments
 
 # Of the energy of the contact forces: on any number of ranks the displacement is that of one process to 1e-9, in
 # energy; single unknowns that are much softer than others may be off by more of their own size.

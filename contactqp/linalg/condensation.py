@@ -35,7 +35,7 @@ from contactqp.linalg.factorization import (
 )
 from contactqp.linalg.pardiso import NotPositive
 from contactqp.linalg.schur import LARGE, eliminate
-from contactqp.linalg.stages import CONDENSE, count_factorisation, stage
+from contactqp.linalg.stages import CONDENSE, RUNNING, stage
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
@@ -78,11 +78,12 @@ class Condensation:
         self._diagonal = problem.diagonal
         touched = _touched_unknowns(problem)
         self.rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+        self.unknown_scale = unknown_scale(problem)
         stated = _stated_motions(problem)
         fixing = fixing_unknowns(stated.motions, touched, self._diagonal)
         if problem.near_null_space is None and problem.dimension >= LARGE:
             fixing = self._precaution(touched)
-        self._eliminate_if_regular(np.union1d(touched, fixing), unknown_scale(problem))
+        self._eliminate_if_regular(np.union1d(touched, fixing), self.unknown_scale)
         if stated.count and self._floats_no_further(stated):
             self.rigid = stated
         elif self._may_be_singular():
@@ -124,7 +125,8 @@ class Condensation:
         self.retained = retained
         if len(retained) < self._sparse.shape[0]:
             self.factorisations += 1
-            count_factorisation()
+            if (clock := RUNNING.get()) is not None:
+                clock.factorisations += 1
         self.schur = self._elimination.schur
         self.scale = self._scale(of_stiffness)
         self._schur_factor: DenseCholesky | None = None
@@ -158,7 +160,7 @@ class Condensation:
 
         If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
         """
-        scale, large = unknown_scale(problem), problem.dimension > SMALL
+        scale, large = self.unknown_scale, problem.dimension > SMALL
         if large and self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             self._spent += self._elimination.half_substitutions
             self._eliminate(np.union1d(self.retained, unknowns_far_apart(self._sparse)), scale)
@@ -234,7 +236,7 @@ class Condensation:
         if self._reduced is not None and np.array_equal(self._reduced[0], load):
             return self._reduced[1:]
         reduced, inner = self._elimination.reduce(load)
-        return self._balanced(load, reduced), inner
+        return self._balanced(load, reduced) if self.rigid.count else reduced, inner
 
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
         """`reduce_residual` of a load that was never reduced, such as that of a time step; nothing may float."""
@@ -249,8 +251,6 @@ class Condensation:
 
         A body that nothing loads keeps no load at all: the rounding of its neighbours' would be all that drives it.
         """
-        if not self.rigid.count:
-            return reduced
         motions = self.rigid.motions[self.retained] / self.scale[:, None]
         missing = self.rigid.motions.T @ load - motions.T @ (reduced * self.scale)
         of_body = self.bodies[np.argmax(abs(motions), axis=0)]
@@ -316,8 +316,7 @@ class Condensation:
     def _held_schur(self) -> Array:
         """S with springs on the idle motions: no load drives them, so the springs carry nothing, and no method finds S
         singular, or the problem unbounded by rounding, because of motions that do not matter."""
-        idle = self.idle_motions()
-        if not idle.shape[1]:
+        if not self.rigid.count or not (idle := self.idle_motions()).shape[1]:
             return self.schur
         return self.schur + idle @ idle.T / np.outer(self.scale, self.scale)
 
@@ -326,6 +325,7 @@ class Condensation:
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
+        twin.unknown_scale = self.scale
         twin._cleared = None
         twin._retain_all(reduced)
         return twin
@@ -336,7 +336,7 @@ class Condensation:
         made = object.__new__(cls)
         made.delassus, made.saddles, made.factorisations, made._spent = [], {}, 0, 0
         made._cleared = None
-        made.rigid, made.scale, made._schur_factor = rigid, scale, None
+        made.rigid, made.scale, made.unknown_scale, made._schur_factor = rigid, scale, scale, None
         made._retain_all(problem)
         made.schur = made._elimination.schur
         made.normal, made.tie, made.tangent = problem.normal.toarray(), problem.tie.toarray(), problem.tangent
@@ -388,7 +388,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
 
 def condense(problem: ContactProblem) -> Condensation:
     """The condensation of a problem, made once and shared with everything that `problem.replace` derives."""
-    if any(np.any(idle) for idle in problem.idle_rows()):
+    if problem.has_idle_rows:
         raise Unsupported(
             "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "
             "solve, certify, equilibria, paths and motions leave them out; here, leave them out yourself"

@@ -178,8 +178,9 @@ class RigidMotions:
     softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
     forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
 
-    @property
+    @cached_property
     def count(self) -> int:
+        """How many motions there are."""
         return int(self.motions.shape[1])
 
     @property

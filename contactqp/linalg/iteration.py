@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Projections
-from contactqp.linalg.measures import force_measure, stiffness_sizes
+from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import Hierarchy, available
 from contactqp.linalg.schur import CHOICE
 from contactqp.linalg.v_cycle import HeldHierarchy
@@ -255,7 +255,7 @@ class Iteration(ContactIteration):
             problem._computed.of_stiffness.bodies = hierarchy.bodies
         self.matrix = hierarchy.levels[0].matrix
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
-        self._sizes = stiffness_sizes(problem)
+        self._sizes = problem.stiffness_sizes
         self._hierarchy = HeldHierarchy(hierarchy, sp.vstack([problem.normal, problem.tie], format="csr"))
         self.rows, self.touched = self._hierarchy.rows[0]
         self._row_sizes = abs(self.rows)

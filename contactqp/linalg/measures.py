@@ -196,9 +196,9 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     u = abs(answer.displacement)
     D = scale_of_unknowns(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
-    force = np.maximum(force, HELD_BY_DOUBLES * (stiffness_sizes(problem) @ u))
+    force = np.maximum(force, HELD_BY_DOUBLES * (problem.stiffness_sizes @ u))
     if elastic is not answer.displacement:
-        force = np.maximum(force, RIGID_FORCE * (stiffness_sizes(problem) @ abs(answer.displacement - elastic)))
+        force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
     bare = _untouched(problem)
     if np.any(bare):
         force[bare] = ROUNDING_OF_LOADS * np.max(problem.load_size, initial=0.0)
@@ -309,26 +309,18 @@ def _untouched(problem: ContactProblem) -> Any:
     return problem._computed.untouched
 
 
-def stiffness_sizes(problem: ContactProblem) -> Any:
-    """|K|, made once for a stiffness."""
-    of_stiffness = problem._computed.of_stiffness
-    if of_stiffness.sizes is None:
-        of_stiffness.sizes = abs(problem.stiffness_rows)
-    return of_stiffness.sizes
-
-
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
 
 
 def lay_out(problem: ContactProblem) -> None:
     """Make what residuals and figures need of the stiffness, for every answer that follows."""
-    extended_rows(problem), stiffness_sizes(problem), bodies(problem)
+    extended_rows(problem), problem.stiffness_sizes, bodies(problem)
 
 
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """F (n,) [force]: the sum of the sizes of all forces at each unknown."""
-    return np.asarray(stiffness_sizes(problem) @ abs(answer.displacement) + outer_forces(problem, answer))
+    return np.asarray(problem.stiffness_sizes @ abs(answer.displacement) + outer_forces(problem, answer))
 
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:

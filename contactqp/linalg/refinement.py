@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import UNRESISTED, Condensation, unknown_scale
-from contactqp.linalg.delassus import delassus
+from contactqp.linalg.condensation import UNRESISTED, Condensation
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -26,7 +25,7 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.measures import force_measure, forces_that_meet, imbalance, lengths_that_meet
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.saddle import BALANCED, SaddlePoint, free_motions, saddle_point
+from contactqp.linalg.saddle import BALANCED, SaddlePoint, delassus, free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -164,7 +163,7 @@ def _refined(
         if (q is not None and size * min(q * caution, 1.0) <= NEGLIGIBLE * whole) or (sweep > 1 and size > 0.5 * last):
             break
         last = size
-    nothing = INVISIBLE * whole * np.sqrt(delassus(condensation).compliance)
+    nothing = INVISIBLE * whole * size_of.row_sizes
     q = q or 0.0
     remainder = size * min(q * CAUTION, 1.0) / (1 - q) if q < 1 else np.inf
     return OnSet(
@@ -183,9 +182,9 @@ class _CorrectionSize:
     """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
-        compliance = np.sqrt(delassus(condensation).compliance)
-        self._unknown = 1.0 / unknown_scale(problem)
-        self._row = np.concatenate([compliance[closed], compliance[problem.contacts :]])
+        self.row_sizes = np.sqrt(delassus(condensation).compliance)  # (m + k,) of a unit force in the root of energy
+        self._unknown = 1.0 / condensation.unknown_scale
+        self._row = np.concatenate([self.row_sizes[closed], self.row_sizes[problem.contacts :]])
 
     def __call__(self, du: Vector, dl: Vector, dn: Vector) -> float:
         moved = np.max(self._unknown * abs(du), initial=0.0)
@@ -380,7 +379,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     """Displacement, contact and tie forces in double precision, zero where beneath the refinement's rounding."""
     u, tie = answer.doubles.displacement.copy(), answer.doubles.tie_force
     push = answer.normal_force.positive_part().double()
-    root = 1.0 / unknown_scale(problem)
+    root = 1.0 / condensation.unknown_scale
     force, size = np.concatenate([push, tie]), np.sqrt(delassus(condensation).compliance)
     loads = abs(problem.load) / root
     largest = max(np.max(part, initial=0.0) for part in (root * abs(u), size * abs(force), loads))
@@ -396,6 +395,8 @@ def least_displacement(
 
     Returns the answer there and an orthonormal basis (n, q) of those motions.
     """
+    if not condensation.rigid.count:
+        return answer, condensation.rigid.motions
     u, force, tie = without_noise(problem, condensation, answer)
     shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie))
     far, largest = np.max(abs(shift), initial=0.0), np.max(abs(u), initial=0.0)
@@ -426,7 +427,7 @@ def shift_to_least_norm(
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
-    scale = unknown_scale(problem)
+    scale = condensation.unknown_scale
     felt = np.sqrt(problem.normal.power(2) @ scale**2) * np.max(abs(free) / scale[:, None])
     stays = np.linalg.norm(rows, axis=1) > UNRESISTED * felt
     if np.any(stays):

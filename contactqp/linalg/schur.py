@@ -45,7 +45,7 @@ from contactqp.linalg.factorization import (
     unit_diagonal_scale,
 )
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
-from contactqp.linalg.stages import count_half_substitutions
+from contactqp.linalg.stages import RUNNING
 from contactqp.model.arrays import Array, Vector
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
@@ -126,7 +126,8 @@ class TrailingBlock:
     def _solve(self, right: Vector) -> Vector:
         """(K + T)^-1 right."""
         self.half_substitutions += 2
-        count_half_substitutions(2)
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += 2
         solution = np.empty_like(right)
         solution[self._order] = self._factor.solve((self._scale * right)[self._order])
         return solution * self._scale
@@ -217,7 +218,8 @@ class BackSubstitution:
             return np.zeros_like(right)
         count = 2 * (1 if right.ndim == 1 else right.shape[1])
         self.half_substitutions += count
-        count_half_substitutions(count)
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += count
         return self._factor.solve(right)
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
@@ -251,20 +253,23 @@ class LastBlock:
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
         self.half_substitutions += 1
-        count_half_substitutions(1)
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += 1
         eliminated = self._factor.forward(load)
         return eliminated[self._retained], eliminated
 
     def expand(self, retained: Vector, state: Vector) -> Vector:
         self.half_substitutions += 1
-        count_half_substitutions(1)
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += 1
         right = state.copy()
         right[self._retained] = retained
         return self._factor.backward(right)
 
     def expand_motions(self, retained: Array) -> Array:
         self.half_substitutions += retained.shape[1]
-        count_half_substitutions(retained.shape[1])
+        if (clock := RUNNING.get()) is not None:
+            clock.half_substitutions += retained.shape[1]
         right = np.zeros((self._factor.size, retained.shape[1]))
         right[self._retained] = retained
         return self._factor.backward(right)

@@ -57,7 +57,8 @@ class StageClock:
         self._since = now
 
 
-_RUNNING: ContextVar[StageClock | None] = ContextVar("the clock that runs", default=None)
+# The clock that runs, if one does: whoever factorises or solves adds to its counts.
+RUNNING: ContextVar[StageClock | None] = ContextVar("the clock that runs", default=None)
 _UNTIMED = nullcontext()
 
 
@@ -65,26 +66,14 @@ _UNTIMED = nullcontext()
 def timed() -> Iterator[StageClock]:
     """A clock for all that this thread does meanwhile."""
     clock = StageClock()
-    token = _RUNNING.set(clock)
+    token = RUNNING.set(clock)
     try:
         yield clock
     finally:
-        _RUNNING.reset(token)
+        RUNNING.reset(token)
 
 
 def stage(name: str) -> AbstractContextManager[None]:
     """Charge what happens meanwhile to a stage, if a clock runs."""
-    clock = _RUNNING.get()
+    clock = RUNNING.get()
     return _UNTIMED if clock is None else clock.within(name)
-
-
-def count_factorisation() -> None:
-    """One more, if a clock runs."""
-    if (clock := _RUNNING.get()) is not None:
-        clock.factorisations += 1
-
-
-def count_half_substitutions(count: int) -> None:
-    """So many more, if a clock runs."""
-    if (clock := _RUNNING.get()) is not None:
-        clock.half_substitutions += count

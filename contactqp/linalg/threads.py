@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import cache, cached_property
 from typing import Any
 
@@ -47,7 +47,8 @@ WORTHWHILE = 2000
 
 def one_blas_thread(problem: ContactProblem) -> AbstractContextManager[None]:
     """While a problem is worked on, where that pays."""
-    return on_one_thread(problem.dimension >= WORTHWHILE and problem.contacts < THREADS_PAY)
+    pays = problem.dimension >= WORTHWHILE and problem.contacts < THREADS_PAY
+    return on_one_thread() if pays else nullcontext()
 
 
 @contextmanager

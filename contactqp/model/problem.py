@@ -275,6 +275,14 @@ class ContactProblem:
         return of_stiffness.rows
 
     @cached_property
+    def stiffness_sizes(self) -> Any:
+        """|K| as a CSR matrix."""
+        of_stiffness = self._computed.of_stiffness
+        if of_stiffness.sizes is None:
+            of_stiffness.sizes = read_only(abs(self.stiffness_rows))
+        return of_stiffness.sizes
+
+    @cached_property
     def contacts(self) -> int:
         """Number of contacts m."""
         return int(self.normal.shape[0])
@@ -343,6 +351,12 @@ class ContactProblem:
             kept.update(tangent=self.tangent[rows], friction=friction, slip_origin=origin)
         kept["contact_names"] = tuple(self.contact_name(int(i)) for i in contacts)
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
+
+    @cached_property
+    def has_idle_rows(self) -> bool:
+        """Whether a contact or a tie constrains nothing: a row of zeros, or a gap of infinity."""
+        contacts, ties = self.idle_rows()
+        return bool(np.any(contacts) or np.any(ties))
 
     def idle_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(m,), (k,): contacts and ties that constrain nothing: a row of zeros, or a gap of infinity."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from typing import Any, TypeGuard, TypeVar
 
@@ -86,9 +86,30 @@ def read_array(name: str, value: Any) -> NDArray[np.float64]:
         raise InvalidProblem(f"{name}: expected real numbers, got {type(value).__name__} ({reason})") from None
 
 
+def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, Any]:
+    """Return copies of the named arrays, each in the shape that stands beside it; flat ones are reshaped.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, or no real numbers. NaN is none of its business.
+    """
+    arrays = {name: (read_array(name, value), shape) for name, (value, shape) in values.items()}
+    for name, (array, shape) in arrays.items():
+        if array.shape not in (shape, (int(np.prod(shape)),)):
+            raise InvalidProblem(f"{name}: expected shape {shape}, got {array.shape}")
+    return {name: array.reshape(shape) for name, (array, shape) in arrays.items()}
+
+
 def is_number(value: Any) -> bool:
     """Whether this is one real number; truth values are none, nor are durations, which NumPy counts as integers."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, (bool, np.timedelta64))
+
+
+def refuse_not_positive(name: str, value: Any) -> None:
+    """Raise InvalidProblem unless a number is positive and finite."""
+    if not is_number(value) or not 0 < value < np.inf:
+        raise InvalidProblem(f"{name}: expected a positive number, got {value!r}")
 
 
 def is_whole(value: Any) -> TypeGuard[int]:

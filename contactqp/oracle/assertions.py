@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import refuse_not_positive
 from contactqp.oracle.deviations import Deviation, deviations_table, displacement_deviations, force_deviations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.gallery.problem import GalleryProblem

@@ -20,8 +20,7 @@ from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.solving.friction.local_enumeration import enumerated, not_enumerated
 from contactqp.solving.friction.local_form import LocalForm
-from contactqp.solving.methods import Settings, find
-from contactqp.solving.solving_arguments import POLYGON_OPTIONS, refuse_arguments
+from contactqp.solving.methods import POLYGON_OPTIONS, Settings, find, refuse_arguments
 
 DEFAULT_METHOD = "active-set"
 ENUMERATION = "enumeration"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
+from contactqp.certificate import subset_bounds
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.subset_bounds import first_candidates
@@ -31,9 +32,8 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Raw, Solution, Work
 from contactqp.solving.contact_subset import solve_among
-from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
 from contactqp.solving.runs import CondensedAttempt, IteratedAttempt
-from contactqp.solving.solving_arguments import refuse_arguments, refuse_unsupported, warm_candidate
 
 if TYPE_CHECKING:
     from contactqp.model.local_problem import LocalSolution
@@ -139,23 +139,26 @@ def solve(
     """
     same: dict[str, Any] = dict(tolerance=tolerance, polish=polish, algorithm=algorithm)
     same.update(time_limit=time_limit, max_iter=max_iter, **options)
-    refuse_unknown_engine(engine)
+    if engine != SERIAL:
+        refuse_unknown_engine(engine)
     if isinstance(problem, LocalProblem):
         if engine != SERIAL:
             raise Unsupported(f"engine {engine!r}: a problem in local form has no stiffness to deal out")
         from contactqp.solving.local_solving import solve_local
 
         return solve_local(problem, method, warm_start=warm_start, **same)
-    refuse_other("solve", problem, ContactProblem, LocalProblem)
+    if type(problem) is not ContactProblem:
+        refuse_other("solve", problem, ContactProblem, LocalProblem)
     same["condense"] = condense
-    if (rows := acting_rows(problem)) is not None:
+    if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
-    start = warm_candidate(problem, warm_start)
+    start = None if warm_start is None else warm_candidate(problem, warm_start)
     if engine != SERIAL:
         elsewhere = engine_named(engine).function("solve")
         found: Solution = elsewhere(problem, method, warm_start=warm_start, **same)
         return found
-    if not iterated(problem) and (candidates := first_candidates(problem)) is not None:
+    many = problem.normal.nnz > subset_bounds.MANY and not iterated(problem)
+    if many and (candidates := first_candidates(problem)) is not None:
         with problem.lock, stage(METHOD):
             return solve_among(
                 problem, candidates, warm_start, lambda few, known: solve(few, method, warm_start=known, **same)

@@ -17,7 +17,6 @@ from contactqp.analysis.motion.schemes.scheme import State
 from contactqp.analysis.motion.step_contact import Answered, Posed
 from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.errors import Unsupported
-from contactqp.linalg.measures import stiffness_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_only
@@ -190,5 +189,5 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, Answered]:
         step = step.replace(slip_origin=np.zeros(rubbing) if unmoved else posed.slip_origin)
     if posed.base is not None:
         load, size = posed.load + template.stiffness_rows @ posed.base, abs(posed.load)
-        step = step.with_load_sum(load, size + stiffness_sizes(template) @ abs(posed.base))
+        step = step.with_load_sum(load, size + template.stiffness_sizes @ abs(posed.base))
     return step, found

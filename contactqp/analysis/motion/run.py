@@ -20,7 +20,6 @@ from contactqp.analysis.motion.mass import touched
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
 from contactqp.analysis.motion.step_contact import Answered, Posed, StepContact
-from contactqp.certificate.certificate import refuse_not_positive
 from contactqp.errors import (
     BackendFailed,
     InvalidProblem,
@@ -32,6 +31,7 @@ from contactqp.errors import (
 )
 from contactqp.linalg.stages import CERTIFY, METHOD, stage
 from contactqp.model.arrays import Vector
+from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work
 
 # Steps certified at once.

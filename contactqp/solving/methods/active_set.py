@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import UNRESISTED, Condensation, condense
-from contactqp.linalg.delassus import OPERATOR_ROUNDING, Delassus, delassus
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
-from contactqp.linalg.saddle import BALANCED, saddle_point
+from contactqp.linalg.saddle import BALANCED, OPERATOR_ROUNDING, Delassus, delassus, saddle_point
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
