@@ -4,9 +4,8 @@ The pair is got from the candidate's own set of closed contacts: the refined ans
 hold. Where they do not, the set is corrected; where no set is found, the candidate itself is repaired: its contacts
 closed, its tensions dropped. However the pair was found, it is judged by the problem alone.
 
-The least displacement that opens rows by what they lack, where some of them nearly depend on others, and forces.
-
-All work on the rows themselves: their products with each other would lose half of the digits that tell them apart.
+The least displacements and forces of a repair are found from the rows themselves: products of rows with each other
+would lose half of the digits that tell nearly dependent rows apart.
 """
 
 from __future__ import annotations

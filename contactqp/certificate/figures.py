@@ -5,13 +5,11 @@ load that is known to be a sum, |f| is the sum of the sizes) and
 L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
 both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
 and L, u is the displacement without its rigid part. What is nothing beside the intrinsic size of problem and answer
-(`intrinsic_size`) violates nothing.
+(`contactqp.linalg.measures`) violates nothing.
 
-Whether the outer forces of every body balance: what they do on its rigid motions.
+`balance` is the work that the outer forces of every body do on its rigid motions.
 
-Signorini's and Coulomb's law as one equation, measured at every contact of an answer.
-
-At contact i let r = (l_N, -l_T) be the force on the body and u = (g - E_N u, E_T u - slip_origin). The law is
+`coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force on the body and u = (g - E_N u, E_T u - slip_origin). The law is
 
     n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
 

@@ -9,16 +9,14 @@ rounding and counts as none, and offsets of open contacts are not among these. A
 and common scaling of a contact's rows, the natural map too (`scaled_natural_map`); the errors that are published do
 not, and have no part in the verdict.
 
-Whether forces of a local problem are the only ones, as far as the Delassus operator and the state of contacts tell.
-
+Whether the forces are the only ones is told as far as the Delassus operator and the state of contacts tell it.
 Velocities: `contactqp.certificate.critical_friction` on W; where it does not exclude other answers, they may exist.
 Forces: with B the directions in which closed contacts push (a contact that sticks in all, one that slips along its
 force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'B, R]] is singular. Each contact is
 scaled to a compliance of one.
 
-Errors that other codes publish, each by its own formula and name: to compare with, not to judge by.
-
-All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to velocities: they
+The errors that other codes publish are computed by their own formulas under their own names: to compare with, not to
+judge by. All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to velocities: they
 depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or slip of each
 contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u - slip_origin).
 """

@@ -3,10 +3,8 @@
 Forces: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu E_T'd), E_b the
 tangential rows of those that stick and A the ties, contact forces that balance a displacement are unique where no
 combination of these rows but one of ties alone vanishes.
-Displacements: `contactqp.critical_friction` where it is for every load, `contactqp.certificate.uniqueness` at this
-load.
-
-How many answers a small frictional problem of the plane has at its load: all combinations of open, stick and slip.
+Displacements: `contactqp.critical_friction` where the answer is the only one at every load; at this load, in the
+plane and with few contacts, the answers of all combinations of open, stick and slip are counted.
 
 Each combination is a linear system in the contact forces l and joints j (`contactqp.linalg.delassus`), and an
 answer where its signs hold. Answers are told apart by how the contacts move: normal rows, and tangential ones where

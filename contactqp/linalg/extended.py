@@ -3,9 +3,8 @@
 The difference between an answer and the truth is K^-1 r; computed in double precision, r is rounding noise as soon as
 the answer is good. Here every number is an unevaluated sum hi + lo of two doubles (Dekker 1971), products with
 matrices of doubles are accumulated by the compensated dot product Dot2 (Ogita, Rump and Oishi 2005), and the relative
-error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic, the same on every platform.
-
-The matrices of a problem for products in twice double precision, laid out once for a stiffness and its rows.
+error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic, the same on every platform. The
+matrices of a problem are laid out for such products once for a stiffness and its rows (`ExtendedRows`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """What replaces condensation where a body is too large to factorise: a hierarchy of its stiffness, and products.
 
-What an iteration on a contact problem is made of: products, sums, projections and a preconditioner.
-
-The active set and the bounds are written with these alone. Vectors are what one process has of them: all of a vector in
-`iteration`, the part of a rank in `distributed`; sums, and what is decided by them, are of all processes.
+The active set and the bounds are written with the products, sums, projections and the preconditioner of a
+`ContactIteration` alone. A vector is what one process has of it: all of it in `Iteration`, the part of a rank in
+`contactqp.distributed`; sums, and what is decided by them, are of all processes.
 """
 
 from __future__ import annotations

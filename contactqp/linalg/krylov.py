@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients on the displacements that held rows allow, and what they tell of the error.
+"""Preconditioned conjugate gradients on the displacements that constrained rows allow, and bounds of their error.
 
 With z = M r, rho_k = r_k'z_k and step lengths a_k,
 
@@ -7,7 +7,7 @@ With z = M r, rho_k = r_k'z_k and step lengths a_k,
 
 and the eigenvalues of the tridiagonal matrix of the steps (Ritz values) approach those of M K from within.
 
-Displacements and forces that rows E_A, held at g_A, allow: projections in the metric of D = diag K.
+Projections in the metric of D = diag K give the displacements and forces that rows E_A, constrained to g_A, allow:
 
     closed      x + D^-1 E'(E D^-1 E')^-1 (g - E x)          meets E x = g
     admissible  z - D^-1 E'(E D^-1 E')^-1 E z                meets E z = 0

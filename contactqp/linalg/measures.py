@@ -1,8 +1,4 @@
-"""What meets at an unknown or a contact: the residuals of an answer, and the forces and lengths that measure them.
-
-The rows of contacts and ties as figures of answers need them, laid out once for a stiffness and its rows.
-
-What counts as nothing: the intrinsic size of a problem with an answer, and what is rounding beside it.
+"""The forces and lengths that meet at an unknown or a contact, which residuals are measured by, and what counts as none.
 
 Componentwise figures compare the forces and the lengths that meet at one place. Where displacements decay to 1e-20 of
 the largest, or a load acts on a support, nothing meets there but rounding, which must not be measured against itself.

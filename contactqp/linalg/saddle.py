@@ -1,6 +1,6 @@
-"""Contacts and ties as the condensed bodies feel them: the Delassus operator W, and systems on closed contacts.
+"""Contacts and ties as the condensed bodies feel them: the Delassus operator, and systems on closed contacts.
 
-The Delassus operator: what the contacts and ties feel of each other through the bodies.
+The Delassus operator is
 
     W = [E; A] S_e^-1 [E; A]',    S_e = S + e Z Z'
 
@@ -8,23 +8,20 @@ on the condensed unknowns, in the scale that gives S a unit diagonal and W too. 
 infinite along their rigid motions Z: the springs e anchor them, and a proximal iteration (Rockafellar 1976) takes the
 anchors' force away.
 
-The equality-constrained problem on a set of closed contacts that may be redundant or leave motions free.
+The answer on a set B of closed contacts, which may be redundant or leave motions free, solves
 
     [ S    E_B'  A' ] [ x   ]   [ r ]
-    [ E_B  0     0  ] [ l_B ] = [ e ]       B: the closed contacts
+    [ E_B  0     0  ] [ l_B ] = [ e ]
     [ A    0     0  ] [ nu  ]   [ a ]
 
-is solved on the condensed unknowns by the range-space method where all is regular (`range_space`), else by the
-null-space method (Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v,
-N'SN v = N'(r - S Y ...). There, rows that depend on others get no force; motions that neither S nor a row resists
-(found from the rigid motions of K, not from small eigenvalues) stay at rest.
+Where S and W_BB are regular the range-space method does (`RangeSpace`; Nocedal and Wright 2006, section 16.2),
 
-The saddle-point system on independent contacts of bodies that nothing lets float: by the range-space method.
+    y = S^-1 r,    W_BB l = [E_B; A] y - (e; a),    x = y - S^-1 [E_B; A]' l,
 
-    y = S^-1 r,    W_BB l = [E_B; A] y - (e; a),    x = y - S^-1 [E_B; A]' l
-
-(Nocedal and Wright 2006, section 16.2). With S^-1 and W at hand (`delassus`) a set of closed contacts costs a Cholesky
-factorisation of W_BB and nothing else; where S or W_BB is nearly singular `saddle` takes the null-space method.
+which costs a Cholesky factorisation of W_BB and nothing else. Elsewhere it is the null-space method (`NullSpace`, the
+same section): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). There, rows that depend on
+others get no force, and motions that neither S nor a row resists stay at rest; these are found from the rigid motions
+of K, not from small eigenvalues.
 """
 
 from __future__ import annotations

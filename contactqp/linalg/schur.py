@@ -1,9 +1,17 @@
-"""SciPy's SuperLU with the retained unknowns eliminated last: the end of its factors is the Schur complement.
+"""Elimination of the interior unknowns of a stiffness: what condensation factorises.
 
-With the interior unknowns i first, the retained c last, and springs T > 0 on c,
+With the interior unknowns i and the retained unknowns c,
+
+    S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
+
+There are three ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K with
+the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and solves once
+for every retained unknown.
+
+SuperLU is given springs T > 0 on c,
 
     [ K_ii  K_ic     ]   [ L_ii      ] [ U_ii  U_ic ]
-    [ K_ci  K_cc + T ] = [ L_ci L_cc ] [       U_cc ],      S + T = L_cc U_cc,      S = K_cc - K_ci K_ii^-1 K_ic.
+    [ K_ci  K_cc + T ] = [ L_ci L_cc ] [       U_cc ],      S + T = L_cc U_cc.
 
 S is singular where bodies float, S + T never is. One solve with K + T reduces a load, another expands a displacement:
 
@@ -12,14 +20,6 @@ S is singular where bodies float, S + T never is. One solve with K + T reduces a
 
 T is a good part of the diagonal of K_cc: S + T is then well conditioned, and S loses to T no more digits than the
 difference K_cc - K_ci K_ii^-1 K_ic loses anyway.
-
-Elimination of the interior unknowns i, retained unknowns c: what condensation factorises.
-
-    S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
-
-Three ways with one interface, two of which factorise K with the retained unknowns last and find S at the end of the
-factors: MKL PARDISO (`pardiso`) and SciPy's SuperLU (`trailing_block`). The third factorises K_ii alone and solves once
-for every retained unknown.
 """
 
 from __future__ import annotations

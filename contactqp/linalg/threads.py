@@ -1,9 +1,10 @@
-"""Locks that another thread holds while the process is forked: in the child nobody would ever release them.
-
-OpenBLAS on one thread around the small dense systems of the contacts.
+"""OpenBLAS on one thread around the small dense systems of the contacts, and locks that survive a fork.
 
 Two threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
 process has the second core: they wait for each other by spinning. MKL, which PARDISO runs on, keeps its threads.
+
+A lock that another thread holds while the process is forked would never be released in the child, which therefore makes
+its own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Types of arrays, by what they hold; shapes stand beside each field and in each docstring.
+"""Types of arrays, by what they hold, and the settings of NumPy's floating-point errors that functions compute under.
 
-The public functions compute under their own settings of NumPy's floating-point errors.
+Shapes stand beside each field and in each docstring.
 """
 
 from __future__ import annotations

@@ -6,8 +6,6 @@
 
 The order in a contact is (N, T) or (N, T1, T2), and r is the force on the body: r_N = l_N, r_T = -l_T, u_N = g - E_N u,
 u_T = E_T u - slip_origin in the signs of `contactqp.model.problem` (Acary, Bremond, Huber 2018).
-
-What solving a local problem gives.
 """
 
 from __future__ import annotations

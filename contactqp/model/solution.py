@@ -1,7 +1,4 @@
-"""What a method hands over (`Candidate`) and what a user gets (`Solution`).
-
-Verdicts as data: what an answer violates, how far it is from the truth, and what a certificate says of it.
-"""
+"""Answers as data: what a method hands over (`Candidate`), what a certificate says of it, what a user gets (`Solution`)."""
 
 from __future__ import annotations
 

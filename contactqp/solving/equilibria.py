@@ -1,8 +1,7 @@
-"""Every equilibrium of a small problem with Coulomb friction, each certified.
+"""The equilibria of problems with Coulomb friction: all of a small one, whether any exists, and the relaxed one.
 
-How far the associated relaxation of friction is from Coulomb's answer.
-
-Whether a frictional problem surely has a solution.
+`equilibria` lists and certifies every equilibrium, `existence_margin` tells whether a problem surely has one, and
+`associated_difference` measures how far the associated relaxation is from Coulomb's answer.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ sticks, and where it slips, with t = y/|y|, y = r_T - u_T, radius b = mu (r_N - 
 Scaled contacts have a compliance of one, the parameter of both projections. A step uses W + a I; a shrinks with success
 and grows where the residual of the natural map does not fall (proximal point, Acary, Bremond and Huber 2018).
 
-Proximal points of Coulomb's law, each by semismooth Newton (Acary, Bremond and Huber 2018, section on PPA).
+`proximal_points` takes proximal points of the law, each by Newton's method (the same, section on PPA):
 
     r <- the forces of (W + a I) r + (q - a r_old)
 

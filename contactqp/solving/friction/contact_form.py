@@ -5,15 +5,8 @@ x = x0 + B y, A x0 = b, A B = 0, and rigid motions Z of what the ties leave,
 
     u = H'x + w = W r + q + V a,    W = H'B S_B^+ B'H,    V = H'B Z,    V'r + Z'B'(f - S x0) = 0,
 
-where r_N = l_N, r_T = -l_T, and a are coordinates of the rigid motions (`contact_operator`). Contacts that cannot slide
+where r_N = l_N, r_T = -l_T, and a are coordinates of the rigid motions (`ContactOperator`). Contacts that cannot slide
 have no tangential row, and any friction within its bound would do: it comes out as none.
-
-What the contacts of a problem feel of each other through the bodies, whatever the load, the gaps and the friction.
-
-On the retained unknowns, scaled (`rows`), with H = [-N; T]' contact by contact, x = x0 + B y where A x0 = b, A B = 0,
-and the rigid motions Z that the ties leave,
-
-    W = H'B C B'H,    C = S_B^+,    V = H'B Z.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What the algorithms of the local form hand to each other.
-
-Aitken's relaxation of a fixed point of friction bounds, b <- b + w (F(b) - b).
-"""
+"""The iterates that algorithms of the local form hand to each other, and Aitken's relaxation of a fixed point."""
 
 from __future__ import annotations
 

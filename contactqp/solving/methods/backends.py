@@ -1,15 +1,13 @@
-"""The backends of qpsolvers: what each takes and gives, as one table.
+"""Every quadratic programming backend of qpsolvers: one function, and one table of what each takes and gives.
+
+The contact problem is a quadratic program as it stands: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its
+dual z >= 0 is the contact force l_N and y the tie force nu; no sign is flipped. Backends differ in their tolerances,
+limits and matrix formats, and the table `BACKENDS` is where that is written down.
 
 Left out: quadprog, ECOS, CVXOPT and KVXOPT (GPL; the first two also refuse a semidefinite stiffness), MOSEK (qpsolvers
 reaches it through CVXOPT only), COPT (prints its licence search to the terminal at every call, and calls unbounded
 problems solved), qpax and jaxopt (single precision unless the whole process is switched), PDHCG, HPIPM, qpSWIFT,
 qpOASES and NPPro (no wheels to install).
-
-Every quadratic programming backend of qpsolvers, by one function.
-
-The contact problem is a quadratic program as it stands: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its
-dual z >= 0 is the contact force l_N and y the tie force nu; no sign is flipped. Backends differ in their tolerances,
-limits and matrix formats, and the table `backends.BACKENDS` is where that is written down.
 """
 
 from __future__ import annotations

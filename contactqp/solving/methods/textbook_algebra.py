@@ -1,7 +1,4 @@
-"""The linear algebra that the five classical enforcements share: systems of equations and independent constraints.
-
-The rigid motions of the bodies, and which rows of contacts and ties feel them.
-"""
+"""The linear algebra that the five classical enforcements share: systems of equations and independent constraints."""
 
 from __future__ import annotations
 

@@ -5,10 +5,6 @@ thought closed; contacts that penetrate come in, contacts in tension go out; rep
 in circles, or open so many contacts that a body comes loose; from there on `criss_cross` changes one contact at a time,
 which the textbook does not do. How a closed contact is enforced is the only thing in which master-slave, multipliers,
 penalty, perturbed and augmented Lagrangian differ, so each is one function from a set of closed contacts to a `Step`.
-
-How the textbook's loops end: when they have taken all that they may, and with what candidate.
-
-What rounding can make of a force or a length that should be zero, in textbook systems.
 """
 
 from __future__ import annotations
