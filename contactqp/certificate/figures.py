@@ -9,7 +9,8 @@ and L, u is the displacement without its rigid part. What is nothing beside the 
 
 `balance` is the work that the outer forces of every body do on its rigid motions.
 
-`coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force on the body and u = (g - E_N u, E_T u - slip_origin). The law is
+`coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force
+on the body and u = (g - E_N u, E_T u - slip_origin). The law is
 
     n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
 

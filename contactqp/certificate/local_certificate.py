@@ -16,9 +16,10 @@ force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'
 scaled to a compliance of one.
 
 The errors that other codes publish are computed by their own formulas under their own names: to compare with, not to
-judge by. All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to velocities: they
-depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or slip of each
-contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u - slip_origin).
+judge by. All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to
+velocities: they depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or
+slip of each contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u -
+slip_origin).
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ system acts as an approximate inverse: residuals are formed on the full problem 
 without friction does.
 
 The condensed stiffness and the rows of contacts, tangents and ties (`FrictionalRows`) are scaled to the unit of
-sqrt(energy). With D = 1/sqrt(S_jj), x = D y and rows of unit length in the energy, r_i = |E_i D|, the rows R = [N; T; A] become
-R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r_i. Coulomb's coefficient becomes mu r_T / r_N.
-Two tangential rows of a contact in space have one length r_T, the root of their mean square: cones stay round.
+sqrt(energy). With D = 1/sqrt(S_jj), x = D y and rows of unit length in the energy, r_i = |E_i D|, the rows R = [N; T;
+A] become R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r_i. Coulomb's coefficient becomes mu r_T
+/ r_N. Two tangential rows of a contact in space have one length r_T, the root of their mean square: cones stay round.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The forces and lengths that meet at an unknown or a contact, which residuals are measured by, and what counts as none.
+"""Forces and lengths that meet at an unknown or a contact, which residuals are measured by, and what counts as none.
 
 Componentwise figures compare the forces and the lengths that meet at one place. Where displacements decay to 1e-20 of
 the largest, or a load acts on a support, nothing meets there but rounding, which must not be measured against itself.

@@ -7,7 +7,8 @@ them the near-null-space B is cut out and made orthonormal (both by pyamg), one 
 
 and a Chebyshev polynomial of D^-1 K acts before and after the coarse correction (Adams, Brezina, Hu and Tuminaro 2003).
 
-The coarsest level of the hierarchy is factorised densely once for every set of rows that may hold. With t the unknowns that rows touch and o the others, scaled to a diagonal of ones,
+The coarsest level of the hierarchy is factorised densely once for every set of rows that may hold. With t the unknowns
+that rows touch and o the others, scaled to a diagonal of ones,
 
     K_oo = L L',    X = L^-1 K_ot,    S = K_tt - X'X,
 

@@ -4,9 +4,9 @@ With the interior unknowns i and the retained unknowns c,
 
     S = K_cc - K_ci K_ii^-1 K_ic,    f_S = f_c - K_ci K_ii^-1 f_i,    u_i = K_ii^-1 (f_i - K_ic u_c)
 
-There are three ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K with
-the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and solves once
-for every retained unknown.
+There are three ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K
+with the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and
+solves once for every retained unknown.
 
 SuperLU is given springs T > 0 on c,
 

@@ -1,4 +1,4 @@
-"""Answers as data: what a method hands over (`Candidate`), what a certificate says of it, what a user gets (`Solution`)."""
+"""Answers as data: a method's (`Candidate`), what a certificate says of one, and what a user gets (`Solution`)."""
 
 from __future__ import annotations
 

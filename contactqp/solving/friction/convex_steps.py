@@ -8,9 +8,10 @@ polyhedra: in the plane themselves, in space with a polygon in place of the disc
 up to 1 - cos(pi/n) of the friction bound, a circumscribed one gains up to 1/cos(pi/n) - 1. A minimisation sees the
 symmetric part of W only.
 
-Coulomb's law is a fixed point of such problems. Acary, Cadoux, Lemarechal and Malick (2011): r = argmin over the cones, normal velocities shifted by s = mu |u_T| of the
-step before. The first step, s = 0, is the associated relaxation, and each subproblem has a solution where
-`existence_margin` says so. Tresca (Haslinger): r = argmin over discs of radius mu r_N of the step before.
+Coulomb's law is a fixed point of such problems. Acary, Cadoux, Lemarechal and Malick (2011): r = argmin over the cones,
+normal velocities shifted by s = mu |u_T| of the step before. The first step, s = 0, is the associated relaxation, and
+each subproblem has a solution where `existence_margin` says so. Tresca (Haslinger): r = argmin over discs of radius mu
+r_N of the step before.
 """
 
 from __future__ import annotations
