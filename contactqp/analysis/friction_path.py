@@ -21,9 +21,7 @@ from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
-from contactqp.solving.friction_runs import attempt_with
-from contactqp.solving.methods import find
-from contactqp.solving.solve import Begun
+from contactqp.solving.friction_runs import FrictionRun
 
 
 def follow_with_friction(
@@ -91,7 +89,5 @@ class _Instants(LazySolutions):
             answer = path.at(problem.load, fraction, segment)
             if holds(here, answer):
                 break
-        attempt = attempt_with(here, answer, "exact events")
-        method = replace(find("active-set"), name=attempt.name)
-        self.append(Begun(here, method, attempt, True, 0.0))
+        self.append(FrictionRun(here, answer, "exact events", iterations=0))
         self._displacement = answer.displacement

@@ -23,10 +23,9 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search
-from contactqp.solving.friction_runs import attempt_on
-from contactqp.solving.methods import find
+from contactqp.solving.friction_runs import run_on_combination
 from contactqp.solving.runs import Meter
-from contactqp.solving.solve import Begun, solve
+from contactqp.solving.solve import solve
 
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
@@ -73,10 +72,9 @@ class LightStep:
         """
         started = time.perf_counter()
         with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
-            attempt = attempt_on(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
-        method = replace(find("active-set"), name=attempt.name)
-        spent = self.seconds + time.perf_counter() - started
-        return Begun(self.problem, method, attempt, True, spent).finish()
+            run = run_on_combination(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
+        run.seconds = self.seconds + time.perf_counter() - started
+        return run.finish()
 
 
 @dataclass(frozen=True, eq=False)

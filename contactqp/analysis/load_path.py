@@ -183,9 +183,9 @@ class _Steps(LazySolutions):
             before = self[-1] if len(self) else None
             self.append(solve(problem, self._method, warm_start=before, **self._options))
             return
-        begun = begin(problem, self._method, self._start, **self._options)
-        self._start = begun.attempt.start
-        self.append(begun)
+        run = begin(problem, self._method, self._start, **self._options)
+        self._start = run.start
+        self.append(run)
 
 
 def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector]:

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
@@ -27,8 +27,7 @@ from contactqp.solving.friction.existence_test import interior_margin
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.friction_runs import found_by_enumeration
 from contactqp.solving.local_solving import local_equilibria
-from contactqp.solving.methods import find
-from contactqp.solving.solve import Begun, solve
+from contactqp.solving.solve import solve
 
 
 @overload
@@ -89,9 +88,9 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     started = time.perf_counter()
     with problem.lock:
         found = found_by_enumeration(problem)
-    spent = time.perf_counter() - started
-    method = replace(find("active-set"), name="enumeration")
-    return tuple(Begun(problem, method, attempt, True, spent).finish() for attempt in found)
+    for run in found:
+        run.seconds = time.perf_counter() - started
+    return tuple(run.finish() for run in found)
 
 
 @dataclass(frozen=True, eq=False)

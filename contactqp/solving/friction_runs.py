@@ -1,8 +1,7 @@
-"""The associated relaxation as an algorithm of `solve`: right as what it is, and never called Coulomb's answer.
+"""Coulomb friction in `solve`: by the algorithm asked for, or by the first that finds an answer.
 
-Rigid motions that no contact, no friction and no tie of an answer resists, put to rest; forces that are noise.
-
-An answer with Coulomb friction, by the algorithm asked for or by the first that finds one.
+Rigid motions that no contact, no friction and no tie of the answer resists are put to rest, and forces that are noise
+are taken away. The associated relaxation is an algorithm too: right as what it is, never called Coulomb's answer.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ from contactqp.solving.friction.local_algorithms import ALGORITHMS, TAKEN
 from contactqp.solving.friction.newton import refined, solve_newton
 from contactqp.solving.friction.on_contacts import solve_on_contacts
 from contactqp.solving.friction.tresca import solve_tresca
-from contactqp.solving.methods import Method, Settings
-from contactqp.solving.runs import CondensedAttempt, Meter, MeteredAttempt, WholeAttempt, described
+from contactqp.solving.methods import Method, Settings, find
+from contactqp.solving.runs import CondensedRun, Meter, Run, described
 
 
 def solve_associated(problem: ContactProblem, method: Method, settings: Settings) -> tuple[Answer, str]:
@@ -62,7 +61,7 @@ def solve_associated(problem: ContactProblem, method: Method, settings: Settings
         return answer, "associated with clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
     # A start has one force a contact, and the program two.
-    found = CondensedAttempt(relaxed, method, replace(settings, warm_start=None), "auto").final(polished=True)
+    found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final()
     parts = (found.displacement, found.normal_force, found.tie_force)
     certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
     if not certificate.passed:
@@ -137,38 +136,54 @@ NAMES = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", *TAKEN)
 DEFAULT_METHOD = "active-set"
 
 
-class FrictionAttempt(WholeAttempt, MeteredAttempt):
-    """One answer to a frictional problem, refined to the last digits by the algorithm that found it."""
+class FrictionRun(Run):
+    """One answer to a frictional problem, refined to the last digits by the algorithm that found it.
 
-    exact = True  # whether the algorithm promises Coulomb's answer
+    Parameters
+    ----------
+    problem : ContactProblem
+    answer : Answer
+        What the algorithm found.
+    name : str
+        The algorithm, and the convex method where it takes steps of one.
+    meter : Meter, optional
+        What has counted the cost so far.
+    history : tuple of float
+        The algorithm's own measure of progress, one number an iteration.
+    iterations : int, optional
+        Of the algorithm; without it one more than the history has.
+    exact : bool
+        Whether the algorithm promises Coulomb's answer; the associated relaxation does not.
+    """
 
     def __init__(
         self,
         problem: ContactProblem,
         answer: Answer,
-        meter: Meter,
         name: str,
+        meter: Meter | None = None,
         history: tuple[float, ...] = (),
         iterations: int | None = None,
+        exact: bool = True,
     ) -> None:
-        self.name = name  # the algorithm, and the convex method where it has one
-        self._problem, self._answer, self._meter = problem, answer, meter
+        super().__init__(problem, find(DEFAULT_METHOD))
+        self.name, self.exact, self._answer = name, exact, answer
+        self.meter = meter or self.meter
         steps = len(history) + 1 if iterations is None else iterations
         self.candidate = Candidate(
             answer.displacement, answer.normal_force, answer.tie_force, iterations=steps, history=history
         )
 
-    def final(self, polished: bool) -> Final:
+    def final(self) -> Final:
         """The answer that is to be certified: as it was found, on its combination of open, stick and slip."""
-        del polished
-        way = condense(self._problem)
-        free = free_motions(self._problem, way, self._answer)
-        answer = without_noise(self._problem, at_rest(self._problem, way, self._answer, free))
+        condensation = condense(self.problem)
+        free = free_motions(self.problem, condensation, self._answer)
+        answer = without_noise(self.problem, at_rest(self.problem, condensation, self._answer, free))
         return Final(
             answer.displacement,
             answer.normal_force,
             answer.tie_force,
-            free_motions=described(self._problem, free),
+            free_motions=described(self.problem, free),
             friction_force=answer.friction_force,
         )
 
@@ -176,15 +191,7 @@ class FrictionAttempt(WholeAttempt, MeteredAttempt):
         """Constraints that conflict get no answer this far."""
 
 
-class AssociatedAttempt(FrictionAttempt):
-    """The answer to the associated relaxation, which is Coulomb's only where nothing slides."""
-
-    exact = False
-
-
-def attempt_friction(
-    problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None
-) -> FrictionAttempt:
+def run_friction(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> FrictionRun:
     """An answer by `algorithm`. None is, in the plane, Newton's method from `settings.warm_start` if there is one, then
     Tresca's fixed point, then the algorithms of the local form, then enumeration where contacts are few; in space the
     algorithms of the local form, by steps of `method` where that is not the default.
@@ -231,7 +238,7 @@ def attempt_friction(
     return _by_any(problem, method, settings, meter)
 
 
-def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionAttempt:
+def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
     if settings.warm_start is not None:
         with suppress(NotConverged):
             return _by_newton(problem, settings, meter)
@@ -248,42 +255,37 @@ def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: 
 
 def _on_contacts(
     problem: ContactProblem, method: Method, settings: Settings, meter: Meter, algorithm: str | None
-) -> FrictionAttempt:
+) -> FrictionRun:
     with meter.running():
         try:
             found = solve_on_contacts(problem, condense(problem), method, settings, algorithm)
         except NotConverged:
             refuse_conflict(problem, condense(problem))
             raise
-    return FrictionAttempt(problem, found.answer, meter, found.name, found.history, found.iterations)
+    return FrictionRun(problem, found.answer, found.name, meter, found.history, found.iterations)
 
 
-def attempt_on(
+def run_on_combination(
     problem: ContactProblem,
     system: ForceSystem,
     lengths: Lengths,
     found: CombinationAnswer,
     combinations: int,
     meter: Meter,
-) -> FrictionAttempt:
+) -> FrictionRun:
     """The answer of a combination that was found on the contact unknowns, refined; nobody has seen its signs."""
     with meter.running():
         answer = refined(problem, condense(problem), system, lengths, found)
-    return FrictionAttempt(problem, answer, meter, "newton", iterations=combinations)
+    return FrictionRun(problem, answer, "newton", meter, iterations=combinations)
 
 
-def attempt_with(problem: ContactProblem, answer: Answer, name: str) -> FrictionAttempt:
-    """An answer that is known."""
-    return FrictionAttempt(problem, answer, Meter(problem), name, iterations=0)
-
-
-def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:
+def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     """Every equilibrium of a small problem.
 
     Raises
     ------
     Unsupported
-        As `attempt_friction`.
+        As `run_friction`.
     """
     _refuse_iterated(problem)
     if _in_space(problem):
@@ -291,10 +293,10 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionAttempt, ...]
     meter = Meter(problem)
     with meter.running():
         found = all_equilibria(problem, condense(problem))
-    return tuple(FrictionAttempt(problem, one.answer, meter, "enumeration") for one in found)
+    return tuple(FrictionRun(problem, one.answer, "enumeration", meter) for one in found)
 
 
-def _listed(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:
+def _listed(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     """Every equilibrium of a small problem, at least one."""
     found = found_by_enumeration(problem)
     if not found:
@@ -306,7 +308,7 @@ def _listed(problem: ContactProblem) -> tuple[FrictionAttempt, ...]:
     return found
 
 
-def _only(problem: ContactProblem) -> FrictionAttempt:
+def _only(problem: ContactProblem) -> FrictionRun:
     found = _listed(problem)
     if len(found) > 1:
         listed = "; ".join(_described(problem, one) for one in found)
@@ -329,17 +331,17 @@ def _refuse_unproven(problem: ContactProblem) -> None:
         raise NotConverged(f"{none}, and in rational numbers there is one: contactqp.exact_equilibria lists them")
 
 
-def _described(problem: ContactProblem, attempt: FrictionAttempt) -> str:
-    forces = attempt.candidate.normal_force
+def _described(problem: ContactProblem, run: FrictionRun) -> str:
+    forces = run.candidate.normal_force
     return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
 
 
-def _by_newton(problem: ContactProblem, settings: Settings, meter: Meter) -> FrictionAttempt:
+def _by_newton(problem: ContactProblem, settings: Settings, meter: Meter) -> FrictionRun:
     with meter.running():
         found = solve_newton(
             problem, condense(problem), settings.warm_start, settings.max_iter, time_limit=settings.time_limit
         )
-    return FrictionAttempt(problem, found.answer, meter, "newton", iterations=found.steps)
+    return FrictionRun(problem, found.answer, "newton", meter, iterations=found.steps)
 
 
 def _refuse_method(method: Method) -> None:
@@ -353,16 +355,16 @@ def _refuse_method(method: Method) -> None:
         )
 
 
-def _by_tresca(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionAttempt:
+def _by_tresca(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
     with meter.running():
         found = solve_tresca(problem, condense(problem), method, settings)
-    return FrictionAttempt(problem, found.answer, meter, f"tresca with {method.name}", found.changes)
+    return FrictionRun(problem, found.answer, f"tresca with {method.name}", meter, found.changes)
 
 
-def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> AssociatedAttempt:
+def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
     with meter.running():
         answer, name = solve_associated(problem, method, settings)
-    return AssociatedAttempt(problem, answer, meter, name)
+    return FrictionRun(problem, answer, name, meter, exact=False)
 
 
 def _in_space(problem: ContactProblem) -> bool:

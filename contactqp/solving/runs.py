@@ -1,35 +1,34 @@
-"""What an answer costs, counted by factorisations and right-hand sides.
+"""A method's run on a problem: what it is shown, the answer that it finds, and that answer polished and certified.
 
-A method's answer on the contact unknowns: condense, run it, and polish what it found.
-
-What attempts share whose method is shown the problem as it is, with all its unknowns.
-
-An answer with Coulomb friction by a method's own systems of stick and slip, in the problem's own unknowns.
-
-The active set by conjugate gradients on the whole problem, where a body is too large to factorise.
+The run keeps the method's candidate, in the unknowns that the method was shown, and counts what it costs. Which of the
+runs a problem gets is the table `contactqp.solving.solve.WAYS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendFailed, NotConverged, Unsupported
+from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.errors import BackendFailed, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense, unknown_scale
 from contactqp.linalg.condensation import condense as condensation_of
 from contactqp.linalg.existence import describe_motion, refuse_conflict, refuse_driven_motion
 from contactqp.linalg.factorization import DENSE_SIZE
 from contactqp.linalg.iteration import Iteration, iterated, iteration
-from contactqp.linalg.measures import lay_out
+from contactqp.linalg.measures import lay_out, row_sizes
 from contactqp.linalg.refinement import (
     INVISIBLE,
+    WITHIN_ROUNDING,
     closed_contacts,
     least_displacement,
     polish,
@@ -39,9 +38,11 @@ from contactqp.linalg.refinement import (
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional
 from contactqp.linalg.schur import LARGE
+from contactqp.linalg.stages import POLISH, stage
+from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Work
+from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
@@ -50,7 +51,7 @@ class Meter:
     """Counts what one answer costs, the condensation included where it is the first to need it."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self._problem = problem
+        self.problem = problem
         self._factorisations = self._back_substitutions = 0
 
     @contextmanager
@@ -62,12 +63,12 @@ class Meter:
         self._back_substitutions += now[1] - back_substitutions
 
     def _counts(self) -> tuple[int, int]:
-        known: Condensation | None = self._problem._computed.condensation
+        known: Condensation | None = self.problem._computed.condensation
         return (known.factorisations, known.back_substitutions) if known else (0, 0)
 
     def read(self, iterations: int | None, corrections: int) -> Work:
-        way = condense(self._problem)
-        interior = self._problem.dimension - len(way.retained)
+        way = condense(self.problem)
+        interior = self.problem.dimension - len(way.retained)
         return Work(
             factorisations=self._factorisations,
             back_substitutions=self._back_substitutions,
@@ -78,27 +79,138 @@ class Meter:
         )
 
 
-class MeteredAttempt:
-    """The part of an attempt that says what it costs, by its meter."""
+class Run:
+    """One method on one problem; `finish` polishes and certifies what it found.
+
+    Attributes
+    ----------
+    name, exact : str, bool
+        How the answer's method is called, and whether it promises the exact answer: those of the method, or of the
+        algorithm of friction that takes steps of it.
+    candidate : Candidate
+        What the method found, in the unknowns of the problem that it was shown.
+    polish : bool
+        Whether `finish` solves again, to the last digits, on the set of closed contacts that the method found.
+    seconds : float
+        Spent before `finish`.
+    """
 
     candidate: Candidate
-    _meter: Meter
 
-    def counting(self) -> object:
-        """A context whose work counts as this attempt's."""
-        return self._meter.running()
+    def __init__(self, problem: ContactProblem, method: Method) -> None:
+        self.problem, self.method, self.meter = problem, method, Meter(problem)
+        self.name, self.exact = method.name, method.exact
+        self.polish, self.seconds = True, 0.0
+
+    @property
+    def expanded(self) -> Candidate:
+        """The candidate in the unknowns of the problem."""
+        return self.candidate
+
+    @property
+    def start(self) -> Candidate:
+        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
+        return self.candidate
+
+    def final(self) -> Final:
+        """Return the answer that is to be certified."""
+        raise NotImplementedError
 
     def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-        return self._meter.read(self.candidate.iterations, corrections)
+        """Return what the answer has cost so far."""
+        return self.meter.read(self.candidate.iterations, corrections)
+
+    def refuse_conflict(self) -> None:
+        """Raise NoEquilibrium if the constraints conflict."""
+        refuse_conflict(self.problem, condense(self.problem))
+
+    @own_floating_point
+    def finish(self) -> Solution:
+        """Return the answer, polished where the method's answers are, with its certificate.
+
+        Raises
+        ------
+        NoEquilibrium, NotConverged, NotCertified
+            As `solve`.
+        """
+        started = time.perf_counter() - self.seconds
+        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
+            return self._accepted(*self._certified(started))
+
+    def _accepted(self, solution: Solution, polished: bool) -> Solution:
+        """The solution, unless its method did not converge or the certificate refuses what should be exact."""
+        candidate, name = self.candidate, self.name
+        if not polished and not candidate.claimed:
+            self.refuse_conflict()
+            reason = candidate.status or "it stopped before it had an answer"
+            count = "" if candidate.iterations is None else f" (after {candidate.iterations} iterations)"
+            raise NotConverged(f"{name}: {reason.removeprefix(f'{name}: ')}{count}", candidate.history, solution)
+        if self.exact and not solution.certificate.passed:
+            self.refuse_conflict()
+            failures = "; ".join(solution.certificate.failures)
+            raise NotCertified(f"{name}: the certificate refuses the answer: {failures}", solution)
+        if self.exact and _unmet(self.problem, solution):
+            self.refuse_conflict()  # what is beneath the tolerance may be a conflict of constraints
+        return solution
+
+    def _certified(self, started: float) -> tuple[Solution, bool]:
+        """The solution, and whether it is polished."""
+        problem, candidate = self.problem, self.candidate
+        with self.meter.running():
+            final = self.final()
+            friction = final.friction_force
+            if friction is None and problem.slip_origin is not None:
+                friction = np.zeros_like(problem.slip_origin)
+            answered = time.perf_counter()
+            certificate = compute_certificate(
+                problem, final.displacement, final.normal_force, friction, final.tie_force
+            )
+            certified = time.perf_counter()
+            # The active-set method's own answer is the set; what came before its refinement is no other method's.
+            raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
+        status = contact_status(problem, certificate) if final.contact_status is None else final.contact_status
+        solution = Solution(
+            problem=problem,
+            displacement=final.displacement,
+            normal_force=final.normal_force,
+            friction_force=friction,
+            tie_force=final.tie_force,
+            contact_status=status,
+            free_motions=final.free_motions,
+            certificate=certificate,
+            method=self.name,
+            seconds=certified - started,
+            certify_seconds=certified - answered,
+            work=self.work(final.corrections),
+            raw=raw,
+            history=candidate.history,
+        )
+        return solution, final.polished
+
+    def _raw(self, friction: Any) -> Raw:
+        candidate = self.expanded
+        values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
+        certificate = compute_certificate(self.problem, values[0], values[1], friction, values[2])
+        return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)
+
+
+def _unmet(problem: ContactProblem, solution: Solution) -> bool:
+    """Whether an answer leaves gaps closed or ties unmet by more than rounding of the lengths that meet."""
+    u = solution.displacement
+    for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
+        beyond = rows @ u - limit
+        meeting = row_sizes(problem, rows).size @ abs(u) + abs(limit)
+        if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):
+            return True
+    return False
 
 
 # The kind of methods that condense whatever they are shown.
 CONDENSES_ITSELF = "active set"
 
 
-class CondensedAttempt(MeteredAttempt):
-    """What a method made of a problem, condensed or whole, as far as it has been looked at.
+class CondensedRun(Run):
+    """The method on the contact unknowns alone, or on all where condensing is not wanted or makes nothing smaller.
 
     Raises
     ------
@@ -107,11 +219,12 @@ class CondensedAttempt(MeteredAttempt):
     """
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings, condense: bool | str) -> None:
-        self._problem, self._method, self._meter = problem, method, Meter(problem)
-        with self._meter.running():
-            self._way = _condensed(problem)
-            refuse_driven_motion(problem, self._way)
-            if not method.semidefinite and saddle_point(self._way, np.zeros(0, dtype=np.intp)).free.shape[1]:
+        super().__init__(problem, method)
+        with self.meter.running():
+            self._condensation = _condensed(problem)
+            if self._condensation.rigid.count:
+                refuse_driven_motion(problem, self._condensation)
+            if not method.semidefinite and saddle_point(self._condensation, np.zeros(0, dtype=np.intp)).free.shape[1]:
                 raise Unsupported(
                     f"{method.name}: bodies held by contact alone (the stiffness is singular); try active-set"
                 )
@@ -124,12 +237,12 @@ class CondensedAttempt(MeteredAttempt):
             self._closed: NDArray[np.intp] | None = None
             if self.candidate.finite:
                 self._closed = closed_contacts(
-                    shown, self._way, self.candidate.displacement, self.candidate.normal_force
+                    shown, self._condensation, self.candidate.displacement, self.candidate.normal_force
                 )
 
-    def final(self, polished: bool) -> Final:
+    def final(self) -> Final:
         """The answer that is to be certified."""
-        found = self._polished() if polished and self._method.polish else None
+        found = self._polished() if self.polish and self.method.polish else None
         return self._as_it_came() if found is None else found
 
     @cached_property
@@ -137,52 +250,48 @@ class CondensedAttempt(MeteredAttempt):
         """The candidate in the unknowns of the problem: back-substitution that polishing can do without."""
         if self._whole:
             return self.candidate
-        _, inner = self._way.reduce_load(self._problem.load)
-        return replace(self.candidate, displacement=self._way.expand(self.candidate.displacement, inner))
+        _, inner = self._condensation.reduce_load(self.problem.load)
+        return replace(self.candidate, displacement=self._condensation.expand(self.candidate.displacement, inner))
 
     @property
     def start(self) -> Candidate:
         """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
-        return self.candidate if self._whole else self._way.spread_candidate(self.candidate)
+        return self.candidate if self._whole else self._condensation.spread_candidate(self.candidate)
 
     def work(self, corrections: int) -> Work:
         """What it has cost so far; a method that was shown all unknowns saw them all, unless it condenses by itself."""
         spent = super().work(corrections)
-        if self._whole and self._method.kind != CONDENSES_ITSELF:
-            return replace(spent, retained=self._problem.dimension)
+        if self._whole and self.method.kind != CONDENSES_ITSELF:
+            return replace(spent, retained=self.problem.dimension)
         return spent
-
-    def refuse_conflict(self) -> None:
-        """Raise NoEquilibrium if the constraints conflict."""
-        refuse_conflict(self._problem, self._way)
 
     def _run(self, settings: Settings, wanted: bool | str) -> tuple[ContactProblem, Candidate]:
         """The problem as the method was shown it, and the method's candidate."""
-        problem, way = self._problem, self._way
+        problem, way = self.problem, self._condensation
         # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing
         # lies inside.
         smaller = len(way.retained) < problem.dimension or way.rigid.count > 0
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
-            return problem, _run_scaled(problem, self._method, settings)
+            return problem, _run_scaled(problem, self.method, settings)
         load, inner = way.reduce_load(problem.load)
         reduced = way.reduced_problem(problem, load, inner)
         if bare:
             return reduced, _linear(way, load)
         if settings.warm_start is not None:
             settings = replace(settings, warm_start=way.restrict_candidate(settings.warm_start))
-        return reduced, _run_scaled(reduced, self._method, settings)
+        return reduced, _run_scaled(reduced, self.method, settings)
 
     def _polished(self) -> Final | None:
         """The refined answer on the candidate's contact set, or None where its signs do not hold."""
-        problem, way = self._problem, self._way
+        problem, way = self.problem, self._condensation
         if self._closed is None:
             return None
-        answer, corrections, holds = polish(problem, way, self._closed, self._method.corrections)
+        answer, corrections, holds = polish(problem, way, self._closed, self.method.corrections)
         if not holds:
             return None
         answer, free = least_displacement(problem, way, answer)
-        return Final(*without_noise(problem, way, answer), described(self._problem, free), corrections, polished=True)
+        return Final(*without_noise(problem, way, answer), described(self.problem, free), corrections, polished=True)
 
     def _as_it_came(self) -> Final:
         """The candidate, its free motions put to rest as far as they are free."""
@@ -190,8 +299,8 @@ class CondensedAttempt(MeteredAttempt):
         u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
         if not candidate.finite:
             return Final(u, force, tie)
-        shift, free = shift_to_least_norm(self._problem, self._way, Answer(u, force, None, tie))
-        return Final(u + shift, force, tie, described(self._problem, free))
+        shift, free = shift_to_least_norm(self.problem, self._condensation, Answer(u, force, None, tie))
+        return Final(u + shift, force, tie, described(self.problem, free))
 
 
 def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
@@ -228,24 +337,8 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
     return scaling.unscale(method.solve(twin, settings))
 
 
-class WholeAttempt:
-    """The part of an attempt that hands out its candidate: nothing is to be expanded."""
-
-    candidate: Candidate
-
-    @property
-    def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem."""
-        return self.candidate
-
-    @property
-    def start(self) -> Candidate:
-        """What another load may start from."""
-        return self.candidate
-
-
-class EnforcedAttempt(WholeAttempt, MeteredAttempt):
-    """The method's candidate as it came: textbook systems in the numbers of the problem, nothing condensed or polished.
+class EnforcedRun(Run):
+    """Coulomb friction by the method's own systems of stick and slip, in the problem's own unknowns, never polished.
 
     Raises
     ------
@@ -261,7 +354,6 @@ class EnforcedAttempt(WholeAttempt, MeteredAttempt):
         self,
         problem: ContactProblem,
         method: Method,
-        solve_friction: Callable[[ContactProblem, Settings], Candidate],
         settings: Settings,
     ) -> None:
         if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
@@ -270,29 +362,25 @@ class EnforcedAttempt(WholeAttempt, MeteredAttempt):
             )
         if iterated(problem):
             raise Unsupported(f"{method.name}: a body this large is not factorised, and its systems of friction are")
-        self._problem, self._method, self._meter = problem, method, Meter(problem)
-        with self._meter.running():
+        super().__init__(problem, method)
+        assert method.solve_friction is not None
+        with self.meter.running():
             try:
-                self.candidate = solve_friction(problem, settings)
+                self.candidate = method.solve_friction(problem, settings)
             except NotConverged:
                 self.refuse_conflict()
                 raise
 
-    def final(self, polished: bool) -> Final:
+    def final(self) -> Final:
         """The answer that is to be certified: the candidate, without what its refinement has left of zeros."""
-        del polished
-        u, normal, friction, tie = _without_noise(self._problem, self.candidate)
+        u, normal, friction, tie = _without_noise(self.problem, self.candidate)
         # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
-        status = None if self._method.exact else self.candidate.contact_status
+        status = None if self.method.exact else self.candidate.contact_status
         return Final(u, normal, tie, friction_force=friction[:, None], contact_status=status)
 
     def work(self, corrections: int) -> Work:
         """What it has cost so far."""
-        return replace(super().work(corrections), retained=self._problem.dimension)
-
-    def refuse_conflict(self) -> None:
-        """Raise NoEquilibrium if the constraints conflict."""
-        refuse_conflict(self._problem, condense(self._problem))
+        return replace(super().work(corrections), retained=self.problem.dimension)
 
 
 def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, Vector, Vector, Vector]:
@@ -316,8 +404,8 @@ def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, V
 _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso or superlu"
 
 
-class IteratedAttempt(WholeAttempt):
-    """The answer, its last system solved to the accuracy that the certificate asks for.
+class IteratedRun(Run):
+    """The active set by conjugate gradients on a body too large to factorise, as accurate as the certificate asks.
 
     Raises
     ------
@@ -334,29 +422,24 @@ class IteratedAttempt(WholeAttempt):
             )
         if condense is True:
             raise Unsupported(f"{method.name}: condensing a body this large means factorising it; {_ELSE}")
+        super().__init__(problem, method)
         known: Iteration | None = problem._computed.iteration
         self._before = known.krylov_iterations if known else 0
-        self._way = iteration(problem)
-        self._size = problem.dimension
-        self.candidate = solve_by_iteration(problem, self._way, settings)
+        self._iteration = iteration(problem)
+        self.candidate = solve_by_iteration(problem, self._iteration, settings)
 
-    def final(self, polished: bool) -> Final:
+    def final(self) -> Final:
         """The answer that is to be certified: the candidate."""
-        del polished
         return Final(self.candidate.displacement, self.candidate.normal_force, self.candidate.tie_force)
-
-    def counting(self) -> object:
-        """A context whose work counts as this attempt's."""
-        return nullcontext()
 
     def work(self, corrections: int) -> Work:
         """What it has cost so far."""
         return Work(
             iterations=self.candidate.iterations,
-            retained=self._size,
+            retained=self.problem.dimension,
             polish_corrections=corrections,
-            solver=self._way.solver,
-            krylov_iterations=self._way.krylov_iterations - self._before,
+            solver=self._iteration.solver,
+            krylov_iterations=self._iteration.krylov_iterations - self._before,
         )
 
     def refuse_conflict(self) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, overload
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, overload
 
 from contactqp.certificate import subset_bounds
-from contactqp.certificate.certificate import compute_certificate, contact_status
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import (
@@ -22,18 +20,16 @@ from contactqp.errors import (
     refuse_other,
 )
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.measures import row_sizes
-from contactqp.linalg.refinement import WITHIN_ROUNDING
-from contactqp.linalg.stages import METHOD, POLISH, stage
+from contactqp.linalg.stages import METHOD, stage
 from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, Final, Raw, Solution, Work
+from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.contact_subset import solve_among
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported, warm_candidate
-from contactqp.solving.runs import CondensedAttempt, IteratedAttempt
+from contactqp.solving.runs import CondensedRun, EnforcedRun, IteratedRun, Run
 
 if TYPE_CHECKING:
     from contactqp.model.local_problem import LocalSolution
@@ -217,43 +213,6 @@ def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: A
     return found
 
 
-def _unmet(problem: ContactProblem, solution: Solution) -> bool:
-    """Whether an answer leaves gaps closed or ties unmet by more than rounding of the lengths that meet."""
-    u = solution.displacement
-    for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
-        beyond = rows @ u - limit
-        meeting = row_sizes(problem, rows).size @ abs(u) + abs(limit)
-        if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):
-            return True
-    return False
-
-
-class Attempt(Protocol):
-    """What a method made of a problem, whichever way it was shown it."""
-
-    candidate: Candidate  # in the unknowns of the problem that the method was shown
-
-    @property
-    def expanded(self) -> Candidate:
-        """In the unknowns of the problem."""
-
-    @property
-    def start(self) -> Candidate:
-        """What another load may start from: in the unknowns of the problem, exact where the method was shown them."""
-
-    def final(self, polished: bool) -> Final:
-        """The answer that is to be certified."""
-
-    def counting(self) -> Any:
-        """A context whose work counts as this attempt's."""
-
-    def work(self, corrections: int) -> Work:
-        """What it has cost so far."""
-
-    def refuse_conflict(self) -> None:
-        """Raise NoEquilibrium if the constraints conflict."""
-
-
 @own_floating_point
 def begin(
     problem: ContactProblem,
@@ -267,8 +226,8 @@ def begin(
     max_iter: int | None = None,
     algorithm: str | None = None,
     **options: Any,
-) -> Begun:
-    """Run a method; polish and certificate, which need all unknowns, wait until the answer is looked at.
+) -> Run:
+    """Run a method; polish and certificate, which need all unknowns, wait until `Run.finish` is called.
 
     Parameters are those of `solve`, but for `start`: a candidate where that takes a solution.
 
@@ -282,98 +241,43 @@ def begin(
     chosen, settings = find(method), Settings(tolerance, max_iter, time_limit, start, options)
     refuse_unsupported(problem, chosen, settings, algorithm)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
-        attempt: Attempt
-        if problem.frictional and chosen.solve_friction is not None:
-            from contactqp.solving.runs import EnforcedAttempt
-
-            attempt = EnforcedAttempt(problem, chosen, chosen.solve_friction, settings)
-        elif problem.frictional:
-            from contactqp.solving.friction_runs import attempt_friction
-
-            attempt = found = attempt_friction(problem, chosen, settings, algorithm)
-            chosen = replace(chosen, name=found.name, exact=found.exact)
-        else:
-            way = IteratedAttempt if iterated(problem) else CondensedAttempt
-            attempt = way(problem, chosen, settings, condense)
-    return Begun(problem, chosen, attempt, polish, time.perf_counter() - started)
+        way = next(way for way in WAYS if way.applies(problem, chosen))
+        run = way.run(problem, chosen, settings, condense, algorithm)
+    run.polish, run.seconds = polish, time.perf_counter() - started
+    return run
 
 
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """A method's answer that nobody has looked at."""
+@dataclass(frozen=True)
+class Way:
+    """One way to show a problem to a method."""
 
-    problem: ContactProblem
-    method: Method
-    attempt: Attempt
-    polish: bool
-    seconds: float  # so far
+    applies: Callable[[ContactProblem, Method], bool]
+    run: Callable[[ContactProblem, Method, Settings, bool | str, str | None], Run]  # condense, algorithm
 
-    @own_floating_point
-    def finish(self) -> Solution:
-        """Polish and certify.
 
-        Raises
-        ------
-        NoEquilibrium, NotConverged, NotCertified
-            As `solve`.
-        """
-        started = time.perf_counter() - self.seconds
-        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
-            return self._accepted(*self._certified(started))
+def _run_friction(problem: ContactProblem, method: Method, settings: Settings, _: Any, algorithm: str | None) -> Run:
+    from contactqp.solving.friction_runs import run_friction
 
-    def _accepted(self, solution: Solution, polished: bool) -> Solution:
-        """The solution, unless its method did not converge or the certificate refuses what should be exact."""
-        candidate, name = self.attempt.candidate, self.method.name
-        if not polished and not candidate.claimed:
-            self.attempt.refuse_conflict()
-            reason = candidate.status or "it stopped before it had an answer"
-            count = "" if candidate.iterations is None else f" (after {candidate.iterations} iterations)"
-            raise NotConverged(f"{name}: {reason.removeprefix(f'{name}: ')}{count}", candidate.history, solution)
-        if self.method.exact and not solution.certificate.passed:
-            self.attempt.refuse_conflict()
-            failures = "; ".join(solution.certificate.failures)
-            raise NotCertified(f"{name}: the certificate refuses the answer: {failures}", solution)
-        if self.method.exact and _unmet(self.problem, solution):
-            self.attempt.refuse_conflict()  # what is beneath the tolerance may be a conflict of constraints
-        return solution
+    return run_friction(problem, method, settings, algorithm)
 
-    def _certified(self, started: float) -> tuple[Solution, bool]:
-        """The solution, and whether it is polished."""
-        problem, candidate = self.problem, self.attempt.candidate
-        with self.attempt.counting():
-            final = self.attempt.final(self.polish)
-            friction = final.friction_force
-            if friction is None and problem.slip_origin is not None:
-                friction = np.zeros_like(problem.slip_origin)
-            answered = time.perf_counter()
-            certificate = compute_certificate(
-                problem, final.displacement, final.normal_force, friction, final.tie_force
-            )
-            certified = time.perf_counter()
-            # The active-set method's own answer is the set; what came before its refinement is no other method's.
-            raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
-        solution = Solution(
-            problem=problem,
-            displacement=final.displacement,
-            normal_force=final.normal_force,
-            friction_force=friction,
-            tie_force=final.tie_force,
-            contact_status=contact_status(problem, certificate)
-            if final.contact_status is None
-            else final.contact_status,
-            free_motions=final.free_motions,
-            certificate=certificate,
-            method=self.method.name,
-            seconds=certified - started,
-            certify_seconds=certified - answered,
-            work=self.attempt.work(final.corrections),
-            raw=raw,
-            history=candidate.history,
-        )
-        return solution, final.polished
 
-    def _raw(self, friction: Any) -> Raw:
-        candidate = self.attempt.expanded
-        values = (candidate.displacement, candidate.normal_force, candidate.tie_force)
-        certificate = compute_certificate(self.problem, values[0], values[1], friction, values[2])
-        return Raw(*values, claimed=candidate.claimed, status=candidate.status, certificate=certificate)
+# The first that applies is taken.
+WAYS = (
+    # The method has systems of stick and slip of its own, in the problem's own unknowns.
+    Way(
+        lambda problem, method: problem.frictional and method.solve_friction is not None,
+        lambda problem, method, settings, *_: EnforcedRun(problem, method, settings),
+    ),
+    # Coulomb's law is no minimisation: an algorithm takes it in steps, convex ones of the method or others.
+    Way(lambda problem, _: problem.frictional, _run_friction),
+    # The body is too large to factorise.
+    Way(
+        lambda problem, _: iterated(problem),
+        lambda problem, method, settings, condense, _: IteratedRun(problem, method, settings, condense),
+    ),
+    # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
+    Way(
+        lambda *_: True,
+        lambda problem, method, settings, condense, _: CondensedRun(problem, method, settings, condense),
+    ),
+)

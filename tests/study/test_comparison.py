@@ -42,7 +42,7 @@ def _believe_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.solve.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
 
 
 def _half_the_force(_: cq.ContactProblem, __: Settings) -> Candidate:

@@ -157,7 +157,7 @@ def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkey
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=())
 
-    monkeypatch.setattr("contactqp.solving.solve.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
     believed = _write(tmp_path / "believed", ["active-set", "liar"], CASES[1:])
     assert believed.exit_code == 1
     assert believed.summary.wrong_but_passed == 1

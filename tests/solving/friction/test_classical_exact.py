@@ -298,13 +298,14 @@ def test_sparse_stiffness_and_other_units(count: int) -> None:
 def test_an_answer_of_the_loop_that_is_wrong_is_refused() -> None:
     """The certificate looks at what an exact method returns: friction the other way does not pass as its answer."""
     from contactqp.solving.methods import find
-    from contactqp.solving.solve import Begun, begin
+    from contactqp.solving.runs import Run
+    from contactqp.solving.solve import begin
 
     right = begin(rough_truss(), "lagrange-multiplier")
     assert find("lagrange-multiplier").exact
-    assert isinstance(right, Begun)
-    candidate = right.attempt.candidate
+    assert isinstance(right, Run)
+    candidate = right.candidate
     assert candidate.friction_force is not None
-    right.attempt.candidate = replace(candidate, friction_force=-candidate.friction_force)
+    right.candidate = replace(candidate, friction_force=-candidate.friction_force)
     with pytest.raises(cq.NotCertified, match="equilibrium"):
         right.finish()

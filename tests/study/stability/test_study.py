@@ -132,7 +132,7 @@ def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tm
     def blind(*args: Any, **options: Any) -> cq.Certificate:
         return dataclasses.replace(honest(*args, **options), passed=True, failures=(), force_bound=np.zeros(1))
 
-    monkeypatch.setattr("contactqp.solving.solve.compute_certificate", blind)
+    monkeypatch.setattr("contactqp.solving.runs.compute_certificate", blind)
     axis = dataclasses.replace(find_axis("mesh-grading"), values=(1.0,))
     study, _, _ = write_stability(tmp_path, [axis], ["liar"])
     assert [row.verdict for row in study.rows] == [report_rows.WRONG]
