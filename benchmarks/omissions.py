@@ -36,7 +36,7 @@ from contactqp.elements.scalar_pairing import pair_scalar
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support, System
-from contactqp.study.footprint.child import peak, resident
+from contactqp.study.footprint_child import peak, resident
 
 CASE = Path(__file__).parents[1] / "cases" / "bar_wall.toml"
 STEPS = 10  # of the load path
@@ -236,7 +236,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         "time stepping and path following",
         ("contactqp.scene.moving", "contactqp.scene.deforming", "contactqp.analysis.load_path"),
     ),
-    ("plotting", "matplotlib and the pictures", ("matplotlib.figure", "contactqp.study.answer_files")),
+    ("plotting", "matplotlib and the pictures", ("matplotlib.figure", "contactqp.study.answer_pictures")),
     (
         "optional backends",
         "all QP backends and cvxpy",
@@ -292,7 +292,7 @@ def of_ways(omission: Omission, size: int, rounds: int) -> Saving:
 
 _BAR = """
 import importlib, json, sys, time
-from contactqp.study.footprint.child import peak
+from contactqp.study.footprint_child import peak
 for name in sys.argv[2:]:
     importlib.import_module(name)
 import contactqp as cq

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from contactqp.exchange.whole_file import check_installed, write_whole
-from contactqp.study.statistics.profiles import profile, ratios
+from contactqp.study.statistics import profile, ratios
 
 
 def draw(seconds: Mapping[str, Sequence[float]], file: Path, title: str) -> None:

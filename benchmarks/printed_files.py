@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from contactqp.study.check_options import CheckOptions
 from contactqp.study.checking import check_answer
+from contactqp.study.verdict import CheckOptions
 
 STI = "1 1  4.0000000000000e+00\n1 2 -1.0000000000000e+00\n2 2  5.0000000000000e+00\n2 3  2.5000000000000e+00\n"
 STI += "3 3  3.0000000000000e+00\n"

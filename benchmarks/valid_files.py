@@ -22,8 +22,8 @@ import contactqp as cq
 from benchmarks.printed_files import add_printed
 from contactqp.elements.mesh_files import read_mesh
 from contactqp.exchange.problem_folder import write_problem
-from contactqp.study.check_options import CheckOptions
 from contactqp.study.checking import check_answer
+from contactqp.study.verdict import CheckOptions
 
 # Formats that are read in a process of their own take seconds a file.
 SLOW = "ansys-"

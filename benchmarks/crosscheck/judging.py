@@ -15,9 +15,8 @@ from benchmarks.crosscheck import calculix, peers
 from benchmarks.crosscheck.attempts import RIGHT, WRONG, Attempt
 from benchmarks.crosscheck.block import YOUNG, Block, block, block_in_metres, block_with_friction
 from contactqp.exchange.problem_folder import write_problem
-from contactqp.study.answer_check import AnswerVerdict
-from contactqp.study.check_options import CheckOptions
-from contactqp.study.checking import check_answer
+from contactqp.study.checking import AnswerVerdict, check_answer
+from contactqp.study.verdict import CheckOptions
 
 PROBLEMS: dict[str, Callable[[], Block]] = {
     "block": block,

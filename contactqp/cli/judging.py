@@ -50,8 +50,8 @@ def check_command(
     A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
     problem,candidate.
     """
-    from contactqp.study.check_options import CheckOptions
     from contactqp.study.checking import check_answer, print_check
+    from contactqp.study.verdict import CheckOptions
 
     options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
     verdict = check_answer(problem, candidate, options)
@@ -85,13 +85,13 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
         print_explanation(console(), explanation)
     footprint = None
     if not no_solve:
-        from contactqp.study.footprint.measuring import measure
+        from contactqp.study.footprint import measure
 
         footprint = measure(case)
     if as_json:
         print_json(asdict(explanation) | {"footprint": None if footprint is None else footprint.data()})
     elif footprint is not None:
-        from contactqp.study.footprint.printing import print_footprint
+        from contactqp.study.footprint import print_footprint
 
         print_footprint(console(), footprint)
 

@@ -17,8 +17,8 @@ from contactqp.model.engines import ENGINES, SERIAL
 if TYPE_CHECKING:
     from contactqp.scene.judging import Failure, Judgement
     from contactqp.scene.scene import Scene
-    from contactqp.study.answer_files import AnswerFiles
-    from contactqp.study.file_outcome import FileOutcome
+    from contactqp.study.answer_pictures import AnswerFiles
+    from contactqp.study.friction_files import FileOutcome
 
 
 @click.command("run")
@@ -118,7 +118,7 @@ def _read(
     scenes = [load_scene(file) for file in case_files(named)]
     if plot is None and vtu is None:
         return scenes, None
-    from contactqp.study.answer_files import answer_files
+    from contactqp.study.answer_pictures import answer_files
 
     return scenes, answer_files(scenes, plot, vtu, every_method=every_method)
 
@@ -165,8 +165,7 @@ def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path
 
 def _tell_of_files(solved: Sequence[FileOutcome], as_json: bool) -> list[Any]:
     """The same of problems in files of other codes."""
-    from contactqp.study.friction_files import outcome_data
-    from contactqp.study.friction_printing import print_outcomes
+    from contactqp.study.friction_files import outcome_data, print_outcomes
 
     for message in (outcome.failure for outcome in solved if outcome.failure is not None):
         complain(message)

@@ -1,13 +1,36 @@
-"""Commands that go through many methods or problems: methods, report, gallery."""
+"""Commands that go through many methods or problems: methods, report, gallery.
+
+The problems of the gallery as a table on a screen.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 import click
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from contactqp.cli.output import console, print_json
 from contactqp.errors import InvalidProblem
+from contactqp.oracle.gallery.problem import GalleryProblem
+
+
+def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:
+    """One row a problem."""
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for title in ("name", "difficulty", "unknowns", "contacts", "ties", "forces", "problem"):
+        table.add_column(title, no_wrap=title == "name", justify="right" if title.endswith("s") else "left")
+    for known in problems:
+        data = known.data
+        sizes = [str(size) for size in (data.unknowns, data.contacts, len(data.tie))]
+        forces = "unique" if known.unique_forces else "not unique"
+        table.add_row(known.name, known.difficulty, *sizes, forces, escape(known.description))
+    console.print(table)
+
 
 # Of one cell of a report [s].
 TIME_LIMIT = 600.0
@@ -58,8 +81,7 @@ def report_command(
     With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write
     stability.html, stability.csv and stability.json to DIR.
     """
-    from contactqp.study.running.running import Running
-    from contactqp.study.running.stopping import OF_SIGNAL
+    from contactqp.study.running.runner import OF_SIGNAL, Running
 
     running, code = Running(jobs, dask, fresh, time_limit, shown=True), 0
     if cases or not stability:
@@ -110,7 +132,7 @@ def gallery_command(
     if as_json:
         print_json([summary(known) for known in chosen])
     elif listed:
-        from contactqp.study.gallery_printing import print_gallery
+        pass  # MERGED
 
         print_gallery(console(), chosen)
     elif folder is not None:

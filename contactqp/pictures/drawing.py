@@ -10,10 +10,9 @@ import numpy as np
 from contactqp.model.arrays import Array
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import ContactFields
-from contactqp.pictures.magnification import magnification, scale_text
 from contactqp.pictures.plane_drawing import contact_zone, draw_plane
 from contactqp.pictures.space_drawing import draw_space
-from contactqp.pictures.style import Colour
+from contactqp.pictures.style import Colour, magnification, scale_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,23 +1,157 @@
-"""Pictures of histories: displacements, gaps, forces and energies against time or load, with the events marked."""
+"""Pictures of histories: displacements, gaps, forces and energies against time or load, with the events marked.
+
+Events in pictures of histories: a line at each, a label where there is room for one.
+"""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contactqp.analysis.history import History
+from contactqp.analysis.history import Event, History
 from contactqp.model.arrays import Array
-from contactqp.pictures import event_marks, style
-from contactqp.pictures.history_fields import HistoryFields, history_fields
-from contactqp.pictures.history_loads import load_panel
-from contactqp.pictures.history_panels import ALL, Curve, Panel, time_label, time_panels
+from contactqp.pictures import style
+from contactqp.pictures.history_panels import (
+    ALL,
+    Curve,
+    HistoryFields,
+    Panel,
+    history_fields,
+    load_panel,
+    time_label,
+    time_panels,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Of the width of a panel: what an upright label takes.
+ROOM = 0.022
+# Lines nearer than this part of the width are one line.
+ONE_LINE = 1 / 2000
+# Events whose contacts are named at one label, and letters of a name.
+MOST_NAMED, MOST_LETTERS = 2, 20
+KINDS: Mapping[str, dict[str, Any]] = {
+    "closed": dict(color="black", linestyle="-"),
+    "opened": dict(color="0.45", linestyle="--"),
+    "slip": dict(color="#D55E00", linestyle="-."),
+    "stick": dict(color="#0072B2", linestyle=":"),
+}
+
+
+@dataclass(frozen=True)
+class Label:
+    """What stands above the time of the first event that it is about."""
+
+    time: float
+    text: str
+    events: int
+
+
+def labels(events: Sequence[Event], width: float) -> list[Label]:
+    """Labels that do not cover each other; one of several events stands at the first.
+
+    Parameters
+    ----------
+    events : sequence of Event
+    width : float
+        The range of times that is drawn.
+
+    >>> tip = [Event("closed", 0, 0.5, "tip"), Event("slip", 0, 0.5, "tip"), Event("opened", 0, 0.9, "tip")]
+    >>> [(label.time, label.text) for label in labels(tip, width=1.0)]
+    [(0.5, 'closed tip, slip tip'), (0.9, 'opened tip')]
+    """
+    groups: list[list[Event]] = []
+    for event in sorted(events, key=lambda event: event.time):
+        if groups and event.time - groups[-1][0].time <= ROOM * width:
+            groups[-1].append(event)
+        else:
+            groups.append([event])
+    return [Label(group[0].time, _text(group), len(group)) for group in groups]
+
+
+def _text(group: Sequence[Event]) -> str:
+    named = [f"{event.kind} {style.plain(event.name or str(event.contact), MOST_LETTERS)}" for event in group]
+    if len(named) <= MOST_NAMED:
+        return ", ".join(named)
+    return f"{named[0]} + {len(named) - 1}"
+
+
+def thinned(found: Sequence[Label]) -> str:
+    """What the picture says of events without a label of their own, or nothing."""
+    hidden = sum(label.events - 1 for label in found if label.events > MOST_NAMED)
+    if not hidden:
+        return ""
+    named = sum(label.events for label in found) - hidden
+    return f"{named} events are named; + n stands for n more there, {hidden} in all"
+
+
+def draw_lines(panel: Any, events: Sequence[Event], width: float) -> None:
+    """An upright line at each event."""
+    from matplotlib.collections import LineCollection
+
+    for kind, look in KINDS.items():
+        times = np.array([event.time for event in events if event.kind == kind])
+        if not len(times):
+            continue
+        x = _apart(times, ONE_LINE * width)
+        lines = [[(t, 0.0), (t, 1.0)] for t in x.tolist()]
+        across = panel.get_xaxis_transform()
+        marks = LineCollection(lines, transform=across, linewidths=0.7, zorder=1, gid=f"event {kind}", **look)
+        panel.add_collection(marks, autolim=False)
+
+
+def draw_labels(panel: Any, found: Sequence[Label]) -> None:
+    """Upright, above the panel."""
+    for label in found:
+        panel.text(
+            *(label.time, 1.03, label.text),
+            transform=panel.get_xaxis_transform(),
+            rotation=90,
+            ha="center",
+            va="bottom",
+            fontsize="x-small",
+            gid="event label",
+        )
+
+
+def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """A marker on a curve at each event, x and y (number of events,)."""
+    for kind in KINDS:
+        mine = np.array([event.kind == kind for event in events], dtype=bool)
+        if not np.any(mine):
+            continue
+        marker = style.MARKERS["open" if kind == "opened" else kind]
+        look = dict(marker=marker.shape, markerfacecolor=marker.face, color="black", markersize=5)
+        panel.plot(x[mine], y[mine], linestyle="none", gid=f"event {kind}", zorder=4, **look)
+
+
+def handles(events: Sequence[Event], points: bool) -> list[Any]:
+    """For the legend: each kind with its line, its marker where there are points, and how many there are."""
+    found = []
+    for kind, look in KINDS.items():
+        count = sum(event.kind == kind for event in events)
+        if count:
+            marker = style.MARKERS["open" if kind == "opened" else kind]
+            shape = dict(marker=marker.shape, markerfacecolor=marker.face, markeredgecolor="black") if points else {}
+            found.append(style.line_handle(style.count_label(kind, count), linewidth=0.9, **shape, **look))
+    return found
+
+
+def _apart(times: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """The first of those that lie within `least` of each other."""
+    times = np.unique(times)
+    if least <= 0:
+        return times
+    _, first = np.unique(np.floor((times - times[0]) / least), return_index=True)
+    return times[first]
+
 
 # [inch]: width; height of a panel against time, of the one of load and displacement, of a line of text, of a letter of
 # an upright label; and what title and axis add.
@@ -69,19 +203,19 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
     fields = history_fields(history)
     panels, load = time_panels(fields, time_unit), load_panel(fields)
     width = float(np.ptp(fields.times))
-    found, remarks = event_marks.labels(fields.events, width), _remarks(fields)
+    found, remarks = labels(fields.events, width), _remarks(fields)
     heights = [HEIGHT] * len(panels) + [LOAD_HEIGHT] * (load is not None)
     letters = max((len(label.text) for label in found), default=0)
     result = style.new_figure(WIDTH, sum(heights) + TEXT + LETTER * letters + LINE * len(remarks))
     axes = result.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     for place, (drawn, panel) in enumerate(zip(axes, panels, strict=False)):
         _draw_curves(drawn, panel, [fields.times] * len(panel.curves))
-        event_marks.draw_lines(drawn, fields.events, width)
+        draw_lines(drawn, fields.events, width)
         if place:
             drawn.sharex(axes[0])
         if place < len(panels) - 1:
             drawn.tick_params(labelbottom=False)
-    event_marks.draw_labels(axes[0], found)
+    draw_labels(axes[0], found)
     axes[len(panels) - 1].set_xlabel(time_label(fields, time_unit))
     if load is not None:
         _draw_load(axes[-1], load, fields)
@@ -89,7 +223,7 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
         below = dict(xycoords="axes fraction", xytext=(0, -34), textcoords="offset points", annotation_clip=False)
         axes[-1].annotate("\n".join(remarks), (0, 0), va="top", fontsize="small", gid="remarks", **below)
     result.suptitle(style.headline(title, _headline(fields)))
-    handles = event_marks.handles(fields.events, points=load is not None)
+    handles = handles(fields.events, points=load is not None)
     style.add_legend(result, handles, columns=max(len(handles), 1))
     return result
 
@@ -120,7 +254,7 @@ def _draw_load(axes: Any, panel: Panel, fields: HistoryFields) -> None:
     axes.set_xlabel(panel.x_label)
     instants = fields.instants(fields.events)
     for curve, x in zip(panel.curves, panel.x, strict=True):
-        event_marks.draw_points(axes, fields.events, _drawable(x)[instants], _drawable(curve.y)[instants])
+        draw_points(axes, fields.events, _drawable(x)[instants], _drawable(curve.y)[instants])
 
 
 def _range(curves: Sequence[Curve]) -> tuple[float, float]:
@@ -155,7 +289,7 @@ def _remarks(fields: HistoryFields) -> list[str]:
     told = [f"note: {note}" for note in fields.notes[:MOST_NOTES]]
     if len(fields.notes) > MOST_NOTES:
         told.append(f"and {len(fields.notes) - MOST_NOTES} more in history.notes")
-    hidden = event_marks.thinned(event_marks.labels(fields.events, float(np.ptp(fields.times))))
+    hidden = thinned(labels(fields.events, float(np.ptp(fields.times))))
     lines = [line for text in (hidden, _left_out(fields), *told) for line in textwrap.wrap(text, NOTE_LINE)]
     return [line.replace("$", r"\$") for line in lines]
 

@@ -12,7 +12,7 @@ from contactqp.elements.mesh import Mesh
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
 from contactqp.pictures import style
-from contactqp.pictures.sampling import cuts, edge_points, pieces, sample
+from contactqp.pictures.contact_fields import cuts, edge_points, pieces, sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,17 @@ from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
-from contactqp.pictures.contact_fields import BodyFields, ContactFields, PairingFields
-from contactqp.pictures.sampling import MANY, cuts, edge_points, edges, pieces, sample
+from contactqp.pictures.contact_fields import (
+    MANY,
+    BodyFields,
+    ContactFields,
+    PairingFields,
+    cuts,
+    edge_points,
+    edges,
+    pieces,
+    sample,
+)
 
 MARGIN = 0.04
 # Of one pairing; more of them run into each other.

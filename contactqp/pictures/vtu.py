@@ -29,7 +29,7 @@ from contactqp.elements.mesh_files import MESHIO_KINDS
 from contactqp.exchange.whole_file import VTU, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array, Index
 from contactqp.pictures.contact_fields import ContactFields
-from contactqp.pictures.frame_fields import FrameFields
+from contactqp.pictures.frame_drawing import FrameFields
 
 STATUS = {"none": -1, "open": 0, "grazing": 1, "closed": 2, "stick": 3, "slip": 4, "held": 5}
 STATUS_FIELD = f"contact_status ({', '.join(f'{code} {name}' for name, code in STATUS.items())})"

@@ -1,26 +1,165 @@
-"""The pictures of an answer: what moved and what pushes, and of a path or a motion its history."""
+"""The pictures of an answer: what moved and what pushes, and of a path or a motion its history.
+
+From a scene and its solution to the fields that pictures and VTU files show.
+
+Pictures and VTU files of what was solved on the command line.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from contactqp.analysis.history import History
-from contactqp.errors import ContactQPError
+from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.elements import beam
+from contactqp.errors import ContactQPError, InvalidProblem
+from contactqp.model.arrays import Array
+from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
-from contactqp.pictures.contact_fields import ContactFields
+from contactqp.pictures.contact_fields import HELD, ContactFields, contact_fields
 from contactqp.pictures.drawing import figure
-from contactqp.pictures.frame_drawing import structure_figure
-from contactqp.pictures.history_drawing import history_figure
-from contactqp.pictures.membrane_drawing import membrane_figure
-from contactqp.pictures.small_png import small_png
-from contactqp.scene.judging import Failure, Judgement
+from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, structure_figure
+from contactqp.pictures.history_drawing import draw_history, history_figure
+from contactqp.pictures.membrane_drawing import MembraneFields, membrane_figure
+from contactqp.pictures.style import check_picture, save, small_png
+from contactqp.pictures.vtu import check_vtu, write_vtu
+from contactqp.scene.building import exact_problem
+from contactqp.scene.judging import Failure, Judgement, Trial
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import SceneData
-from contactqp.study.answer_fields import fields_of, fields_of_membranes
+from contactqp.scene.unknowns import ROTATION, of_node
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Points along a beam: its cubic looks smooth.
+BEAM_POINTS = 25
+
+
+def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFields:
+    """The fields of a scene's solution, in the scene's units.
+
+    The one place that decides what kind of picture a scene gets. Bars, springs, beams, strings and matrices give
+    FrameFields. Elastic bodies give the ContactFields of the System and the Pairings that the scene's problem is made
+    of; draw, write_vtu and the command line take either.
+
+    Parameters
+    ----------
+    scene : Scene
+    solution : Solution
+        Of ``scene.problem()``, by any method.
+
+    Raises
+    ------
+    Unsupported
+        The scene has a membrane.
+    """
+    if scene.meshed:
+        return _fields_of_bodies(scene, solution)
+    unknowns = exact_problem(scene).unknowns
+    value = dict.fromkeys(unknowns.names, 0.0) | dict(zip(unknowns.free, solution.displacement.tolist(), strict=True))
+    return FrameFields(
+        axes=scene.axes,
+        nodes=tuple(scene.every_node),
+        position=np.array([_point(scene, node) for node in scene.every_node]),
+        displacement=np.array([[value[name] for name in of_node(scene, node)] for node in scene.every_node]),
+        held=np.array([[name in unknowns.fixed for name in of_node(scene, node)] for node in scene.every_node]),
+        members=tuple(_members(scene, value)),
+        contacts=tuple(_contacts(scene, solution)),
+        units=Units(length=scene.units.length, force=scene.units.force),
+    )
+
+
+def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
+    """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
+    from contactqp.scene.bodies import body_model
+
+    model = body_model(scene)
+    structure, pairings = model.structure, [contact.pairing for contact in model.contacts]
+    w, kept = model.system.expand(solution.displacement), model.system.free_contacts(pairings)
+    position = np.concatenate([np.zeros((0, 3)), *(pairing.points for pairing in pairings)])
+    force, status = np.full(len(position), np.nan), np.full(len(position), HELD, dtype="<U8")
+    force[kept], status[kept] = solution.normal_force, solution.contact_status
+    first = [structure.first(body.name) for body in structure.bodies]
+    return MembraneFields(
+        meshes=tuple(body.mesh for body in structure.bodies),
+        deflections=tuple(w[i : i + body.size] for i, body in zip(first, structure.bodies, strict=True)),
+        position=position[:, :2],
+        force=force,
+        status=status,
+        units=solution.problem.units,
+    )
+
+
+def _fields_of_bodies(scene: SceneData, solution: Solution) -> ContactFields:
+    from contactqp.scene.bodies import body_model
+
+    model = body_model(scene)
+    pairings, names = [c.pairing for c in model.contacts], [c.name for c in model.contacts]
+    return contact_fields(model.system, pairings, solution, names=names)
+
+
+def _members(scene: SceneData, value: Mapping[str, float]) -> Iterator[Member]:
+    place = _places(scene)
+
+    def straight(kind: str, names: Sequence[str]) -> Member:
+        path = np.array([_point(scene, name) for name in names])
+        moved = np.array([[value[unknown] for unknown in of_node(scene, name)] for name in names])
+        return Member(kind, tuple(place[name] for name in names), path, moved)
+
+    for bar in scene.bars:
+        yield straight("bar", bar.chain)
+    for spring in scene.springs:
+        yield straight("spring", spring.nodes)
+    for wire in scene.strings:
+        yield straight("string", wire.nodes)
+    for girder in scene.beams:
+        start, end = (_point(scene, name) for name in girder.nodes)
+        at = np.linspace(0.0, 1.0, BEAM_POINTS)
+        ends = [value[name] for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}")]
+        moved = beam.displacements(start, end, np.array(ends), at)
+        nodes = tuple(place[name] for name in girder.nodes)
+        yield Member("beam", nodes, start + np.outer(at, end - start), moved)
+    for matrix in scene.matrices:
+        yield straight("matrix", list(dict.fromkeys(name.rpartition(".")[0] for name in matrix.unknowns)))
+
+
+def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
+    place, gaps = _places(scene), solution.gap
+    for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
+        push = [[-float(form.normal.get(name, 0)) for name in of_node(scene, node)] for node in contact.touched]
+        initial_gap = float(form.gap)
+        if isinstance(solution, LargeSolution) and solution.position is not None:
+            # The plane that touches the obstacle where it is nearest to the node now, seen from where the node was.
+            normal = obstacle(scene, str(contact.obstacle)).normals(solution.position[i : i + 1])[0]
+            push = [[float(x) for x in normal]]
+            moved = solution.position[i] - _point(scene, contact.touched[0])
+            initial_gap = float(gaps[i] - normal @ moved)
+        yield FrameContact(
+            name=contact.name,
+            nodes=tuple(place[name] for name in contact.touched),
+            push=np.array(push),
+            force=float(solution.normal_force[i]),
+            gap=float(gaps[i]),
+            initial_gap=initial_gap,
+            status=str(solution.contact_status[i]),
+        )
+
+
+def _places(scene: SceneData) -> dict[str, int]:
+    return {node: i for i, node in enumerate(scene.every_node)}
+
+
+def _point(scene: SceneData, name: str) -> Array:
+    return np.array([float(scene.system.value(x)) for x in scene.node(name).at])
+
 
 # Times of scenes are in seconds.
 TIME_UNIT = "s"
@@ -64,3 +203,105 @@ def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
 def _history(history: History) -> bytes | None:
     """One instant has no history."""
     return small_png(history_figure(history, time_unit=TIME_UNIT), DPI) if len(history) > 1 else None
+
+
+# What the picture of a history is called after its case and method.
+HISTORY = "history"
+
+
+@dataclass(frozen=True)
+class AnswerFiles:
+    """Where answers are drawn and written to.
+
+    Parameters
+    ----------
+    plot, vtu : Path or None
+        As asked for. With several cases the name of the case is put before the suffix, with several answers of one
+        case the method too: ``bar.png`` becomes ``bar.truss_floor.lemke.png``. A history is drawn to a picture of its
+        own, ``bar.history.png``.
+    several_cases : bool
+    every_method : bool
+        All answers of a case; otherwise the first one, which is the one that is printed in full.
+    """
+
+    plot: Path | None
+    vtu: Path | None
+    several_cases: bool
+    every_method: bool
+
+    def write(self, outcomes: Sequence[Judgement | Failure]) -> list[Path]:
+        """Write the files of one scene's outcomes, and return them.
+
+        A trial without an answer has none, but for the picture of a history that was cut short.
+        """
+        chosen = outcomes if self.every_method else outcomes[:1]
+        written = []
+        for outcome in chosen:
+            names = [_stem(outcome.scene)] if self.several_cases else []
+            names += [_slug(outcome.trial)] if len(chosen) > 1 else []
+            if isinstance(outcome, Judgement):
+                written += self._write_one(outcome, names)
+            elif outcome.history is not None:
+                title = f"{outcome.scene.title}, {outcome.trial}, as far as it came"
+                written += self._write_history(outcome.history, title, names)
+        return written
+
+    def _write_one(self, judgement: Judgement, names: Sequence[str]) -> list[Path]:
+        written = []
+        if self.plot is not None:
+            written.append(_named(self.plot, names))
+            title = f"{judgement.scene.title}, {judgement.trial}"
+            save(answer_figure(judgement.scene, judgement.solution, title=title), written[-1])
+            written += self._write_history(judgement.history, title, names)
+        if self.vtu is not None:
+            written.append(_named(self.vtu, names))
+            write_vtu(fields_of(judgement.scene, judgement.solution), written[-1])
+        return written
+
+    def _write_history(self, history: History, title: str, names: Sequence[str]) -> list[Path]:
+        """The picture of a path or a motion; one instant has none."""
+        if self.plot is None or len(history) < 2:
+            return []
+        file = _named(self.plot, [*names, HISTORY])
+        draw_history(history, file, title=title, time_unit=TIME_UNIT)
+        return [file]
+
+
+def answer_files(scenes: Sequence[SceneData], plot: str | None, vtu: str | None, *, every_method: bool) -> AnswerFiles:
+    """What the command line asks for, checked before anything is solved.
+
+    Raises
+    ------
+    InvalidProblem
+        A wrong suffix, a folder that is not there, two cases that would write to one file.
+    BackendMissing
+        matplotlib or meshlane is not installed.
+    """
+    stems = [_stem(scene) for scene in scenes]
+    stems += [f"{stem}.{HISTORY}" for stem in stems if plot is not None]
+    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    if twice is not None:
+        asked = Path(plot if plot is not None else str(vtu))
+        raise InvalidProblem(
+            f"{asked}: expected cases whose files have distinct names, got {twice!r} more than once: they would all be "
+            f"written to {_named(asked, [twice])}"
+        )
+    return AnswerFiles(
+        None if plot is None else check_picture(plot),
+        None if vtu is None else check_vtu(vtu),
+        len(scenes) > 1,
+        every_method,
+    )
+
+
+def _stem(scene: SceneData) -> str:
+    return scene.file.stem if scene.file is not None else scene.title
+
+
+def _slug(trial: Trial) -> str:
+    """The trial as a part of a file name: ``penalty-penalty=1e8-kN-m``."""
+    return re.sub(r"[^\w.+=-]+", "-", str(trial))
+
+
+def _named(file: Path, names: Sequence[str]) -> Path:
+    return file.with_name(".".join([file.stem, *names]) + file.suffix)

@@ -23,10 +23,19 @@ from contactqp.scene.running import walk
 from contactqp.scene.scene import Scene
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
-from contactqp.study.attempt import Timing, Walk, answer, timing
-from contactqp.study.digest import digest
+from contactqp.study.attempt import (
+    TOLERANCES,
+    Rung,
+    Timing,
+    Walk,
+    all_rungs,
+    answer,
+    left_out_of_all_unknowns,
+    on_all_unknowns,
+    timing,
+)
 from contactqp.study.rows import Row
-from contactqp.study.rungs import TOLERANCES, Rung, all_rungs, left_out_of_all_unknowns, on_all_unknowns
+from contactqp.study.running.journal import digest
 from contactqp.study.truth import Truth, of_solution, proven_solution
 
 # Expected values that are stated less exactly than this are no truth to measure errors against.

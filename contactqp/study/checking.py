@@ -1,23 +1,304 @@
-"""`contactqp check`: which kind of problem a file holds, and what is printed of the verdict."""
+"""`contactqp check`: which kind of problem a file holds, and what is printed of the verdict.
+
+Somebody else's answer to a problem of energy and contacts, judged: from a case file, or from matrices.
+
+Somebody else's forces for a file's problem, judged: what is wrong, at which contacts, and what is right there.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from contactqp.certificate.local_certificate import certify_local, contact_figures
+from contactqp.errors import ContactQPError, InvalidProblem, Unsupported
+from contactqp.exchange.answer_files import read_answer
+from contactqp.exchange.answer_reader import AnswerFile, names_of
+from contactqp.exchange.candidate_forces import read_candidate_forces
+from contactqp.exchange.fclib import StoredAnswer
+from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger, read_tie_names
-from contactqp.exchange.refusal import wrong
+from contactqp.exchange.refusal import naming, wrong
+from contactqp.linalg.extended import velocity_of
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
-from contactqp.study.answer_check import AnswerVerdict, check_case, check_problem
-from contactqp.study.check_options import CheckOptions, as_options
-from contactqp.study.friction_check import ForcesVerdict, WorstContact, check_forces
-from contactqp.study.friction_files import figures
-from contactqp.study.friction_printing import MOST_CONTACTS, vector_text
+from contactqp.model.solution import LocalCertificate
+from contactqp.oracle.judged_answer import JudgedAnswer, certify
+from contactqp.scene.loading import load_scene
+from contactqp.scene.models import build
+from contactqp.solving.solve import solve
+from contactqp.study.friction_files import MOST_CONTACTS, figures, finite, vector_text
+from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, finite_list, read_areas, read_order
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerVerdict(Verdict):
+    """What is said of an answer."""
+
+    problem: ContactProblem
+    certificate: JudgedAnswer
+
+
+def check_case(problem_file: str, candidate_file: str, options: CheckOptions) -> AnswerVerdict:
+    """Judge an answer against a case file.
+
+    Raises
+    ------
+    SceneError, InvalidProblem
+        Of either file.
+    Unsupported
+        A motion, a load path with friction, a large deformation: what is right at its end depends on the way there.
+    """
+    scene = load_scene(problem_file)
+    problem = build(scene).problem
+    if scene.motion is not None:
+        raise Unsupported(f"{problem_file}: check: a motion has no answer of its own at its end")
+    if scene.large:
+        raise Unsupported(f"{problem_file}: check: a large deformation has no problem of its own at its end")
+    if scene.path is not None and problem.frictional:
+        raise Unsupported(f"{problem_file}: check: a load path with friction has no answer of its own at its end")
+    ledger = Ledger(problem_file)
+    ledger.read.append(f"case file: {problem.dimension} unknowns, {problem.contacts} contacts, {problem.ties} ties")
+    return check_problem(problem, ledger, candidate_file, options, [tie.name for tie in scene.ties])
+
+
+def check_problem(
+    problem: ContactProblem,
+    ledger: Ledger,
+    candidate_file: str,
+    options: CheckOptions,
+    tie_names: Sequence[str] | None = None,
+) -> AnswerVerdict:
+    """Judge an answer against a problem.
+
+    Raises
+    ------
+    InvalidProblem
+        Of the candidate, the areas or the maps.
+    BackendMissing
+        The candidate's reader is not installed.
+    """
+    dofs = read_order(options.dof_map, names_of(problem, "displacement"))
+    contacts = read_order(options.contact_map, names_of(problem, "normal_force"))
+    found = read_answer(candidate_file, _renamed(problem, dofs, contacts), tie_names)
+    given: dict[str, Any] = dict(found.parts)
+    given |= {"dof_map": _map(dofs, found, "displacement"), "contact_map": _map(contacts, found, "normal_force")}
+    if options.pressure_areas is not None:
+        given["pressure_area"] = read_areas(options.pressure_areas, names_of(problem, "normal_force"), found.ledger)
+        found.ledger.converted.append("pressures: multiplied by the areas of the contacts")
+    _take_pressure(candidate_file, given, options)
+    given |= {"tolerance": options.tolerance, "error_tolerance": options.error_tolerance}
+    if options.compression == "negative" and "normal_force" in given:
+        found.ledger.converted.append("normal forces: turned round, compression is negative in the file")
+    with naming(candidate_file):
+        certificate = certify(problem, **given, compression=options.compression)
+    wrong_answer = not certificate.passed
+    return AnswerVerdict(
+        problem_file=ledger.source,
+        candidate_file=candidate_file,
+        problem=problem,
+        certificate=certificate,
+        worst=certificate.contacts,
+        right=certificate.right if wrong_answer else None,
+        why_not=certificate.why_not if wrong_answer else None,
+        ledgers=(ledger, found.ledger),
+    )
+
+
+def _renamed(problem: ContactProblem, dofs: Order | None, contacts: Order | None) -> ContactProblem:
+    """The problem under the names that the candidate uses."""
+    changes = {}
+    for key, order in (("dof_names", dofs), ("contact_names", contacts)):
+        if order is not None and order.renamed is not None:
+            if len(set(order.renamed)) != len(order.renamed):
+                raise wrong(order.file, "candidate", "every name once", "one of them twice")
+            changes[key] = order.renamed
+    return problem.replace(**changes) if changes else problem
+
+
+def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | Sequence[str] | None:
+    """The map for values that came in order; values that came by name are in the problem's order already."""
+    if order is None:
+        return None
+    named = part in found.named or (part == "normal_force" and "normal_pressure" in found.named)
+    if named and order.renamed is None:
+        raise wrong(order.file, "content", "a table problem,candidate, as the candidate has names", "an order")
+    if not named and order.renamed is not None:
+        raise wrong(order.file, "candidate", "places counted from 0, as the candidate has no names", "names")
+    return order.places or order.names
+
+
+def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> None:
+    """A pressure becomes a force by its area, and by nothing else."""
+    if "normal_pressure" not in given:
+        return
+    if "normal_force" in given:
+        raise wrong(file, "normal_pressure", "either forces or pressures", "both")
+    if options.pressure_areas is None:
+        raise wrong(file, "normal_pressure", "--pressure-areas, which make it a force", "none")
+    given["normal_force"] = given.pop("normal_pressure")
+
+
+# A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
+OTHER_VELOCITY = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class WorstContact:
+    """One contact whose forces break the law."""
+
+    name: str
+    index: int
+    figure: str  # the figure that is broken most
+    size: float  # as the certificate measures it
+    force: NDArray[np.float64]  # (d,) as given
+    velocity: NDArray[np.float64]  # (d,) W r + q of all the given forces
+    right_force: NDArray[np.float64] | None  # (d,) of our solution
+    right_velocity: NDArray[np.float64] | None
+
+    def data(self) -> dict[str, Any]:
+        return {
+            "contact": self.name,
+            "figure": self.figure,
+            "size": finite(self.size),
+            "force": finite_list(self.force),
+            "velocity": finite_list(self.velocity),
+            "right_force": finite_list(self.right_force),
+            "right_velocity": finite_list(self.right_velocity),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ForcesVerdict(Verdict):
+    """What is said of forces for a file."""
+
+    problem: LocalProblem
+    certificate: LocalCertificate
+    worst: tuple[WorstContact, ...]  # worst first; all that are beyond the tolerance
+
+
+def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) -> ForcesVerdict:
+    """Judge a file of forces against a file's problem, by the law and W as given and nothing else.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported, BackendMissing
+        Of either file; M is singular, so that forces alone do not say how the bodies move; a map, which forces contact
+        by contact have no use for.
+    """
+    for name, file in (("--dof-map", options.dof_map), ("--contact-map", options.contact_map)):
+        if file is not None:
+            raise InvalidProblem(
+                f"{problem_file}: {name}: expected a problem with displacements; forces for this one come in the order "
+                "of its contacts, or as CSV whose first column names them"
+            )
+    with naming(problem_file):
+        try:
+            stored, ledger = read_problem_with_ledger(problem_file)
+            problem = local_form_of(stored)
+        except SingularMatrix as error:
+            raise InvalidProblem(f"{error}, and forces alone cannot be judged") from None
+    given, candidate = read_candidate_forces(candidate_file, problem)
+    force = given.force.copy()
+    if options.compression == "negative":
+        force[:, 0] *= -1
+        candidate.converted.append("normal forces: turned round, compression is negative in the file")
+    if options.pressure_areas is not None:
+        names = [problem.contact_name(i) for i in range(problem.contacts)]
+        force *= _areas(options.pressure_areas, names, candidate)[:, None]
+        candidate.converted.append("pressures: multiplied by the areas of the contacts")
+    given = replace(given, force=force)
+    with naming(candidate_file):
+        certificate = certify_local(problem, given.force, given.joint_force, tolerance=options.tolerance)
+    right, why_not = (None, None) if certificate.passed else _right(problem, options.tolerance)
+    return ForcesVerdict(
+        problem_file=problem_file,
+        candidate_file=candidate_file,
+        problem=problem,
+        certificate=certificate,
+        worst=_worst(problem, given, certificate, right),
+        right=right,
+        why_not=why_not,
+        ledgers=(ledger, candidate),
+        notes=_notes(problem, given),
+    )
+
+
+def _areas(file: str, names: list[str], ledger: Ledger) -> NDArray[np.float64]:
+    areas = read_areas(file, names, ledger)
+    if areas.shape != (len(names),) or not np.all((areas > 0) & np.isfinite(areas)):
+        raise wrong(file, "content", f"{len(names)} positive areas", f"{areas.size} numbers")
+    return areas
+
+
+def _right(problem: LocalProblem, tolerance: float) -> tuple[LocalSolution | None, str | None]:
+    try:
+        return solve(problem, tolerance=min(tolerance, 1e-9)), None
+    except ContactQPError as error:
+        return None, str(error)
+
+
+def _worst(
+    problem: LocalProblem, given: StoredAnswer, certificate: LocalCertificate, right: LocalSolution | None
+) -> tuple[WorstContact, ...]:
+    if not given.finite:
+        bad = np.flatnonzero(~np.all(np.isfinite(given.force), axis=1))
+        velocity = np.full_like(given.force, np.nan)
+        return tuple(_contact(problem, int(i), "not finite", np.inf, given.force, velocity, right) for i in bad)
+    measures = contact_figures(problem, given.force, given.joint_force)
+    names, table = list(measures), np.array(list(measures.values()))
+    largest = np.max(table, axis=0, initial=0.0)
+    beyond = np.flatnonzero(largest > certificate.tolerance)
+    order = beyond[np.argsort(-largest[beyond], kind="stable")]
+    velocity = velocity_of(problem, given.force, given.joint_force)
+    return tuple(
+        _contact(problem, int(i), names[int(np.argmax(table[:, i]))], largest[i], given.force, velocity, right)
+        for i in order
+    )
+
+
+def _contact(
+    problem: LocalProblem,
+    i: int,
+    figure: str,
+    size: float,
+    force: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    right: LocalSolution | None,
+) -> WorstContact:
+    return WorstContact(
+        name=problem.contact_name(i),
+        index=i,
+        figure=figure.replace("_", " "),
+        size=float(size),
+        force=force[i],
+        velocity=velocity[i],
+        right_force=None if right is None else right.force[i],
+        right_velocity=None if right is None else right.velocity[i],
+    )
+
+
+def _notes(problem: LocalProblem, given: StoredAnswer) -> tuple[str, ...]:
+    notes = []
+    if not np.any(given.force) and problem.contacts:
+        notes.append("all forces in the file are zero")
+    if given.velocity is not None and given.finite:
+        velocity = velocity_of(problem, given.force, given.joint_force)
+        size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(problem.offset)))
+        apart = float(np.linalg.norm(velocity - given.velocity))
+        if not apart <= OTHER_VELOCITY * size:
+            notes.append(f"the velocities in the file are not those of its forces: |u - (W r + q)| = {apart:.3g}")
+    return tuple(notes)
 
 
 def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesVerdict | AnswerVerdict:

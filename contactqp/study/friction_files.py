@@ -1,23 +1,156 @@
-"""Files of frictional contact, solved: one outcome a file and method, with what its certificate says."""
+"""Files of frictional contact, solved: one outcome a file and method, with what its certificate says.
+
+What is said of a file of frictional contact and of its answer.
+
+Files of problems, solved on the ranks of MPI: the first one reads, deals out what it has read, and tells.
+
+It has K whole while it reads and deals; the others never have more than an equal share of the rows and their part.
+
+Outcomes of frictional files as a table on a screen.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
-from contactqp.exchange.problem_files import is_problem_file
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from contactqp.distributed.collecting import CollectedSolution, collected
+from contactqp.distributed.distributing import part_of, share_of_first
+from contactqp.distributed.portion import Portion, whole_portion
+from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.solution import DistributedSolution
+from contactqp.distributed.solving import refuse_method, solve_distributed
+from contactqp.distributed.whole import options_on_ranks
+from contactqp.errors import (
+    BackendFailed,
+    InvalidProblem,
+    NoEquilibrium,
+    NotCertified,
+    NotConverged,
+    SeveralEquilibria,
+    Unsupported,
+)
+from contactqp.exchange.local_form import SingularMatrix, local_form_of
+from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem
 from contactqp.exchange.refusal import naming
 from contactqp.model.engines import SERIAL
-from contactqp.model.local_problem import LocalSolution
-from contactqp.model.solution import Certificate, LocalCertificate
+from contactqp.model.local_problem import LocalProblem, LocalSolution
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Certificate, LocalCertificate, Solution
 from contactqp.solving.solve import solve
-from contactqp.study.file_outcome import FileOutcome, outline_of, solvable_form
 
-if TYPE_CHECKING:
-    pass
+
+@dataclass(frozen=True)
+class Outline:
+    """What is said of a problem beside its answer; on several ranks nobody keeps the problem itself."""
+
+    form: str  # as solved: "local" wherever there is one, else "bodies"
+    dimension: int  # 1 where nothing says it
+    contacts: int
+    asymmetry: float
+
+
+@dataclass(frozen=True, eq=False)
+class FileOutcome:
+    """What one method made of one file."""
+
+    file: str
+    problem: Outline
+    solution: LocalSolution | Solution | CollectedSolution | None  # also one that the certificate refuses
+    failure: str | None  # why there is no answer
+    seconds: float  # of solving
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        return self.failure is None and self.solution is not None and self.solution.certificate.passed
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """How many contacts are open, sticking, slipping, ..."""
+        if self.solution is None:
+            return {}
+        found = [str(status) for status in self.solution.contact_status]
+        return {status: found.count(status) for status in sorted(set(found))}
+
+
+def solvable_form(file: str | Path) -> LocalProblem | ContactProblem:
+    """A file's problem in local form; with its bodies where nothing but contact holds them, so that M is singular.
+
+    A problem of matrices stays as it is.
+    """
+    problem = read_problem(file)
+    if isinstance(problem, ContactProblem) and is_of_matrices(file):
+        return problem
+    try:
+        with naming(file):
+            return local_form_of(problem)
+    except SingularMatrix:
+        if isinstance(problem, ContactProblem):
+            return problem
+        raise
+
+
+def outline_of(problem: LocalProblem | ContactProblem) -> Outline:
+    if isinstance(problem, LocalProblem):
+        return Outline("local", problem.dimension, problem.contacts, problem.asymmetry)
+    origin = problem.slip_origin
+    return Outline("bodies", 1 + (0 if origin is None else origin.shape[1]), problem.contacts, problem.asymmetry)
+
+
+def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> FileOutcome:
+    """As `run_file`, on all ranks; the answer is whole on the first one. Collective.
+
+    Raises
+    ------
+    InvalidProblem, Unsupported, BackendMissing
+        As there, on all ranks in the same words.
+    """
+    refuse_method(method)
+    chosen, ranks = options_on_ranks(dict(options)), Ranks()
+    outline, share = _read(file, ranks)
+    began = time.perf_counter()
+    solution: CollectedSolution | None = None
+    failure: str | None = None
+    try:
+        with naming(file):
+            solution = collected(solve_distributed(part_of(ranks, share), method, **chosen))
+    except (NotConverged, NotCertified) as error:
+        found: Any = error.solution
+        solution = collected(found) if isinstance(found, DistributedSolution) else None
+        failure = f"{file}: {error}"
+    except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
+        failure = f"{file}: {error}"
+    return FileOutcome(file, outline, solution, failure, time.perf_counter() - began, dict(options))
+
+
+def _read(file: str, ranks: Ranks) -> tuple[Outline, Portion]:
+    """What is said of a file's problem, and this rank's share of it; the whole is forgotten."""
+    found = ranks.by_first(lambda: _first_reads(file))
+    outline, whole = (None, None) if found is None else found
+    share = share_of_first(whole, ranks)
+    said: Any = ranks.told(outline)
+    return said, share
+
+
+def _first_reads(file: str) -> tuple[Outline, Portion]:
+    problem = solvable_form(file)
+    if not isinstance(problem, ContactProblem):
+        raise Unsupported(f"{file}: engine 'petsc': a problem in local form has no stiffness to deal out")
+    return outline_of(problem), whole_portion(problem)
+
 
 SHARED_FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 LOCAL_FIGURES = (*SHARED_FIGURES, "joints", "natural_map", "siconos_error")
@@ -74,7 +207,7 @@ def run_file(
         The file, the method or its options are no good. That a method finds no answer is an outcome.
     """
     if engine != SERIAL:
-        from contactqp.study.files_on_ranks import run_file_on_ranks
+        pass  # MERGED
 
         return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
     problem, chosen = solvable_form(file), dict(options or {})
@@ -140,3 +273,50 @@ def outcome_data(outcome: FileOutcome) -> dict[str, Any]:
 def finite(value: float) -> float | None:
     """JSON has no numbers that are not finite."""
     return float(value) if math.isfinite(value) else None
+
+
+# Contacts on a screen; --json has all.
+MOST_CONTACTS = 10
+PASSED, REFUSED = Text("passed", style="green"), Text("REFUSED", style="red")
+
+
+def print_outcomes(console: Console, outcomes: Sequence[FileOutcome]) -> None:
+    """One row a file and method: sizes, the worst of each figure, the errors that other codes publish."""
+    if not outcomes:
+        return
+    header = ["file", "contacts", "", "algorithm", "state of contacts", *(n.replace("_", " ") for n in SHARED_FIGURES)]
+    header += ["natural map", "siconos", "asymmetry", "seconds", "certificate"]
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for title in header:
+        table.add_column(title, no_wrap=title == "file")
+    for outcome in outcomes:
+        table.add_row(*_row(outcome))
+    console.print(table)
+
+
+def _row(outcome: FileOutcome) -> list[str | Text]:
+    solution = outcome.solution
+    known = figures(solution.certificate) if solution is not None else {}
+    states = ", ".join(f"{number} {status}" for status, number in outcome.statuses.items())
+    return [
+        escape(Path(outcome.file).name),
+        f"{outcome.problem.contacts}",
+        f"{outcome.problem.dimension}D"
+        if outcome.problem.dimension > 1
+        else "",  # without tangential rows nothing says
+        escape(solution.method) if solution is not None else "",
+        states,
+        *(_figure(known.get(name)) for name in (*SHARED_FIGURES, "natural_map", "siconos_error")),
+        f"{outcome.problem.asymmetry:.0e}",
+        f"{outcome.seconds:.2f}",
+        PASSED if outcome.passed else REFUSED,
+    ]
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.1e}"
+
+
+def vector_text(values: NDArray[np.float64]) -> str:
+    """``(1, 2.5, -3)``."""
+    return "(" + ", ".join(f"{value:.6g}" for value in values) + ")"

@@ -13,22 +13,17 @@ from typing import Any
 
 from contactqp.errors import SceneError
 from contactqp.scene.arguments import case_files
-from contactqp.study.attempt import ENOUGH
+from contactqp.study.attempt import ENOUGH, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.charts.comparison import overview_charts
 from contactqp.study.charts.work_precision import case_charts
-from contactqp.study.digest import source_digest
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report.collecting import Collector
-from contactqp.study.report.delivery import deliver, report_folder, unfinished, workshop, write
-from contactqp.study.report.machine import machine, versions
-from contactqp.study.report.report_data import ReportData, as_json
-from contactqp.study.report.summary import Summary, summarise
+from contactqp.study.report.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
+from contactqp.study.report.report_data import ReportData, Summary, as_json, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
-from contactqp.study.rungs import STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
-from contactqp.study.running.progress import progress
-from contactqp.study.running.running import Running, workers_of
-from contactqp.study.running.stopping import Stopped, stopped_by_signals
+from contactqp.study.running.journal import source_digest
+from contactqp.study.running.runner import Running, Stopped, progress, stopped_by_signals, workers_of
 from contactqp.study.running.workers import Workers
 
 REPEATS = 3

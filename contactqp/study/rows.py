@@ -176,7 +176,7 @@ def _rounded(name: str, value: Any) -> str:
 def text_table(rows: Iterable[Row], widest: int = 60) -> str:
     """A table for a terminal; messages are cut at `widest` letters."""
     cells = [[heading for heading in READABLE.values()]]
-    cells += [[shortened(cell, widest) for cell in readable(row).values()] for row in rows]
+    cells += [[shortened_text(cell, widest) for cell in readable(row).values()] for row in rows]
     return aligned(cells)
 
 
@@ -188,7 +188,7 @@ def aligned(cells: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(line).rstrip() for line in zip(*padded, strict=True))
 
 
-def shortened(text: str, widest: int) -> str:
+def shortened_text(text: str, widest: int) -> str:
     """A text on one line, cut at `widest` letters."""
     text = " ".join(text.split())
     return text if len(text) <= widest else text[: widest - 1] + "…"

@@ -1,7 +1,15 @@
-"""What is said of somebody else's answer, be it to a case or to a file of forces."""
+"""What is said of somebody else's answer, be it to a case or to a file of forces.
+
+What `contactqp check` is told of a candidate: its sign of compression, its areas, its order.
+
+A map is a text file: the place of each unknown (or contact) of the problem in the candidate, counted from 0, one a
+line; or the candidate's own names in the candidate's order, one a line; or a table "problem,candidate" of what each is
+called (or where it stands) in the candidate.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -9,13 +17,131 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.ledger import Ledger
+from contactqp.exchange.matrix_files import read_matrix
+from contactqp.exchange.refusal import read_text, wrong
+from contactqp.exchange.tables import is_table, read_tables
+from contactqp.model.arrays import Vector
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate, Solution
+from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.oracle.judged_answer import JudgedAnswer
-from contactqp.study.check_options import as_options
 from contactqp.study.friction_files import figures, finite
+
+EXPECTED = "places or names, one a line, or a table problem,candidate"
+# What a diagnosis calls an argument of `cq.certify`, as its option.
+OPTIONS = (
+    (r"\bcompression='(\w+)'", r"--compression \1"),
+    (r"\bpressure_area=", "--pressure-areas"),
+    (r"\b(dof|contact)_map=", r"--\1-map "),
+    (r"\berror_tolerance=", "--error-tolerance "),
+    (r"\btolerance=", "--tolerance "),
+)
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """As on the command line; the rest are names of files."""
+
+    tolerance: float = 1e-9
+    compression: str = "positive"
+    pressure_areas: str | None = None
+    dof_map: str | None = None
+    contact_map: str | None = None
+    error_tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.compression not in COMPRESSION:
+            raise InvalidProblem(f"compression: expected 'positive' or 'negative', got {self.compression!r}")
+
+
+def as_options(text: str) -> str:
+    """A diagnosis with the options of the command line in place of arguments in Python.
+
+    >>> as_options("with compression='negative' this answer is right; tolerance=1e-07 passes it")
+    'with --compression negative this answer is right; --tolerance 1e-07 passes it'
+    """
+    for argument, option in OPTIONS:
+        text = re.sub(argument, option, text)
+    return text
+
+
+@dataclass(frozen=True)
+class Order:
+    """One of: where the problem's unknowns stand, the names in the candidate's order, what the problem's are called."""
+
+    file: str
+    places: tuple[int, ...] | None = None
+    names: tuple[str, ...] | None = None
+    renamed: tuple[str, ...] | None = None
+
+
+def read_order(file: str | None, names: Sequence[str]) -> Order | None:
+    """A map; `names` are what the unknowns or contacts are called in the problem.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, nothing in it, a name of the problem that is missing, unknown or there twice.
+    """
+    if file is None:
+        return None
+    if is_table(file, "problem"):
+        return _renaming(file, names)
+    entries = [line.strip() for line in read_text(file, EXPECTED).splitlines() if line.strip()]
+    entries = [entry for entry in entries if not entry.startswith("#")]
+    if not entries:
+        raise wrong(file, "content", EXPECTED, "nothing")
+    return _order(file, entries) or Order(file, names=tuple(entries))
+
+
+def _order(file: str, entries: Sequence[str]) -> Order | None:
+    if not all(entry.isdecimal() and len(entry) < 19 for entry in entries):
+        return None
+    return Order(file, places=tuple(int(entry) for entry in entries))
+
+
+def _renaming(file: str, names: Sequence[str]) -> Order:
+    tables = read_tables(file, ("problem",))
+    if len(tables) != 1 or tables[0].columns != ("problem", "candidate"):
+        raise wrong(file, "columns", "problem,candidate", ", ".join(tables[0].columns)[:100])
+    given = tables[0].column("problem")
+    called = dict(zip(given, tables[0].column("candidate"), strict=True))
+    if len(called) != len(given) or set(called) != set(names):
+        odd = sorted(set(called) ^ set(names)) or [name for name in given if given.count(name) > 1]
+        raise wrong(file, "problem", f"each of the problem's {len(names)} names once", ", ".join(odd[:5])[:100])
+    entries = tuple(called[name] for name in names)
+    return _order(file, entries) or Order(file, renamed=entries)
+
+
+def read_areas(file: str, contact_names: Sequence[str], ledger: Ledger) -> Vector:
+    """(m,) areas, in the problem's order of contacts or by their names in a table contact,area.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, no numbers, names that are not the problem's.
+    """
+    if not is_table(file, "contact"):
+        matrix, _, own = read_matrix(file)
+        if len(matrix.shape) == 2 and min(matrix.shape) > 1:
+            raise wrong(file, "content", "one area a contact", f"shape {matrix.shape}")
+        ledger.read.append(f"pressure areas: {file}: {'; '.join(own.read)}")
+        dense = matrix.toarray() if hasattr(matrix, "toarray") else matrix
+        return np.asarray(dense, dtype=float).ravel()
+    (table,) = read_tables(file, ("contact",))[:1]
+    if "area" not in table.columns:
+        raise wrong(file, "columns", "contact,area", ", ".join(table.columns)[:100])
+    given = dict(zip(table.column("contact"), table.numbers("area"), strict=True))
+    if len(given) != len(table.rows) or set(given) != set(contact_names):
+        odd = sorted(set(given) ^ set(contact_names)) or ["one of them twice"]
+        raise wrong(
+            file, "contact", f"each of the problem's {len(contact_names)} contacts once", ", ".join(odd[:5])[:100]
+        )
+    ledger.read.append(f"pressure areas: {file}: {len(given)} by name")
+    return np.array([given[name] for name in contact_names])
 
 
 class JudgedContact(Protocol):

@@ -11,7 +11,7 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.solving.methods.method import Method
-from contactqp.study.footprint.footprint import Footprint
+from contactqp.study.footprint import Footprint
 from tests.examples import PUSHED_OFF
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -168,7 +168,7 @@ def test_explain_says_what_the_answer_takes(capsys):
 
 def test_explain_explains_what_has_no_answer(capsys, monkeypatch):
     footprint = Footprint(WALL, "active-set", failure="the process died of SIGSEGV")
-    monkeypatch.setattr("contactqp.study.footprint.measuring.measure", lambda case: replace(footprint, case=case))
+    monkeypatch.setattr("contactqp.study.footprint.measure", lambda case: replace(footprint, case=case))
     code, out, _ = run(capsys, "explain", WALL)
     assert code == 0
     assert "left out" in out

@@ -36,7 +36,7 @@ def stopped(capsys, *arguments):
         ("contactqp.scene.loading.Scene", ["run", WALL]),
         ("contactqp.linalg.condensation.eliminate", ["run", WALL]),
         ("contactqp.solving.runs.compute_certificate", ["run", WALL, "--json"]),
-        ("contactqp.study.footprint.measuring.subprocess.run", ["explain", WALL]),
+        ("contactqp.study.footprint.subprocess.run", ["explain", WALL]),
         ("contactqp.linalg.condensation.eliminate", ["oracle", WALL]),
         ("contactqp.study.checking.check_case", ["check", WALL, "x.json"]),
     ],

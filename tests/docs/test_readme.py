@@ -13,7 +13,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.study.reporting import write_report
-from contactqp.study.running.running import Running
+from contactqp.study.running.runner import Running
 
 ROOT = pathlib.Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text()

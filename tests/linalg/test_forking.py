@@ -14,7 +14,7 @@ import pytest
 import contactqp as cq
 from contactqp.analysis.history import History
 from contactqp.linalg import threads
-from contactqp.study.running import cluster
+from contactqp.study.running import workers
 from tests.public_objects import bars, rubbing
 
 pytestmark = [
@@ -98,16 +98,16 @@ def test_the_limit_of_threads_of_blas(monkeypatch) -> None:
 
 def test_what_a_worker_of_a_cluster_asks_its_processes() -> None:
     """The child has processes of its own: those of its parent answer the parent."""
-    theirs = cluster._CHILDREN[-1]
+    theirs = workers._CHILDREN[-1]
 
     def own() -> bool:
-        with cluster._LOCK:
-            return cluster._CHILDREN[-1] is not theirs
+        with workers._LOCK:
+            return workers._CHILDREN[-1] is not theirs
 
-    with held_elsewhere(cluster._LOCK, theirs._lock):
+    with held_elsewhere(workers._LOCK, theirs._lock):
         assert in_forked_child(own)
-        assert in_forked_child(lambda: cluster.stop_children() is None)
-    assert cluster._CHILDREN[-1] is theirs
+        assert in_forked_child(lambda: workers.stop_children() is None)
+    assert workers._CHILDREN[-1] is theirs
 
 
 def test_what_is_computed_when_looked_at() -> None:

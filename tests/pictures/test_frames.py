@@ -9,7 +9,7 @@ import contactqp as cq
 from contactqp.elements import beam
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.pictures.frame_drawing import draw_structure, structure_figure
-from contactqp.study.answer_fields import fields_of
+from contactqp.study.answer_pictures import fields_of
 from tests.shipped_cases import SCENES
 
 pytest.importorskip("matplotlib")

@@ -13,10 +13,9 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.analysis.history import Event
-from contactqp.pictures import event_marks, style
+from contactqp.pictures import history_drawing, style
 from contactqp.pictures.history_drawing import history_figure
-from contactqp.pictures.history_fields import history_fields
-from contactqp.pictures.history_loads import load_parts
+from contactqp.pictures.history_panels import history_fields, load_parts
 from tests.analysis.motions import SPEED, rod_at_wall, thrown_rod
 
 pytest.importorskip("matplotlib")
@@ -264,7 +263,7 @@ def test_of_many_contacts_those_that_push_hardest_and_the_sum():
 def test_each_colour_of_a_curve_has_dashes_of_its_own():
     assert len(set(style.LINE_COLOURS)) == len(style.LINE_COLOURS) == len(style.DASHES)
     assert len(set(style.DASHES)) == len(style.DASHES)
-    looks = [event_marks.KINDS[kind]["linestyle"] for kind in ("closed", "opened", "slip", "stick")]
+    looks = [history_drawing.KINDS[kind]["linestyle"] for kind in ("closed", "opened", "slip", "stick")]
     assert len(set(looks)) == 4
 
 
@@ -280,7 +279,7 @@ def test_labels_of_many_events_stand_free_and_count_all():
     assert len(boxes) > 20
     assert all(left.x1 <= right.x0 for left, right in itertools.pairwise(boxes))
     assert len(history.events) == 99
-    assert sum(label.events for label in event_marks.labels(history.events, 1.0)) == 99
+    assert sum(label.events for label in history_drawing.labels(history.events, 1.0)) == 99
     (remark,) = [text.get_text() for text in figure.axes[-1].texts if text.get_gid() == "remarks"]
     hidden = sum(int(text.get_text().split("+ ")[1]) for text in texts)
     assert remark == f"{99 - hidden} events are named; + n stands for n more there, {hidden} in all"

@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.pictures.membrane_drawing import DOTS, membrane_figure
-from contactqp.study.answer_fields import fields_of_membranes
+from contactqp.study.answer_pictures import fields_of_membranes
 
 pytest.importorskip("matplotlib")
 CASE = Path(__file__).parents[2] / "cases" / "membrane_ball.toml"

@@ -9,7 +9,7 @@ import contactqp as cq
 from contactqp.scene.building import exact_problem
 from contactqp.scene.judging import Trial, judge
 from contactqp.scene.scene import Scene
-from contactqp.study.answer_fields import fields_of
+from contactqp.study.answer_pictures import fields_of
 
 WALL = dict(
     title="a divided bar and a wall",

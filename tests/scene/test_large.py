@@ -19,7 +19,7 @@ from contactqp.scene.judging import Trial, judge
 from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data
 from contactqp.scene.scene import Scene
-from contactqp.study.answer_fields import fields_of
+from contactqp.study.answer_pictures import fields_of
 from tests.analysis.arches import arch_limit, arch_load
 
 CASES = Path(__file__).parents[2] / "cases"

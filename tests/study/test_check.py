@@ -9,8 +9,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.linalg.extended import velocity_of
-from contactqp.study.check_options import CheckOptions
-from contactqp.study.friction_check import check_forces
+from contactqp.study.checking import check_forces
+from contactqp.study.verdict import CheckOptions
 from tests.cli.test_cli import CASES, run
 from tests.exchange.files import global_tree, local_tree, write_hdf5
 from tests.exchange.published import needs_data, published
@@ -182,7 +182,7 @@ def test_where_no_solution_is_found_the_verdict_says_so(capsys, tmp_path, proble
     def give_up(*_, **__):
         raise cq.NotConverged("no algorithm came to an answer")
 
-    monkeypatch.setattr("contactqp.study.friction_check.solve", give_up)
+    monkeypatch.setattr("contactqp.study.checking.solve", give_up)
     (tmp_path / "r.txt").write_text("1 0 0 1 0 0")
     verdict = check_forces(str(problem[0]), str(tmp_path / "r.txt"), CheckOptions())
     assert not verdict.passed

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from contactqp.study.reporting import write_report
-from contactqp.study.running.running import Running
+from contactqp.study.running.runner import Running
 
 CASES = Path(__file__).parents[2] / "cases"
 HERE = Running(jobs=0)

@@ -20,11 +20,11 @@ from contactqp.errors import SceneError
 from contactqp.study import reporting as report
 from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures
-from contactqp.study.footprint.footprint import Footprint
-from contactqp.study.report import case_cells, case_record
+from contactqp.study.footprint import Footprint
+from contactqp.study.report import collecting, report_data
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
-from contactqp.study.running.running import Running
+from contactqp.study.running.runner import Running
 from tests.study.running.test_journal import disk_of
 
 ROOT = Path(__file__).parents[2]
@@ -39,8 +39,8 @@ TIMES: dict[str, Any] = dict(seconds=None, repeats=0, linear_solve_seconds=None)
 def nothing_but_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """What runs in this process makes no page, pictures and footprints."""
     monkeypatch.setattr(report, "missing_packages", lambda: "no page")
-    monkeypatch.setattr(case_record, "answer_pictures", lambda _: AnswerPictures(why_not="no pictures"))
-    monkeypatch.setattr(case_cells, "measure", lambda case, **_: Footprint(case, "active-set", failure="not measured"))
+    monkeypatch.setattr(report_data, "answer_pictures", lambda _: AnswerPictures(why_not="no pictures"))
+    monkeypatch.setattr(collecting, "measure", lambda case, **_: Footprint(case, "active-set", failure="not measured"))
 
 
 def _write(folder: Path, jobs: int, cases: Sequence[Path] = CASES, methods: Sequence[str] = METHODS) -> Any:

@@ -18,8 +18,8 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.problem_folder import write_problem
-from contactqp.study.check_options import CheckOptions
 from contactqp.study.checking import check_answer
+from contactqp.study.verdict import CheckOptions
 from tests.study.exact_answers import Exact, exact
 
 PROBLEMS = range(10)

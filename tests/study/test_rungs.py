@@ -10,7 +10,7 @@ import pytest
 import contactqp as cq
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import find
-from contactqp.study import rungs
+from contactqp.study import attempt
 from contactqp.study.attempt import attempt
 from contactqp.study.case_study import CaseStudy, load_studies
 
@@ -18,7 +18,7 @@ CASES = Path(__file__).parents[2] / "cases"
 
 
 def _study(name: str, *methods: str) -> CaseStudy:
-    (study,) = load_studies([CASES / f"{name}.toml"], rungs.chosen_methods(methods), (1e-3, 1e-9))
+    (study,) = load_studies([CASES / f"{name}.toml"], attempt.chosen_methods(methods), (1e-3, 1e-9))
     return study
 
 
@@ -76,9 +76,9 @@ def test_large_problems_are_left_out_in_the_open() -> None:
     values = {}
     for size in (3, 30, 1100, 10100):
         problem = _chain(size)
-        tried = [rung for method in methods for rung in rungs.all_rungs(problem, method)]
-        values[size] = [(r.method.name, r.value) for r in rungs.on_all_unknowns(problem, tried)]
-        assert bool(rungs.left_out_of_all_unknowns(problem, methods)) == (size != 30)
+        tried = [rung for method in methods for rung in attempt.all_rungs(problem, method)]
+        values[size] = [(r.method.name, r.value) for r in attempt.on_all_unknowns(problem, tried)]
+        assert bool(attempt.left_out_of_all_unknowns(problem, methods)) == (size != 30)
     assert values[3] == [("clarabel", 1e-9), ("clarabel", 1e-9), ("daqp", 1e-9), ("daqp", 1e-9)]
     assert len(values[30]) == 16
     assert values[1100] == [("clarabel", 1e-9), ("clarabel", 1e-9)]

@@ -1,20 +1,309 @@
-"""Methods compared over all cases: rates, wrong flags, performance profiles, mean times, medians."""
+"""Methods compared over all cases: rates, wrong flags, performance profiles, mean times, medians.
+
+How often methods call their own answers solved, and how often they are right: bars side by side.
+
+How fast methods are over many cases: performance profiles and mean run times.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from contactqp.study.charts.curves import TABLE, cells
-from contactqp.study.charts.numbers import error_text, plural
-from contactqp.study.charts.rate_bars import rates_chart, silently_wrong_chart
-from contactqp.study.charts.time_charts import means_chart, profile_charts
+import numpy as np
+
+from contactqp.study.charts.curves import (
+    BLUE,
+    GREEN,
+    GREY,
+    METHOD,
+    ORANGE,
+    TABLE,
+    VERMILION,
+    Chart,
+    cells,
+    error_text,
+    layout,
+    legend,
+    log_axis,
+    marker,
+    meta,
+    method_line,
+    method_style,
+    milliseconds,
+    on_cases,
+    percent,
+    plural,
+    rounded,
+    variant_name,
+    way_key,
+)
 from contactqp.study.charts.work_precision import QUANTITIES, Quantity, work_precision
-from contactqp.study.report.chart import Chart
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.rows import Row
-from contactqp.study.statistics.medians import median_cases, median_limit, median_rows
-from contactqp.study.statistics.overview import overview
+from contactqp.study.statistics import (
+    LIMIT,
+    SHIFT,
+    Overview,
+    Rates,
+    Route,
+    RouteTimes,
+    median_cases,
+    median_limit,
+    median_rows,
+    method_rates,
+    overview,
+    profile,
+    ratios,
+)
+
+BAR_HEIGHT, AROUND_BARS = 44, 170  # pixels for each method, and for axis and legend
+# Colour, pattern and words of each bar: what the method says, what is true, what the certificate lets pass.
+_BARS = {
+    "claimed": (ORANGE, "/", "called solved by the method itself"),
+    "right": (BLUE, "", "right, by the true error"),
+    "certified": (GREEN, ".", "passed by the certificate, as solve runs it"),
+}
+
+
+def rates_chart(found: Overview) -> Chart:
+    """Claimed, right, and passed by the certificate."""
+    shown = [rates for rates in found.rates if rates.own or rates.certifiable]
+    data = [_bar(shown, column, *words) for column, words in _BARS.items()]
+    missing = [rates.method for rates in found.rates if not rates.installed]
+    return Chart(
+        name="rates",
+        title="Called solved, and was right",
+        caption=f"{on_cases(found.cases)} Of a method's own answers, at every tolerance: how many it called solved, "
+        "and how many were right (error at most 1e-6, or 100 times the tolerance that was asked). Where the first bar "
+        "is longer than the second, some flags were wrong; the third is best at 100 %, and counts of an approximate "
+        "method those answers alone that are as good as exact. Answers that failed count as neither, and so do those "
+        "of Uzawa's iteration that is stopped early on purpose; methods that are approximate by design, and the active "
+        f"set, raise no flag. Not installed: {', '.join(missing) or 'none'}.",
+        figure=dict(data=data, layout=_bars_layout(shown, "part of the answers [%]", dict(range=[0, 108]))),
+        headings=("method", "own answers", "called solved", "right", "unsupported", "as solve runs it", "certified"),
+        lines=tuple(_rate_cells(rates) for rates in found.rates),
+    )
+
+
+def _parts(rates: Rates, column: str) -> tuple[int, int]:
+    return getattr(rates, column), rates.certifiable if column == "certified" else rates.own
+
+
+def _bar(shown: Sequence[Rates], column: str, colour: str, pattern: str, words: str) -> dict[str, Any]:
+    parts = [_parts(rates, column) for rates in shown]
+    return dict(
+        type="bar",
+        orientation="h",
+        name=words,
+        y=[rates.method for rates in shown],
+        x=[rounded(100 * part / whole) if whole else None for part, whole in parts],
+        text=[percent(part, whole) for part, whole in parts],
+        textposition="outside",
+        customdata=[f"{part} of {whole}" for part, whole in parts],
+        hovertemplate=f"%{{y}}<br>{words}: %{{customdata}}<extra></extra>",
+        marker=dict(color=colour, pattern=dict(shape=pattern, fillmode="overlay")),
+        meta=meta("", column),
+    )
+
+
+def _bars_layout(shown: Sequence[Any], title: str, xaxis: Mapping[str, Any]) -> dict[str, Any]:
+    ordered = dict(type="category", autorange="reversed", automargin=True, title=METHOD)
+    across = dict(title=dict(text=title)) | dict(xaxis)
+    above = legend("", y=1.0, yanchor="bottom", traceorder="normal")
+    return layout(across, ordered, BAR_HEIGHT * len(shown) + AROUND_BARS, barmode="group", legend=above)
+
+
+def _rate_cells(rates: Rates) -> tuple[str, ...]:
+    if not rates.installed:
+        return rates.method, "not installed", "", "", "", "", ""
+    own = (str(rates.claimed), str(rates.right), str(rates.unsupported)) if rates.own else ("", "", "")
+    return rates.method, str(rates.own or "no flag"), *own, str(rates.certifiable), str(rates.certified)
+
+
+def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
+    """Wrong answers that were called solved, by the methods' flags and by the certificate."""
+    found = [rates for rates in method_rates(all_rows) if rates.installed]
+    total, ours = sum(rates.silently_wrong for rates in found), sum(rates.wrong_but_passed for rates in found)
+    counts = {
+        "silently_wrong": (VERMILION, "x", "called solved by the method itself, and wrong", "own"),
+        "wrong_but_passed": (GREY, "", "passed by the certificate, and wrong (must be 0)", "certifiable"),
+    }
+    data = [
+        dict(
+            type="bar",
+            orientation="h",
+            name=words,
+            y=[rates.method for rates in found],
+            x=[getattr(rates, column) for rates in found],
+            text=[_of(getattr(rates, column), getattr(rates, whole)) for rates in found],
+            textposition="outside",
+            hovertemplate=f"%{{y}}<br>{words}: %{{text}}<extra></extra>",
+            marker=dict(color=colour, pattern=dict(shape=pattern, fillmode="overlay")),
+            meta=meta("", column),
+        )
+        for column, (colour, pattern, words, whole) in counts.items()
+    ]
+    most = max((rates.silently_wrong for rates in found), default=0)
+    return Chart(
+        name="silently-wrong",
+        title="Wrong answers that were called right",
+        caption=f"Over all cases, tolerances and ways: {total} raw answers that their methods called solved are wrong, "
+        "with an error above 1e-6 and above 100 times the tolerance that was asked. Wrong answers that passed the "
+        f"certificate: {ours}.",
+        figure=dict(data=data, layout=_bars_layout(found, "number of answers [1]", dict(range=[0, 1.2 * most + 1]))),
+        headings=(
+            "method",
+            "own answers",
+            "called solved",
+            "called solved and wrong",
+            "passed the certificate and wrong",
+        ),
+        lines=tuple((r.method, *map(str, (r.own, r.claimed, r.silently_wrong, r.wrong_but_passed))) for r in found),
+    )
+
+
+def _of(part: int, whole: int) -> str:
+    return f"{part} of {whole}" if whole else "no flag"
+
+
+SOLVED = "Solved means a true error of at most 1e-6 (and what rounding the answer adds), whatever flags say."
+PROFILE_HEIGHT = 620
+POINT_HEIGHT, AROUND = 26, 170  # pixels for each method of a chart of means, and for axis and legend
+FACTORS = (1.0, 2.0, 10.0)  # of the fastest time, in the tables
+
+
+def profile_charts(found: Overview) -> Iterator[Chart]:
+    """As solve runs the methods, and as they are by themselves."""
+    usual = [times for times in found.times if not times.route.variant and not times.route.whole]
+    yield _profile(
+        "profile",
+        "Performance profile: as solve runs the methods",
+        "Condensed onto the contact unknowns, and polished where the method is.",
+        usual,
+    )
+    yield _profile(
+        "profile-raw",
+        "Performance profile: the methods by themselves",
+        "Raw answers on all unknowns, as the methods give them by themselves; the active set works on the contact "
+        "unknowns by itself.",
+        list(_by_themselves(found.times)),
+    )
+
+
+def _by_themselves(all_times: Sequence[RouteTimes]) -> Iterator[RouteTimes]:
+    """One route for each method: before polish where it is polished, on all unknowns where there is a choice."""
+    by_route = {times.route: times for times in all_times}
+    for name in dict.fromkeys(route.method for route in by_route):
+        ways = (Route(name, variant, whole) for variant in ("raw", "") for whole in (True, False))
+        yield next(by_route[way] for way in ways if way in by_route)
+
+
+def _profile(name: str, title: str, about: str, shown: Sequence[RouteTimes]) -> Chart:
+    compared = ratios({times.route: times.seconds for times in shown})
+    finite = np.concatenate([values[np.isfinite(values)] for values in compared.values()])
+    last = 1.5 * float(np.max(finite, initial=2.0))
+    data = [_steps(times, compared[times.route], last) for times in shown]
+    cases = shown[0].cases
+    axis = log_axis("run time, as a multiple of the fastest method's on the same case [1]", [1.0, last])
+    return Chart(
+        name=name,
+        title=title,
+        caption=f"{on_cases(cases)} {about} Each curve tells on which part of the cases a method was right within a "
+        "multiple of the fastest right answer (Dolan and Moré 2002): at 1 on the left where it was the fastest, on the "
+        f"right where it was right at all, by its best knob. Higher and further left is better. "
+        f"{SOLVED} What failed or is unsupported never counts as "
+        "right, and is never dropped.",
+        figure=dict(
+            data=data,
+            layout=layout(
+                axis | dict(range=[0.0, rounded(math.log10(last))]),
+                dict(title=dict(text="part of the cases that are solved [%]"), range=[0, 103]),
+                PROFILE_HEIGHT,
+                legend=legend("Methods"),
+            ),
+        ),
+        headings=("method", *(f"within {factor:g} times [%]" for factor in FACTORS), "solved", "failed", "unsupported"),
+        lines=tuple(
+            (
+                str(times.route),
+                *(f"{100 * part:.0f}" for part in profile(compared[times.route], np.array(FACTORS))),
+                *map(str, (times.solved, times.failed, times.unsupported)),
+            )
+            for times in shown
+        ),
+    )
+
+
+def _steps(times: RouteTimes, compared: np.ndarray, last: float) -> dict[str, Any]:
+    """The profile as steps, its symbol where it rises."""
+    factors = np.unique(np.concatenate([[1.0], compared[np.isfinite(compared)], [last]]))
+    parts = 100 * profile(compared, factors)
+    name = times.route.method
+    told = f"<b>{name}</b><br>right on %{{y}} % of {len(compared)} cases within %{{x}} times the fastest<extra></extra>"
+    xs, ys = [rounded(x) for x in factors], [rounded(float(y)) for y in parts]
+    drawn = method_line(name, xs, ys, variant_name(times.route), hovertemplate=told, mode="lines+markers")
+    drawn["line"] |= dict(shape="hv")
+    return drawn
+
+
+def means_chart(found: Overview) -> Chart:
+    """Shifted geometric means of every way of every method, the fastest method on top."""
+    order = _order(found)
+    shown = list(zip(found.times, found.means, strict=True))
+    data = [_mean_point(times, mean) for times, mean in shown]
+    ways = dict.fromkeys((times.route.variant, times.route.whole) for times, _ in shown)
+    keyed = [way_key(*way) for way in ways]
+    methods = dict(type="category", categoryorder="array", categoryarray=order[::-1], automargin=True)
+    axis = log_axis("shifted geometric mean of the run times [ms]", [1e3 * mean for _, mean in shown])
+    return Chart(
+        name="mean-times",
+        title="Mean run times, failures included",
+        caption=f"{on_cases(found.cases)} The shifted geometric mean over these cases of the run time to the fastest "
+        f"right answer: {1e3 * SHIFT:g} ms are added to each time and taken off the mean, so that tiny cases do not "
+        f"decide. Further left is better; methods are in the order of their best "
+        f"mean. {SOLVED} A case without a right answer counts as {LIMIT:g} s, and there the clock stops for answers "
+        "that take longer.",
+        figure=dict(
+            data=data + keyed,
+            layout=layout(
+                axis,
+                methods | dict(title=METHOD),
+                POINT_HEIGHT * len(order) + AROUND,
+                legend=legend("", y=1.0, yanchor="bottom"),
+            ),
+        ),
+        headings=("method and way", "shifted geometric mean [ms]", "solved", "failed", "unsupported", "cases"),
+        lines=tuple(
+            (str(t.route), milliseconds(mean), str(t.solved), str(t.failed), str(t.unsupported), str(len(t.cases)))
+            for t, mean in shown
+        ),
+    )
+
+
+def _order(found: Overview) -> list[str]:
+    """Methods by their best mean."""
+    best: dict[str, float] = {}
+    for times, mean in zip(found.times, found.means, strict=True):
+        best[times.route.method] = min(mean, best.get(times.route.method, math.inf))
+    return sorted(best, key=lambda name: best[name])
+
+
+def _mean_point(times: RouteTimes, mean: float) -> dict[str, Any]:
+    route, style = times.route, method_style(times.route.method)
+    solved = f"{times.solved} of {len(times.cases)} solved"
+    return dict(
+        type="scatter",
+        mode="markers",
+        name=str(route),
+        x=[rounded(1e3 * mean)],
+        y=[route.method],
+        marker=marker(style.colour, style.symbol, route.variant, route.whole),
+        hovertemplate=f"<b>{route.method}</b>, {variant_name(route)}<br>%{{x}} ms<br>{solved}<extra></extra>",
+        showlegend=False,
+        meta=meta(route.method, variant_name(route)),
+    )
 
 
 def overview_charts(data: ReportData) -> tuple[Chart, ...]:

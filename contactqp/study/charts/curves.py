@@ -1,17 +1,231 @@
-"""The curves of error against run time: one for each method and way, traced by the knob."""
+"""The curves of error against run time: one for each method and way, traced by the knob.
+
+A chart of a page: what Plotly draws, what a newcomer must know to read it, and its numbers as a table.
+
+How a method looks in every chart: the same colour, symbol and dash wherever it appears.
+
+Numbers in charts: rounded as data, so that pages stay small, and written as text.
+
+Axes, legends and lines that charts share, in Plotly's words; colours of text, grid and background are the page's.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from zlib import crc32
 
 from contactqp.study import rows
-from contactqp.study.charts.layout import meta
-from contactqp.study.charts.numbers import error_text, milliseconds, rounded
-from contactqp.study.charts.style import GREY, method_style
 from contactqp.study.rows import Row
-from contactqp.study.statistics.routes import Route
+from contactqp.study.statistics import Route
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One chart.
+
+    Parameters
+    ----------
+    name : str
+        Its identifier on the page.
+    title : str
+    caption : str
+        What is drawn, and how to read it.
+    figure : mapping
+        "data" and "layout" of Plotly; colours of text, grid and background are the page's, not the figure's.
+    headings, lines : tuples of str
+        The same numbers as a table, for those who read.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Mapping[str, Any]
+    headings: tuple[str, ...] = ()
+    lines: tuple[tuple[str, ...], ...] = ()
+
+
+# Okabe and Ito (2008), distinct to colour-blind readers. Their yellow is too light on white; for their black stands a
+# grey that is seen on white and on black.
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
+GREY = "#767676"
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
+# Plotly's names; each has an "-open" twin.
+SYMBOLS = ("circle", "square", "diamond", "cross", "x", "triangle-up", "triangle-down", "pentagon", "star", "hexagram")
+# "solid", or lengths of line and space.
+DASHES = ("solid", "6px,3px", "2px,2px", "8px,2px,2px,2px", "12px,3px", "8px,2px,2px,2px,2px,2px")
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """Colour, symbol and dash of one method, in Plotly's words."""
+
+    colour: str
+    symbol: str
+    dash: str
+
+    @property
+    def hollow(self) -> str:
+        """The symbol without filling."""
+        return f"{self.symbol}-open"
+
+
+# No two share a symbol, so that print without colour can be read; no two share colour and dash, for lines without
+# symbols.
+STYLES: Mapping[str, MethodStyle] = {
+    "active-set": MethodStyle(VERMILION, "star", DASHES[0]),
+    "osqp": MethodStyle(BLUE, "circle", DASHES[0]),
+    "clarabel": MethodStyle(GREEN, "square", DASHES[0]),
+    "piqp": MethodStyle(PURPLE, "diamond", DASHES[0]),
+    "proxqp": MethodStyle(ORANGE, "triangle-up", DASHES[0]),
+    "daqp": MethodStyle(SKY, "triangle-down", DASHES[0]),
+    "highs": MethodStyle(GREY, "pentagon", DASHES[0]),
+    "scs": MethodStyle(BLUE, "cross", DASHES[1]),
+    "qpalm": MethodStyle(GREEN, "x", DASHES[1]),
+    "pyqpmad": MethodStyle(PURPLE, "triangle-left", DASHES[1]),
+    "sip": MethodStyle(ORANGE, "triangle-right", DASHES[1]),
+    "qtqp": MethodStyle(SKY, "hexagram", DASHES[1]),
+    "gurobi": MethodStyle(GREY, "hexagon", DASHES[1]),
+    "cvxpy": MethodStyle(VERMILION, "diamond-tall", DASHES[1]),
+    "lemke": MethodStyle(BLUE, "hourglass", DASHES[2]),
+    "projected-gauss-seidel": MethodStyle(GREEN, "bowtie", DASHES[2]),
+    "master-slave": MethodStyle(PURPLE, "star-square", DASHES[2]),
+    "lagrange-multiplier": MethodStyle(ORANGE, "star-diamond", DASHES[2]),
+    "penalty": MethodStyle(SKY, "diamond-wide", DASHES[2]),
+    "perturbed-lagrangian": MethodStyle(GREY, "star-triangle-up", DASHES[2]),
+    "augmented-lagrangian": MethodStyle(VERMILION, "star-triangle-down", DASHES[2]),
+}
+
+
+def method_style(name: str) -> MethodStyle:
+    """The style of a method, whatever else is shown beside it.
+
+    Names that are not in `STYLES` get one that depends on nothing but the name; two such may coincide.
+
+    Examples
+    --------
+    >>> method_style("osqp")
+    MethodStyle(colour='#0072B2', symbol='circle', dash='solid')
+    """
+    if name in STYLES:
+        return STYLES[name]
+    number = crc32(name.encode())
+    symbol, rest = number % len(SYMBOLS), number // len(SYMBOLS)
+    return MethodStyle(COLOURS[rest % len(COLOURS)], SYMBOLS[symbol], DASHES[rest // len(COLOURS) % len(DASHES)])
+
+
+# Digits that a screen can show.
+DIGITS = 4
+
+
+def rounded(value: float) -> float:
+    """To four digits.
+
+    >>> rounded(0.0123456), rounded(1234567.0)
+    (0.01235, 1235000.0)
+    """
+    return float(f"{value:.{DIGITS}g}")
+
+
+def error_text(value: float | None) -> str:
+    """An error in a table.
+
+    >>> error_text(3.14e-9), error_text(0.0), error_text(None)
+    ('3.1e-09', '0', '')
+    """
+    return "" if value is None else "0" if value == 0 else f"{value:.1e}"
+
+
+def milliseconds(seconds: float | None) -> str:
+    """A time in a table [ms].
+
+    >>> milliseconds(0.01234), milliseconds(None)
+    ('12.3', '')
+    """
+    return "" if seconds is None else f"{1e3 * seconds:.3g}"
+
+
+def percent(part: int, whole: int) -> str:
+    """Of nothing, nothing.
+
+    >>> percent(1, 3), percent(0, 0)
+    ('33 %', '')
+    """
+    return f"{100 * part / whole:.0f} %" if whole else ""
+
+
+def plural(count: int, word: str) -> str:
+    """A number of things.
+
+    >>> plural(1, "case"), plural(2, "case")
+    ('1 case', '2 cases')
+    """
+    return f"{count} {word}{'' if count == 1 else 's'}"
+
+
+# Room around the points of a logarithmic axis: a factor, and at least this part of it, which shows symbols whole.
+ROOM, MARGIN = 1.6, 0.03
+# A logarithmic axis of more than so many is labelled at powers of ten alone.
+DECADES = 6
+METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the names
+
+
+def on_cases(cases: Sequence[str]) -> str:
+    """The problems that a chart of many cases rests on."""
+    return f"On the {plural(len(cases), 'case')} with a known answer that every installed method was put to."
+
+
+def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:
+    """A logarithmic axis around positive values."""
+    known = [value for value in values if value > 0 and math.isfinite(value)] or [1.0]
+    lowest, highest = math.log10(min(known)), math.log10(max(known))
+    room = max(math.log10(ROOM), MARGIN * (highest - lowest))
+    ends = lowest - room, highest + room
+    # Powers of ten where there are many, else 2 and 5 between them.
+    ticks = dict(dtick=2, exponentformat="power") if ends[1] - ends[0] > DECADES else dict(dtick="D2", tickformat="~g")
+    return dict(type="log", title=dict(text=title), range=[rounded(end) for end in ends], **ticks)
+
+
+def legend(title: str, **changes: Any) -> dict[str, Any]:
+    """Beside each other in lines, under the chart."""
+    below = dict(orientation="h", x=0, xanchor="left", y=-0.22, yanchor="top", title=dict(text=title, side="top"))
+    return below | dict(itemsizing="trace") | changes
+
+
+def layout(xaxis: Mapping[str, Any], yaxis: Mapping[str, Any], height: int, **others: Any) -> dict[str, Any]:
+    """What every chart has: its axes, its height in pixels, margins, hover at the nearest point."""
+    around = dict(margin=dict(l=70, r=20, t=40, b=60), hovermode="closest", showlegend=True)
+    return dict(xaxis=dict(xaxis), yaxis=dict(yaxis), height=height) | around | others
+
+
+def vertical_line(x: float, text: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A shape across the chart at x on a logarithmic axis, and its label."""
+    line = dict(color=GREY, width=2, dash="12px,4px,2px,4px")
+    shape = dict(type="line", xref="x", yref="paper", x0=x, x1=x, y0=0, y1=1, line=line)
+    place = dict(x=rounded(math.log10(x)), y=1, xref="x", yref="paper", xanchor="left", yanchor="top", xshift=4)
+    return shape, dict(**place, text=text, showarrow=False, textangle=90)
+
+
+def method_line(name: str, xs: Sequence[float], ys: Sequence[float], variant: str, **changes: Any) -> dict[str, Any]:
+    """A curve in the colour and dash of its method."""
+    style = method_style(name)
+    drawn = dict(type="scatter", name=name, x=list(xs), y=list(ys), legendgroup=name, line=method_dash(name))
+    marker = dict(symbol=style.symbol, color=style.colour, size=8)
+    return drawn | dict(marker=marker, meta=meta(name, variant)) | changes
+
+
+def method_dash(name: str) -> dict[str, Any]:
+    """The line of a method where dashes tell methods apart."""
+    style = method_style(name)
+    return dict(color=style.colour, dash=style.dash, width=2)
+
+
+def meta(method: str, variant: str) -> dict[str, str]:
+    """What a page filters traces by; both empty for what belongs to no method."""
+    return dict(method=method, variant=variant)
+
 
 # Errors below are drawn here: a logarithm has no zero, and doubles have no more digits.
 FLOOR = 1e-17

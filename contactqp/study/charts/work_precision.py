@@ -9,13 +9,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactqp.study import rows
-from contactqp.study.charts.curves import FLOOR, TEMPLATE, curves, keys, traces
-from contactqp.study.charts.layout import layout, legend, log_axis, vertical_line
-from contactqp.study.charts.numbers import milliseconds
-from contactqp.study.charts.style import GREY
-from contactqp.study.report.case_record import CaseRecord
-from contactqp.study.report.chart import Chart
-from contactqp.study.report.report_data import ReportData
+from contactqp.study.charts.curves import (
+    FLOOR,
+    GREY,
+    TEMPLATE,
+    Chart,
+    curves,
+    keys,
+    layout,
+    legend,
+    log_axis,
+    milliseconds,
+    traces,
+    vertical_line,
+)
+from contactqp.study.report.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
 from contactqp.study.truth import ABSOLUTE_ENERGY, ABSOLUTE_FORCE
 

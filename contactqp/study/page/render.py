@@ -1,4 +1,11 @@
-"""All that a report says, put into the templates: one HTML file that loads nothing."""
+"""All that a report says, put into the templates: one HTML file that loads nothing.
+
+Formulas for a page: LaTeX becomes MathML, which browsers set without any library.
+
+What another study hands over to be shown on the page: headings, words, charts, tables.
+
+The page of a study along axes: its sections with their charts and tables, one HTML file that loads nothing.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +17,66 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Protocol
 
-from contactqp.study.charts.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA
-from contactqp.study.page.case_view import CaseView, case_view
-from contactqp.study.page.mathematics import mathml
-from contactqp.study.page.tables import FACETS, Line, Table, facets_of, marked, plain_table, table_of_chart
-from contactqp.study.report.chart import Chart
+from contactqp.study.charts.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
+from contactqp.study.page.case_view import (
+    FACETS,
+    CaseView,
+    Line,
+    Table,
+    case_view,
+    facets_of,
+    marked,
+    plain_table,
+    table_of_chart,
+)
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
+
+
+@lru_cache(maxsize=4096)
+def mathml(latex: str, display: str = "inline") -> str:
+    """``<math>`` of a formula; `display` is "inline" or "block".
+
+    >>> "<mi>K</mi><mi>u</mi>" in mathml("K u")
+    True
+    """
+    from latex2mathml.converter import convert
+
+    return str(convert(latex, display=display))
+
+
+class TitledTable(Protocol):
+    """A table with its title."""
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def headings(self) -> tuple[str, ...]: ...
+
+    @property
+    def lines(self) -> tuple[tuple[str, ...], ...]: ...
+
+
+class Section(Protocol):
+    """A part of the page: each of the words is a paragraph."""
+
+    @property
+    def heading(self) -> str: ...
+
+    @property
+    def words(self) -> tuple[str, ...]: ...
+
+    @property
+    def charts(self) -> tuple[Chart, ...]: ...
+
+    @property
+    def tables(self) -> Sequence[TitledTable]: ...
+
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
 _LEGENDS = {"method": "Methods", "variant": "Variants", "verdict": "Verdicts"}
@@ -219,3 +276,58 @@ def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:
     groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}
     for name, group in ({"report": alone} | groups).items():
         yield plain_table(name, (name, ""), group.items())
+
+
+@dataclass(frozen=True)
+class SectionView:
+    """A section, ready for its template."""
+
+    anchor: str
+    section: Section
+    charts: tuple[ChartItem, ...]
+    tables: tuple[tuple[str, Table], ...]  # with their titles
+
+
+def render_study(
+    sections: Sequence[Section],
+    tiles: Sequence[Tile],
+    columns: Mapping[str, str],
+    facts: Mapping[str, Any],
+    command: str,
+) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+    tiles : sequence of Tile
+        What it all comes to.
+    columns : mapping
+        Names and meanings of the columns of the data beside the page.
+    facts : mapping
+        Machine, versions, settings.
+    command : str
+        What makes this page again.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        A package is not installed; `contactqp.study.page.render.missing_packages` says so before.
+    """
+    views = tuple(_study_views(sections))
+    return filled(
+        "study.html",
+        [item for view in views for item in view.charts],
+        sections=views,
+        tiles=tuple(tiles),
+        columns=plain_table("columns of the data", ("column", "meaning"), columns.items()),
+        facts=tuple(fact_tables(facts)),
+        command=command,
+    )
+
+
+def _study_views(sections: Sequence[Section]) -> Iterator[SectionView]:
+    anchors = anchors_of(f"part-{section.heading}" for section in sections)
+    for anchor, section in zip(anchors, sections, strict=True):
+        tables = ((table.title, plain_table(table.title, table.headings, table.lines)) for table in section.tables)
+        yield SectionView(anchor, section, items(anchor, section.charts), tuple(tables))

@@ -1,31 +1,227 @@
-"""The cells of a report run, and their results put together: first all answers side by side, then all times alone."""
+"""The cells of a report run, and their results put together: first all answers side by side, then all times alone.
+
+The physical limit of a contact problem: what one linear solve of its bodies costs.
+
+What a report does with one case, as cells: its truth, its record, and each of its rungs answered and timed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import statistics
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import ceil
+from typing import Any
 
-from contactqp.study.attempt import ENOUGH, LONG, Timing, crashed, timed
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.linalg.condensation import condense, fixing_unknowns
+from contactqp.linalg.factorization import factorise
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.pardiso import NotPositive, Pardiso
+from contactqp.linalg.schur import LastBlock
+from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.scene.scene import Scene
+from contactqp.study.attempt import ENOUGH, LONG, Rung, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
-from contactqp.study.footprint.footprint import Footprint
-from contactqp.study.report.case_cells import (
-    FoundTruth,
-    answer_cells,
-    footprint_cell,
-    limit_cell,
-    record_cell,
-    timing_cell,
-    truth_cell,
-)
-from contactqp.study.report.case_record import CaseRecord, unjudged
+from contactqp.study.footprint import Footprint, measure
+from contactqp.study.report.report_data import CaseRecord, record, unjudged
 from contactqp.study.rows import CRASHED, Row
-from contactqp.study.rungs import Rung
-from contactqp.study.running.cells import Cell, Crash, Result
-from contactqp.study.running.journal import Journal
-from contactqp.study.running.progress import Progress
-from contactqp.study.running.runner import run_cells
+from contactqp.study.running.journal import Cell, Crash, Journal, Result
+from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Crew, Workers
+from contactqp.study.truth import Truth
+
+# Solves timed at most, and the seconds of them after which a median is good enough.
+REPEATS, ENOUGH_SOLVES = 9, 0.2
+
+
+def linear_solve_seconds(problem: ContactProblem) -> float | None:
+    """Seconds of one factorisation of K and one back-substitution of the load, by the sparse solver of contact.
+
+    Contacts and ties are left out, and where the bodies then float, as few unknowns are held as it takes. The median of
+    at most nine solves after a first; finding what to hold is not timed. None where a body is too large to factorise,
+    and where nothing is elastic.
+    """
+    solve = None if iterated(problem) else linear_solve(problem)
+    if solve is None:
+        return None
+    solve()
+    times: list[float] = []
+    while len(times) < REPEATS and sum(times) < ENOUGH_SOLVES:
+        started = time.perf_counter()
+        solve()
+        times.append(time.perf_counter() - started)
+    return statistics.median(times)
+
+
+def linear_solve(problem: ContactProblem) -> Callable[[], Vector] | None:
+    """What is timed: from the stiffness of the unknowns that are not held to their displacement; None if all are."""
+    way = condense(problem)
+    held = fixing_unknowns(way.rigid.motions, np.zeros(0, dtype=np.intp), problem.diagonal)
+    moving = np.setdiff1d(np.arange(problem.dimension), held)
+    if not moving.size:
+        return None
+    stiffness, load = sp.csr_matrix(problem.stiffness_rows[moving][:, moving]), problem.load[moving]
+    by_pardiso = way.solver == LastBlock.solver and _positive(stiffness)
+    return (lambda: _pardiso(stiffness).solve_all(load)) if by_pardiso else lambda: factorise(stiffness).solve(load)
+
+
+def _pardiso(stiffness: Any) -> Pardiso:
+    return Pardiso(stiffness, np.zeros(0, dtype=np.intp))
+
+
+def _positive(stiffness: Any) -> bool:
+    """Whether PARDISO factorises it: where bodies hardly do not float it may not, and contact does without it too."""
+    try:
+        _pardiso(stiffness)
+    except NotPositive:
+        return False
+    return True
+
+
+# Cases whose problems a process keeps: the one at hand, and the one before while others still work on it.
+KEPT = 2
+# Seconds after which a process that measures a case is stopped.
+PATIENCE = 120.0
+# What is expected of a cell, relative to one answer to a problem of a few unknowns: unknowns that make it twice that,
+# and what a record takes more than an answer, as it has pictures.
+DOUBLING, PICTURES = 100, 30
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """A case on its way to another process, which makes the problem of it; equal where the case is the same."""
+
+    name: str
+    digest: str
+    scene: Scene = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundTruth:
+    """The truth of a case without its problem; `normal_force` is None where nothing is proven."""
+
+    source: str
+    displacement: Vector | None = None
+    normal_force: Vector | None = None
+    tie_force: Vector | None = None
+    unique_forces: bool = True
+    free: bool = False
+    contradicted: bool = False
+
+    @classmethod
+    def of(cls, truth: Truth | None) -> FoundTruth:
+        if truth is None:
+            return cls("nothing, as no answer is proven")
+        values = (truth.displacement, truth.normal_force, truth.tie_force)
+        return cls(truth.source, *values, truth.unique_forces, truth.free, truth.contradicted)
+
+    def on(self, study: CaseStudy) -> Truth | None:
+        """The truth of that case's problem."""
+        if self.displacement is None or self.normal_force is None:
+            return None
+        values = (self.displacement, self.normal_force, self.tie_force)
+        return Truth(study.problem, *values, self.source, self.unique_forces, self.free, self.contradicted)
+
+
+@dataclass(frozen=True)
+class LinearSolve:
+    """What one linear solve takes; see `contactqp.study.report.collecting`."""
+
+    seconds: float | None
+
+
+def ticket_of(study: CaseStudy) -> Ticket:
+    return Ticket(study.name, study.digest, study.scene)
+
+
+def truth_cell(study: CaseStudy) -> Cell:
+    """Finds the truth of a case."""
+    return _cell(study, "truth", find_truth, (ticket_of(study),), FoundTruth)
+
+
+def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
+    """Finds what is told of a case besides its rows."""
+    cell = _cell(study, "record", make_record, (ticket_of(study), truth), CaseRecord)
+    return replace(cell, cost=PICTURES + 2 * cell.cost)
+
+
+def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Rung, Cell]]:
+    """Each rung of a case answered, and held against the truth."""
+    for rung in study.rungs:
+        yield rung, _cell(study, _name(rung), find_answer, (ticket_of(study), truth, rung), Row)
+
+
+def footprint_cell(study: CaseStudy) -> Cell:
+    """Measures what solving a case takes."""
+    return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
+
+
+def timing_cell(study: CaseStudy, rung: Rung, first: float, repeats: int, cost: float) -> Cell:
+    """A rung timed, whose first call took so long."""
+    arguments = (ticket_of(study), rung, first, repeats)
+    return Cell(f"{study.name}/{_name(rung)}/time", take_time, arguments, Timing, study.digest, cost)
+
+
+def limit_cell(study: CaseStudy) -> Cell:
+    """One linear solve of the case's bodies timed."""
+    return _cell(study, "linear solve", time_linear_solve, (ticket_of(study),), LinearSolve)
+
+
+def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...], result: type) -> Cell:
+    cost = 1 + study.problem.dimension / DOUBLING
+    return Cell(f"{study.name}/{name}", function, arguments, result, study.digest, cost)
+
+
+def _name(rung: Rung) -> str:
+    """osqp/raw/tolerance=1e-06,polish=False: everything that solve is told."""
+    options = ",".join(f"{name}={value}" for name, value in rung.options.items())
+    return "/".join((rung.method.name, rung.variant, options or rung.knob))
+
+
+def take_footprint(ticket: Ticket) -> Footprint:
+    return measure(str(ticket.scene.file), time_limit=PATIENCE)
+
+
+def find_truth(ticket: Ticket) -> FoundTruth:
+    return FoundTruth.of(_study(ticket).truth())
+
+
+def make_record(ticket: Ticket, truth: FoundTruth) -> CaseRecord:
+    study = _study(ticket)
+    return record(study, truth.on(study))
+
+
+def find_answer(ticket: Ticket, truth: FoundTruth, rung: Rung) -> Row:
+    study = _study(ticket)
+    return study.answer(rung, truth.on(study))
+
+
+def take_time(ticket: Ticket, rung: Rung, first: float, repeats: int) -> Timing:
+    """Warm from the second time on that this process has the method on this case."""
+    tried = (ticket.digest, rung.method.name)
+    warm = tried in _WARM
+    _WARM.add(tried)
+    return _study(ticket).timing(rung, first, repeats, warm)
+
+
+def time_linear_solve(ticket: Ticket) -> LinearSolve:
+    return LinearSolve(linear_solve_seconds(_study(ticket).problem))
+
+
+_WARM: set[tuple[str, str]] = set()
+
+
+@lru_cache(maxsize=KEPT)
+def _study(ticket: Ticket) -> CaseStudy:
+    """The case in this process; its rungs come one by one."""
+    return CaseStudy(ticket.name, ticket.scene, ticket.scene.problem(), ())
+
 
 # Seconds that a cell takes beside what it is there for.
 OVERHEAD = 1e-3

@@ -3,12 +3,17 @@
 A pool, be it the standard library's or joblib's, gives up all that it has in hand when one of its processes dies,
 cannot stop one that hangs, and cannot be had within a worker of Dask. Here each thread that asks has a process of its
 own, and knows how that one ended.
+
+How a process died, in words.
+
+The other end of a `Child`: a process that runs one function after the other as it is told.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
+import queue
 import signal
 import subprocess
 import sys
@@ -17,13 +22,95 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, BinaryIO
 
-from contactqp.study.running.crashes import died_of
-from contactqp.study.running.serving import framed
+SIGNALS: Mapping[str, str] = {
+    "SIGSEGV": "died of a segmentation fault",
+    "SIGBUS": "died of a bus error",
+    "SIGABRT": "aborted",
+    "SIGFPE": "died of an arithmetic exception",
+    "SIGILL": "died of an illegal instruction",
+    "SIGKILL": "was killed, mostly for want of memory",
+}
+# What Windows calls a segmentation fault.
+ACCESS_VIOLATION = 0xC0000005
+
+
+def died_of(code: int | None) -> str:
+    """The death of a process in words.
+
+    Parameters
+    ----------
+    code : int, optional
+        Its exit code: the negative number of a signal on POSIX.
+
+    Examples
+    --------
+    >>> died_of(-11)
+    'the process died of a segmentation fault (SIGSEGV)'
+    >>> died_of(3)
+    'the process left with exit code 3'
+    """
+    if code == ACCESS_VIOLATION:
+        return f"the process {SIGNALS['SIGSEGV']}"
+    if code is None or code >= 0:
+        return f"the process left with exit code {code}"
+    name = _name(-code)
+    return f"the process {SIGNALS.get(name, 'was ended')} ({name})"
+
+
+def _name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # a signal without a name, as those for real time
+        return f"signal {number}"
+
+
+def serve() -> None:
+    """Run what comes on stdin, and send what it gives to where stdout was; what libraries print goes to stderr.
+
+    Ctrl-C is for the parent. Where that is gone, be it killed, nothing comes from it any more, and this process leaves
+    in the middle of what it does.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    replies = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    orders: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_receive, args=(sys.stdin.buffer, orders), daemon=True).start()
+    while True:
+        replies.write(_reply(orders.get()))
+        replies.flush()
+
+
+def _receive(stream: BinaryIO, orders: queue.Queue[bytes]) -> None:
+    while size := stream.read(8):
+        orders.put(stream.read(int.from_bytes(size, "big")))
+    os._exit(0)
+
+
+def framed(data: bytes) -> bytes:
+    """A message as it is sent: its size first."""
+    return len(data).to_bytes(8, "big") + data
+
+
+def _reply(order: bytes) -> bytes:
+    try:
+        function, arguments = pickle.loads(order)
+        return framed(pickle.dumps((True, function(*arguments))))
+    except Exception as error:  # noqa: BLE001  it is raised in the parent
+        return framed(pickle.dumps((False, _portable(error))))
+
+
+def _portable(error: Exception) -> Any:
+    """An error that arrives: some that carry more than words cannot be made again."""
+    try:
+        return pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001  whatever it is that does not travel
+        return RuntimeError(f"{type(error).__name__}: {error}")
+
 
 _STOPPED = "the study was stopped"
-_COMMAND = (sys.executable, "-P", "-c", "from contactqp.study.running.serving import serve; serve()")
+_COMMAND = (sys.executable, "-P", "-c", "from contactqp.study.running.child import serve; serve()")
 
 
 @dataclass(frozen=True)

@@ -3,23 +3,246 @@
 The first line says with what the study runs: where that is another machine, version or setting, nothing that is kept
 is used. Every other line is the result of a cell. A line that is torn, as the process died while it was written, is no
 result. Beside the lines nothing is needed to go on.
+
+A short text that is another one where a case is another one.
+
+What a study consists of: functions with their arguments, and what became of each.
+
+Frozen dataclasses as JSON and back, by the annotations of their fields.
+
+Strings, numbers, truth values and None stay what they are; NaN and infinities too, in Python's dialect of JSON. Arrays
+and bytes become base64, tuples and lists become lists, fractions text. What is annotated as Any must be plain already.
+
+A lock on a file that ends with the process that holds it, however it ends.
 """
 
 from __future__ import annotations
 
+import base64
 import errno
+import hashlib
 import json
 import os
+import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from fractions import Fraction
+from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import scipy.sparse as sp
 
 from contactqp.errors import SceneError
-from contactqp.study.running.cells import Cell, Crash, Result
-from contactqp.study.running.codec import decode, encode
-from contactqp.study.running.file_lock import lock
+from contactqp.model.problem import ContactProblem
+
+# Bytes: two cases of one report never have the same by chance.
+SIZE = 12
+
+
+def digest(file: bytes, problem: ContactProblem) -> str:
+    """Of the bytes of a case file, and of every number of its problem, some of which may come from other files."""
+    found = hashlib.blake2b(file, digest_size=SIZE)
+    for field in fields(problem):
+        if not field.name.startswith("_"):
+            found.update(field.name.encode())
+            for part in _parts(getattr(problem, field.name)):
+                found.update(part)
+    return found.hexdigest()
+
+
+def source_digest() -> str:
+    """Of the package's own source: results of code that was changed since are not mixed with new ones."""
+    found = hashlib.blake2b(digest_size=SIZE)
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        found.update(file.read_bytes())
+    return found.hexdigest()
+
+
+def _parts(value: Any) -> list[bytes]:
+    if sp.issparse(value):
+        rows = value.tocsr()
+        return [np.ascontiguousarray(part).tobytes() for part in (rows.indptr, rows.indices, rows.data)]
+    if isinstance(value, np.ndarray):
+        return [str(value.shape).encode(), np.ascontiguousarray(value).tobytes()]
+    return [repr(value).encode()]
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One piece of a study that succeeds, fails or crashes by itself.
+
+    Parameters
+    ----------
+    key : str
+        What it is, the same in every run and different from all others: "bar_wall/osqp/raw/tolerance=1e-06".
+    function : callable
+        Of a module, so that another process finds it by its name.
+    arguments : tuple
+        Its arguments; they are pickled.
+    result : type
+        What it returns: a dataclass of plain data, see `contactqp.study.running.journal`.
+    digest : str
+        Of what the arguments stand for; a result that was kept under another one is not used.
+    cost : float
+        How long it is expected to take, relative to the others.
+    """
+
+    key: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    result: type
+    digest: str = ""
+    cost: float = 1.0
+
+
+@dataclass(frozen=True)
+class Crash:
+    """What became of a cell that returned nothing."""
+
+    message: str  # died of a segmentation fault (SIGSEGV); stopped after 600 s; raised RuntimeError: ...
+
+
+# Of a cell: what its function returned, or a Crash.
+Result = Any
+
+
+def refuse_twins(cells: Iterable[Cell]) -> None:
+    """Raise ValueError where two cells have one key: one of them would get the other's result."""
+    seen: set[str] = set()
+    for cell in cells:
+        if cell.key in seen:
+            raise ValueError(f"two cells are called {cell.key!r}")
+        seen.add(cell.key)
+
+
+_PLAIN = {str, int, float, bool}
+_BYTES, _ARRAY, _KIND, _SHAPE = "base64", "array", "dtype", "shape"
+
+
+def encode(value: Any) -> Any:
+    """Plain data of a value.
+
+    Raises
+    ------
+    TypeError
+        The value holds something that is no plain data and no dataclass of it.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: encode(getattr(value, field.name)) for field in fields(value)}
+    if hasattr(value, "model_dump"):
+        return value.model_dump()
+    if isinstance(value, Mapping):
+        return {str(key): encode(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [encode(item) for item in value]
+    if isinstance(value, bytes):
+        return {_BYTES: _text(value)}
+    if isinstance(value, np.ndarray):
+        return {_ARRAY: _text(np.ascontiguousarray(value).tobytes()), _KIND: value.dtype.str, _SHAPE: value.shape}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Fraction):
+        return str(value)
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise TypeError(f"expected plain data, got {type(value).__name__}")
+
+
+def decode(data: Any, kind: Any) -> Any:
+    """The value of a type that `encode` made these data of.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        The data are not of that type.
+    """
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return _decode_union(data, arguments)
+    if kind is Any or kind in _PLAIN or data is None:
+        return data
+    if origin is np.ndarray or kind is np.ndarray:
+        return np.frombuffer(_bytes(data[_ARRAY]), dtype=data[_KIND]).reshape(data[_SHAPE]).copy()
+    if origin is tuple:
+        return tuple(decode(item, _item(arguments, i)) for i, item in enumerate(data))
+    if origin is not None and issubclass(origin, Mapping):
+        return {key: decode(item, arguments[1]) for key, item in data.items()}
+    if origin is list:
+        return [decode(item, arguments[0]) for item in data]
+    if kind is bytes:
+        return _bytes(data[_BYTES])
+    if hasattr(kind, "__dataclass_fields__"):
+        return kind(**{name: decode(data[name], hint) for name, hint in _hints(kind).items() if name in data})
+    return kind(**data) if hasattr(kind, "model_dump") else kind(data)
+
+
+def _decode_union(data: Any, kinds: tuple[Any, ...]) -> Any:
+    """A type or None, or one of several types that are what they are in JSON."""
+    kinds = tuple(kind for kind in kinds if kind is not type(None))
+    if data is None or set(kinds) <= _PLAIN:
+        return data
+    if len(kinds) > 1:
+        raise TypeError(f"expected one type or none, got {kinds}")
+    return decode(data, kinds[0])
+
+
+def _item(arguments: tuple[Any, ...], i: int) -> Any:
+    """The type of entry i of a tuple."""
+    return arguments[0] if arguments[-1] is Ellipsis else arguments[i]
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+def _bytes(text: str) -> bytes:
+    return base64.b64decode(text, validate=True)
+
+
+def lock(stream: BinaryIO, file: Path) -> bool:
+    """Lock an open file for this process alone; False where another one has it, or has just removed it."""
+    return _locked(stream) and _is(stream, file)
+
+
+def _is(stream: BinaryIO, file: Path) -> bool:
+    """Whether that is still the file of this name."""
+    return file.exists() and os.path.samestat(os.fstat(stream.fileno()), file.stat())
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    # Far behind the contents: others may read the file.
+    _PLACE = 2**30
+
+    def _locked(stream: BinaryIO) -> bool:
+        stream.seek(_PLACE)
+        try:
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    def _locked(stream: BinaryIO) -> bool:
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
 
 SCHEMA, SCHEMA_VERSION = "contactqp-unfinished-study", 1
 # Seconds between calls of fsync: a process that dies loses nothing, a machine that dies no more than these.

@@ -1,18 +1,176 @@
-"""Cells run: what a journal has is taken from it, the rest runs and is written to it as it comes."""
+"""Cells run: what a journal has is taken from it, the rest runs and is written to it as it comes.
+
+How far a study is, and how much time is left: a bar on a terminal, lines of text elsewhere.
+
+Ctrl-C and polite kills: a study that is stopped says how far it is and can go on.
+
+Where and how a study runs, as a user says it.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
+import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import Any, Protocol
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from contactqp.errors import ContactQPError, InvalidProblem
-from contactqp.study.running.cells import Cell, Crash, Result, refuse_twins
 from contactqp.study.running.child import Death, Late, Raised
-from contactqp.study.running.journal import Journal
-from contactqp.study.running.progress import Progress, nothing
-from contactqp.study.running.workers import Crew
+from contactqp.study.running.journal import Cell, Crash, Journal, Result, refuse_twins
+from contactqp.study.running.workers import Crew, Processes, ThisProcess, Workers
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+# Seconds between lines where there is no terminal.
+LINES = 10.0
+# A bar that is drawn more often takes time from what is timed.
+REDRAWS = 2.0
+
+
+# Shows what is done, how much of it, of how much, and the time left in words.
+Display = Callable[[str, int, int, str], None]
+
+
+class Progress:
+    """Watches a study of several parts.
+
+    Time left is what a cell of this part took so far, times the costs of those that are left, and what later parts are
+    expected to take.
+    """
+
+    def __init__(self, display: Display) -> None:
+        self._display = display
+        self._what = ""
+        self._later: Callable[[], float] | None = None
+
+    def part(self, what: str, later: Callable[[], float] | None = None) -> None:
+        """Name the part that begins, and what the parts after it are expected to take [s], where that is known."""
+        self._what, self._later = what, later
+
+    def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
+        self._total, self._done = len(cells), len(found)
+        self._left = sum(cell.cost for cell in cells if cell.key not in found)
+        self._spent, self._started = 0.0, time.monotonic()
+        self.tick()
+
+    def done(self, cell: Cell, _: Result) -> None:
+        self._done += 1
+        self._spent += cell.cost
+        self._left -= cell.cost
+        self.tick()
+
+    def tick(self) -> None:
+        self._display(self._what, self._done, self._total, self._time_left())
+
+    def _time_left(self) -> str:
+        elapsed = time.monotonic() - self._started
+        if self._later is None or (self._left > 0 and not self._spent):
+            return ""
+        here = elapsed / self._spent * max(self._left, 0.0) if self._spent else 0.0
+        return f"about {in_words(here + self._later())} left"
+
+
+def in_words(seconds: float) -> str:
+    """A time to wait, no more exact than it can be known.
+
+    Examples
+    --------
+    >>> in_words(4.2), in_words(95), in_words(3980)
+    ('10 s', '1 min 40 s', '1 h 6 min')
+    """
+    tens = max(10 * round(seconds / 10), 10)
+    if tens < 60:
+        return f"{tens} s"
+    if tens < 3600:
+        return f"{tens // 60} min {tens % 60} s"
+    return f"{tens // 3600} h {tens % 3600 // 60} min"
+
+
+def nothing(*_: object) -> None:
+    """Shows nothing."""
+
+
+class Lines:
+    """A line every few seconds, for logs."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+
+    def __call__(self, what: str, done: int, total: int, left: str) -> None:
+        if time.monotonic() - self._last < LINES:
+            return
+        self._last = time.monotonic()
+        print(f"contactqp: {what}: {done} of {total}{', ' if left else ''}{left}", file=sys.stderr, flush=True)
+
+
+class _Drawn:
+    """A bar of rich."""
+
+    def __init__(self, bar: Bar) -> None:
+        self._bar, self._task = bar, bar.add_task("", left="")
+
+    def __call__(self, what: str, done: int, total: int, left: str) -> None:
+        self._bar.update(self._task, description=what, completed=done, total=total, left=left)
+
+
+@contextmanager
+def progress(shown: bool) -> Iterator[Progress]:
+    """Progress on stderr, if it is to be shown."""
+    if not shown:
+        yield Progress(nothing)
+    elif not sys.stderr.isatty():
+        yield Progress(Lines())
+    else:
+        with _bar() as bar:
+            yield Progress(_Drawn(bar))
+
+
+def _bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    texts = (TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}", markup=False))
+    columns = (texts[0], BarColumn(), MofNCompleteColumn(), texts[1])
+    return Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=REDRAWS)
+
+
+# What a shell adds to the number of the signal that ended a program.
+OF_SIGNAL = 128
+
+
+class Stopped(KeyboardInterrupt):
+    """A program was asked to stop; `code` is what it then exits with, 130 after Ctrl-C."""
+
+    def __init__(self, message: str, cause: BaseException | None = None, number: int = signal.SIGINT) -> None:
+        super().__init__(message)
+        self.code: int = cause.code if isinstance(cause, Stopped) else OF_SIGNAL + number
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Within this, SIGTERM raises Stopped, as Ctrl-C raises KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def _stop(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001  the interface of handlers
+    raise Stopped(signal.Signals(number).name, number=number)
+
 
 # Seconds after which a cell is stopped: far more than anything in a report takes, and less than anybody waits.
 TIME_LIMIT = 600.0
@@ -115,3 +273,57 @@ class _Run:
                 raise result.error
             return Crash(f"raised {type(result.error).__name__}: {result.error}")
         return Crash(result.message) if isinstance(result, Late) else result
+
+
+# Seconds of a year: no cell takes longer, and every clock counts so far.
+LONGEST = 365 * 24 * 3600.0
+
+
+@dataclass(frozen=True)
+class Running:
+    """How a study runs.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes side by side; all cores by default, 0 for none but this process.
+    dask : str, optional
+        Address of a Dask scheduler, whose workers take the place of processes here.
+    fresh : bool
+        Forget what an interrupted study left.
+    time_limit : float
+        Seconds after which one cell is stopped.
+    shown : bool
+        Show progress on stderr.
+    """
+
+    jobs: int | None = None
+    dask: str | None = None
+    fresh: bool = False
+    time_limit: float = TIME_LIMIT
+    shown: bool = False
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.dask is not None:
+            raise InvalidProblem(f"expected jobs here or a Dask cluster, got both: {self.jobs} and {self.dask}")
+        if not 0 < self.time_limit <= LONGEST:
+            raise InvalidProblem(
+                f"time limit: expected seconds, more than 0 and at most {LONGEST:g}, got {self.time_limit}"
+            )
+
+
+@contextmanager
+def workers_of(running: Running) -> Iterator[Workers]:
+    """The workers that a user asks for."""
+    if running.dask is None:
+        yield ThisProcess() if running.jobs == 0 else Processes(running.jobs or _cores())
+        return
+    from contactqp.study.running.workers import cluster
+
+    with cluster(running.dask) as workers:
+        yield workers
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

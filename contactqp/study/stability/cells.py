@@ -14,17 +14,14 @@ import numpy as np
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import answer
+from contactqp.study.attempt import DEFAULT_TOLERANCE, Rung, answer, chosen_methods, contact_stiffness
 from contactqp.study.rows import Row
-from contactqp.study.rungs import DEFAULT_TOLERANCE, Rung, chosen_methods, contact_stiffness
-from contactqp.study.running.cells import Cell as RunningCell
-from contactqp.study.running.cells import Crash
+from contactqp.study.running.journal import Cell as RunningCell
+from contactqp.study.running.journal import Crash
 from contactqp.study.stability.axes import AXES, find_axis
-from contactqp.study.stability.axis import Axis
 from contactqp.study.stability.condition import Prediction, predict
-from contactqp.study.stability.posed import Posed
+from contactqp.study.stability.posed import Axis, Posed, stated
 from contactqp.study.stability.rows import CUT_OFF, STATED, StabilityRow, digits_lost, is_small
-from contactqp.study.stability.stated import stated
 
 # β and κ beside the contact stiffness where the axis is not theirs: a modelling error of 1e-6.
 STIFFENING = 1e6

@@ -1,18 +1,78 @@
-"""The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN."""
+"""The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN.
+
+The best penalty β: where what it leaves out and what it loses to rounding are together the least.
+
+In exact arithmetic the force is λ β / (S + β): the relative error S / (S + β), about S / β, falls with β. In doubles
+λ = β (E u − g), a difference of lengths of the size of the gap: it is a multiple of β ulp(g), so that the relative
+error β ulp(g) / λ rises with β. The sum S / β + β ulp(g) / λ is least where both are equal,
+
+    β = √(S λ / ulp(g)),    error = 2 √(S ulp(g) / λ)
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
-from contactqp.study.report.chart import Chart
-from contactqp.study.stability.axes import penalty_stiffness
-from contactqp.study.stability.best_penalty import BestPenalty, of_truss
-from contactqp.study.stability.chart_axes import drawn, horizontal, methods_of, short
+import numpy as np
+
+from contactqp.study.charts.curves import Chart
+from contactqp.study.stability import problem_axes
+from contactqp.study.stability.charts import (
+    DASHES,
+    HEIGHT,
+    LEGEND,
+    PREDICTED,
+    curve,
+    drawn,
+    horizontal,
+    methods_of,
+    short,
+)
 from contactqp.study.stability.condition import UNIT_ROUNDOFF
-from contactqp.study.stability.curves import DASHES, HEIGHT, LEGEND, PREDICTED, curve
+from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
 from contactqp.study.stability.rows import StabilityRow, digits_lost
+
+
+@dataclass(frozen=True)
+class BestPenalty:
+    """Of a single contact [force / length]."""
+
+    stiffness: float  # S, which the contact feels
+    force: float  # λ
+    last_place: float  # ulp(g), the spacing of doubles at the gap
+
+    @property
+    def penalty(self) -> float:
+        """√(S λ / ulp(g))."""
+        return math.sqrt(self.stiffness * self.force / self.last_place)
+
+    @property
+    def error(self) -> float:
+        """2 √(S ulp(g) / λ)."""
+        return 2 * math.sqrt(self.stiffness * self.last_place / self.force)
+
+    def error_at(self, penalty: float) -> float:
+        """S / (S + β) + β ulp(g) / λ."""
+        return self.stiffness / (self.stiffness + penalty) + penalty * self.last_place / self.force
+
+    def quantum(self, penalty: float) -> Fraction:
+        """β ulp(g), exactly: the forces that the textbook's λ = β (E u − g) can have are its multiples."""
+        return Fraction(penalty) * Fraction(self.last_place)
+
+
+def of_truss() -> BestPenalty:
+    """Of Example 2.10: S = K22 − K12² / K11."""
+    (k11, k12), (_, k22) = ((Fraction(x) for x in row) for row in STIFFNESS)
+    return BestPenalty(
+        stiffness=float(k22 - k12 * k12 / k11),
+        force=float(closed_form().normal_force[0]),
+        last_place=float(np.spacing(GAP)),
+    )
+
 
 # β of the last row of Table 2.1.
 TABLE_END = 1e20
@@ -46,12 +106,12 @@ def _measured(rows: Sequence[StabilityRow]) -> list[dict[str, Any]]:
     for name in reversed(methods_of(rows)):
         mine = [row for row in rows if row.name == name and row.error_force is not None]
         errors = [max(row.error_force or 0.0, UNIT_ROUNDOFF) for row in mine]
-        traces.append(curve(penalty_stiffness.AXIS, name, mine, errors))
+        traces.append(curve(problem_axes.PENALTY_STIFFNESS, name, mine, errors))
     return traces
 
 
 def _predicted(best: BestPenalty) -> list[dict[str, Any]]:
-    betas, nobody = list(penalty_stiffness.VALUES), dict(method=None, variant=None)
+    betas, nobody = list(problem_axes.VALUES), dict(method=None, variant=None)
     line = dict(
         type="scatter",
         mode="lines",
@@ -85,7 +145,7 @@ def _layout(best: BestPenalty) -> dict[str, Any]:
         ay=90,
     )
     return dict(
-        xaxis=horizontal(penalty_stiffness.AXIS),
+        xaxis=horizontal(problem_axes.PENALTY_STIFFNESS),
         yaxis=dict(title=dict(text="relative error in λ [1]"), type="log", exponentformat="power"),
         annotations=[note],
         legend=LEGEND,

@@ -1,19 +1,119 @@
-"""A problem of an axis with its truth, and how far from it an answer is."""
+"""A problem of an axis with its truth, and how far from it an answer is.
+
+Exact answers of small problems: doubles as they stand, Gauss's elimination in Fractions, every condition checked.
+
+What a certificate that passes says itself of an error: then the error is not a silent one.
+
+An axis of difficulty: a name, its values, and a function from a value to a problem with its truth.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.certificate.bounds import REDUNDANT
+from contactqp.certificate.uniqueness import FORCES, SEVERAL
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.study.stability.exact_answer import ExactAnswer, answer_with_closed, refuse_wrong
+from contactqp.model.solution import Solution
+from contactqp.solving.friction.exact_algebra import ZERO, Row, dot, solutions
 from contactqp.study.truth import Errors, Truth
+
+Rows = list[Row]
+
+
+@dataclass(frozen=True)
+class ExactAnswer:
+    """One equilibrium in rational numbers; signs of `ContactProblem`."""
+
+    displacement: tuple[Fraction, ...]  # (n,)
+    normal_force: tuple[Fraction, ...]  # (m,)
+    friction_force: tuple[Fraction, ...] = ()  # (m,) in the plane, empty without friction
+
+
+def fractions(values: Any) -> Row:
+    """A vector of doubles as it stands."""
+    return [Fraction(x) for x in np.asarray(values, dtype=float).ravel().tolist()]
+
+
+def rows_of(matrix: Any) -> Rows:
+    """A matrix of doubles, dense or sparse, as it stands."""
+    dense = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, dtype=float)
+    return [fractions(row) for row in dense]
+
+
+def answer_with_closed(problem: ContactProblem, closed: Sequence[int]) -> ExactAnswer:
+    """The answer whose closed contacts are known: K u + E_A'λ_A = f, E_A u = g_A, all other contacts without force.
+
+    No floating-point solver has a part in it, and what comes out is checked against every condition of the problem.
+
+    Raises
+    ------
+    ArithmeticError
+        The system is singular, or these contacts are not those that are closed.
+    """
+    K, E = rows_of(problem.stiffness), rows_of(problem.normal)
+    f, g = fractions(problem.load), fractions(problem.gap)
+    n, count = len(K), len(closed)
+    system = [[*row, *(E[i][j] for i in closed), f[j]] for j, row in enumerate(K)]
+    system += [[*E[i], *[ZERO] * count, g[i]] for i in closed]
+    found = solutions(system, n + count)
+    if found is None or found.free:
+        raise ArithmeticError("the closed contacts do not determine the answer")
+    force = [ZERO] * len(E)
+    for i, value in zip(closed, found.point[n:], strict=True):
+        force[i] = value
+    answer = ExactAnswer(tuple(found.point[:n]), tuple(force))
+    refuse_wrong(problem, answer)
+    return answer
+
+
+def refuse_wrong(problem: ContactProblem, answer: ExactAnswer) -> None:
+    """Raise unless equilibrium, non-penetration, compression, complementarity and Coulomb's law hold with no tolerance.
+
+    Raises
+    ------
+    ArithmeticError
+        What does not hold.
+    """
+    u, force = list(answer.displacement), list(answer.normal_force)
+    gap = [g - dot(row, u) for g, row in zip(fractions(problem.gap), rows_of(problem.normal), strict=True)]
+    if any(_residual(problem, answer)):
+        raise ArithmeticError("the forces are not in equilibrium")
+    if any(x < 0 for x in gap) or any(x < 0 for x in force):
+        raise ArithmeticError("a contact penetrates, or is in tension")
+    if any(x and y for x, y in zip(gap, force, strict=True)):
+        raise ArithmeticError("a contact carries force across a gap")
+    if problem.frictional and not all(_obeys_coulomb(problem, answer, i) for i in range(len(force))):
+        raise ArithmeticError("Coulomb's law does not hold")
+
+
+def _residual(problem: ContactProblem, answer: ExactAnswer) -> Row:
+    rows, forces = rows_of(problem.normal), list(answer.normal_force)
+    if answer.friction_force:
+        rows, forces = [*rows, *rows_of(problem.tangent)], [*forces, *answer.friction_force]
+    pushed = [dot([row[j] for row in rows], forces) for j in range(problem.dimension)]
+    held = [dot(row, list(answer.displacement)) for row in rows_of(problem.stiffness)]
+    return [k + p - f for k, p, f in zip(held, pushed, fractions(problem.load), strict=True)]
+
+
+def _obeys_coulomb(problem: ContactProblem, answer: ExactAnswer, i: int) -> bool:
+    """|λ_T| <= μ λ_N, and λ_T = μ λ_N sign(s) where the slip s is not zero; in the plane."""
+    assert problem.friction is not None
+    assert problem.slip_origin is not None
+    bound = Fraction(float(problem.friction[i])) * answer.normal_force[i]
+    rubbing = answer.friction_force[i]
+    slip = dot(rows_of(problem.tangent)[i], list(answer.displacement)) - fractions(problem.slip_origin)[i]
+    if slip == 0:
+        return abs(rubbing) <= bound
+    return rubbing == (bound if slip > 0 else -bound)
+
 
 NO_EQUILIBRIUM = Errors(None, None, None, "there is no equilibrium", float("inf"), 0.0)
 
@@ -117,3 +217,69 @@ def truth_of_fractions(problem: ContactProblem, answer: ExactAnswer) -> SweptTru
 def nearest(values: Sequence[Fraction]) -> Vector:
     """The nearest doubles (Python divides integers of any size correctly rounded)."""
     return np.array([x.numerator / x.denominator for x in values], dtype=float)
+
+
+# What the nearest doubles of a truth may add to an error that meets its bound exactly.
+ROUNDING = 1e-12
+
+
+def stated(truth: SweptTruth, solution: Solution) -> str:
+    """What the certificate says of an answer that it passes and that is off by more than 1e-6; empty: nothing.
+
+    That uniqueness was not examined, or that other answers are not excluded, says nothing of this one.
+    """
+    certificate = solution.certificate
+    if SEVERAL in certificate.uniqueness:
+        return f"the certificate says: {'; '.join(certificate.uniqueness)}"
+    if not truth.exists:
+        return ""
+    if certificate.force_bound is None:
+        said = [reason for reason in certificate.reasons if reason.startswith("force_bound") and REDUNDANT in reason]
+        said += [finding for finding in certificate.uniqueness if finding == FORCES]
+        resultants = replace(truth, unique_forces=False)
+        errors = resultants.errors(solution.displacement, solution.normal_force, solution.tie_force)
+        return f"the certificate says: {said[0]}" if said and errors.small else ""
+    off = np.abs(solution.normal_force - truth.normal_force)
+    allowed = certificate.force_bound + ROUNDING * np.abs(truth.normal_force)
+    together = replace(truth, unique_forces=False).errors(solution.displacement, truth.normal_force, solution.tie_force)
+    if bool(np.all(off <= allowed)) and together.small:
+        return f"the certificate's own force bound is {float(np.max(certificate.force_bound)):.1e}"
+    return ""
+
+
+# Values as near as this to one are named by their distance from it.
+NEXT_TO_ONE = 1e-2
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis.
+
+    `pose` returns the same problem for the same value, always. Values are powers of two where that keeps the data
+    doubles.
+    """
+
+    name: str
+    title: str
+    quantity: str  # what the values are, with its unit: the title of an axis of a chart
+    values: tuple[float, ...]
+    pose: Callable[[float], Posed] = field(repr=False)
+    about: str = ""  # what is swept, and why
+    labels: tuple[str, ...] = ()  # of the values, where they are no numbers
+    # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.
+    knobs: Mapping[str, str] = field(default_factory=dict)
+    # The largest value that is tried, and why: beyond it the study would take too long.
+    largest: float = float("inf")
+    why_largest: str = ""
+
+    def label(self, value: float) -> str:
+        """The value in words."""
+        if self.labels:
+            return self.labels[self.values.index(value)]
+        # Of what lies next to one, the distance is what matters.
+        return f"1{value - 1:+.2g}" if 0 < abs(value - 1) < NEXT_TO_ONE else f"{value:.4g}"
+
+
+def powers_of_two(*exponents: int) -> tuple[float, ...]:
+    """2^e for each exponent."""
+    return tuple(2.0**e for e in exponents)

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 from contactqp.scene.explanation import Explanation
 from contactqp.study import rows
-from contactqp.study.report.case_record import CaseRecord, Sizes
-from contactqp.study.report.report_data import ReportData
-from contactqp.study.report.summary import summarise
+from contactqp.study.report.report_data import CaseRecord, ReportData, Sizes, summarise
 from contactqp.study.rows import Row
 from tests.study.statistics.examples import gave_up, right, wrong
 

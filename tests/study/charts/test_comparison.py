@@ -12,9 +12,8 @@ import pytest
 
 from contactqp.study import rows
 from contactqp.study.charts.comparison import overview_charts
-from contactqp.study.charts.curves import marker
-from contactqp.study.report.chart import Chart
-from contactqp.study.statistics.overview import overview
+from contactqp.study.charts.curves import Chart, marker
+from contactqp.study.statistics import overview
 from tests.study.charts.examples import report
 
 

@@ -12,9 +12,8 @@ from contactqp.linalg.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, RE
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build
 from contactqp.scene.running import run_model
-from contactqp.study.footprint.child import ImportMeter, contact_count
-from contactqp.study.footprint.footprint import IMPORT, OPTIONAL, Footprint
-from contactqp.study.footprint.measuring import measure
+from contactqp.study.footprint import IMPORT, OPTIONAL, Footprint, measure
+from contactqp.study.footprint_child import ImportMeter, contact_count
 from tests.examples import PUSHED_OFF
 
 ROOT = Path(__file__).parents[3]
@@ -81,7 +80,7 @@ def test_a_case_without_an_answer_is_said_in_one_line(tmp_path):
 
 def test_a_process_that_takes_too_long_or_dies_is_said_in_one_line(monkeypatch):
     assert measure(CASES / "bar_wall.toml", time_limit=0.01).failure == "stopped after 0.01 s"
-    monkeypatch.setattr("contactqp.study.footprint.measuring.CHILD", "tests.study.footprint.dying")
+    monkeypatch.setattr("contactqp.study.footprint.CHILD", "tests.study.footprint.dying")
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
     assert measure("kill").failure == "the process died of SIGKILL"
     assert measure("raise").failure == "the process ended early: ValueError: no such luck"

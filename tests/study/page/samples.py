@@ -7,14 +7,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from contactqp.study.attempt import chosen_methods
 from contactqp.study.case_study import load_studies
-from contactqp.study.page.tables import facets_of
-from contactqp.study.report.case_record import CaseRecord, record, unjudged
-from contactqp.study.report.chart import Chart
-from contactqp.study.report.report_data import ReportData
-from contactqp.study.report.summary import summarise
+from contactqp.study.charts.curves import Chart
+from contactqp.study.page.case_view import facets_of
+from contactqp.study.report.report_data import CaseRecord, ReportData, record, summarise, unjudged
 from contactqp.study.rows import Row
-from contactqp.study.rungs import chosen_methods
 
 CASES = Path(__file__).parents[3] / "cases"
 EVIL = """<script>alert(1)</script></script><img src=x onerror=alert(2)> "quoted" 'single' & {{ 7 * 7 }} λ→∞"""

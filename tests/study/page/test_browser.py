@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from contactqp.study.page import render as pages
-from contactqp.study.page.study_page import render_study
+from contactqp.study.page.render import render_study
 from tests.study.page.samples import Part, chart, hostile
 
 pytest.importorskip("selenium", reason="selenium is not installed: pip install 'contactqp[browser]'")

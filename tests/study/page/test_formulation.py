@@ -11,9 +11,8 @@ from contactqp.analysis.motion.schemes import SCHEMES
 from contactqp.scene.explaining import explain
 from contactqp.scene.loading import load_scene
 from contactqp.study.page import formulation as pages
-from contactqp.study.page.formulation import Formulation, formulation
-from contactqp.study.page.mathematics import mathml
-from contactqp.study.page.schemes import STEPS, SYMBOLS
+from contactqp.study.page.formulation import STEPS, SYMBOLS, Formulation, formulation
+from contactqp.study.page.render import mathml
 from tests.study.page.samples import CASES, bare_record
 
 pytest.importorskip("latex2mathml")

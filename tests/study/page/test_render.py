@@ -13,14 +13,13 @@ from html.parser import HTMLParser
 import pytest
 
 from contactqp.study import rows
-from contactqp.study.charts.curves import variant_name
-from contactqp.study.footprint.footprint import Footprint, StageTime
+from contactqp.study.charts.curves import Chart, variant_name
+from contactqp.study.footprint import Footprint, StageTime
 from contactqp.study.page import render as pages
-from contactqp.study.page.study_page import render_study
-from contactqp.study.page.tables import MARKS, marked, table_of_rows
-from contactqp.study.report.chart import Chart
+from contactqp.study.page.case_view import MARKS, marked, table_of_rows
+from contactqp.study.page.render import render_study
 from contactqp.study.rows import VERDICTS
-from contactqp.study.statistics.routes import Route
+from contactqp.study.statistics import Route
 from tests.study.page.samples import EVIL, Part, PartTable, bare_record, chart, data_of, hostile, report_of
 
 for package in pages.NEEDED:

@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from contactqp.errors import InvalidProblem
-from contactqp.study.running.cells import Cell, Crash
-from contactqp.study.running.cluster import Cluster, cluster
-from contactqp.study.running.runner import run_cells
-from contactqp.study.running.running import Running
+from contactqp.study.running.journal import Cell, Crash
+from contactqp.study.running.runner import Running, run_cells
+from contactqp.study.running.workers import Cluster, cluster
 from tests.study.running import cell_functions as do
 from tests.study.running.cell_functions import Number
 
@@ -93,7 +92,7 @@ def test_a_report_from_there_is_the_same_table(address: str, tmp_path: Path) -> 
     "address", ["", "nowhere", "no/address", "http://[::", "ftp://somewhere:1", "tcp://127.0.0.1:{closed}"]
 )
 def test_a_bad_address_is_one_line(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("contactqp.study.running.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("contactqp.study.running.workers.PATIENCE", 0.5)
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         address = address.format(closed=unused.getsockname()[1])
@@ -105,7 +104,7 @@ def test_a_bad_address_is_one_line(address: str, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.filterwarnings("ignore")
 def test_workers_with_another_contactqp_are_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("contactqp.study.running.cluster.source_digest", _of_another_time)
+    monkeypatch.setattr("contactqp.study.running.workers.source_digest", _of_another_time)
     with pytest.raises(InvalidProblem, match="expected this contactqp on every worker"), cluster(address):
         pass
 

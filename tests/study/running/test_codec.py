@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.scene.claims import Remark
 from contactqp.study.rows import Row
-from contactqp.study.running.codec import decode, encode
+from contactqp.study.running.journal import decode, encode
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 
 from contactqp.errors import SceneError
-from contactqp.study.running.cells import Cell, Crash
-from contactqp.study.running.journal import Journal
+from contactqp.study.running.journal import Cell, Crash, Journal
 from tests.study.running.cell_functions import Number, half
 
 CONDITIONS = {"versions": {"numpy": "1.26"}, "settings": {"tolerances": (1e-3, 1e-9), "repeats": 3}}

@@ -16,10 +16,9 @@ import pytest
 
 from contactqp.errors import SceneError
 from contactqp.study.running import runner
-from contactqp.study.running.cells import Cell, Crash
 from contactqp.study.running.child import Child
-from contactqp.study.running.journal import Journal
-from contactqp.study.running.progress import Progress
+from contactqp.study.running.journal import Cell, Crash, Journal
+from contactqp.study.running.runner import Progress
 from contactqp.study.running.workers import Processes, ThisProcess, Workers
 from tests.study.running import cell_functions as do
 from tests.study.running.cell_functions import Number
@@ -192,7 +191,7 @@ class _Clock:
 
 def test_progress_tells_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = _Clock()
-    monkeypatch.setattr("contactqp.study.running.progress.time.monotonic", clock)
+    monkeypatch.setattr("contactqp.study.running.runner.time.monotonic", clock)
     shown: list[str] = []
     progress = Progress(lambda what, done, total, left: shown.append(f"{what} {done}/{total} {left}"))
     cells = [Cell(str(i), do.half, (1.0,), Number, cost=cost) for i, cost in enumerate((1.0, 1.0, 2.0))]

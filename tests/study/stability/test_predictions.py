@@ -10,18 +10,19 @@ import pytest
 
 import contactqp as cq
 from contactqp.solving.methods import find
-from contactqp.study.stability.axes import find_axis, penalty_stiffness
-from contactqp.study.stability.best_penalty import of_truss
+from contactqp.study.stability import problem_axes
+from contactqp.study.stability.axes import find_axis
 from contactqp.study.stability.cells import stability_row
 from contactqp.study.stability.condition import predict
-from contactqp.study.stability.ranges import safe_ranges
+from contactqp.study.stability.penalty_valley import of_truss
+from contactqp.study.stability.study import safe_ranges
 
 
 def test_21684_is_one_ulp_of_the_gap_times_beta() -> None:
     exact = Fraction(100000000000000000000, 4611686018427387904)
     assert of_truss().quantum(1e20) == exact
-    assert np.spacing(penalty_stiffness.GAP) == 2.0**-62
-    solution = cq.solve(penalty_stiffness.truss(), method="penalty", penalty=1e20)
+    assert np.spacing(problem_axes.GAP) == 2.0**-62
+    solution = cq.solve(problem_axes.truss(), method="penalty", penalty=1e20)
     assert Fraction(float(solution.normal_force[0])) == exact
     row = stability_row("penalty", 1e20, "penalty")
     assert row.largest_force == float(exact)
@@ -32,8 +33,8 @@ def test_the_best_beta_is_the_predicted_one() -> None:
     best = of_truss()
     assert best.penalty == pytest.approx(math.sqrt(76650.7811 * 30.2549928 / 2.0**-62), rel=1e-6)
     assert best.error == pytest.approx(best.error_at(best.penalty), rel=1e-6)
-    rows = [stability_row("penalty", beta, "penalty") for beta in penalty_stiffness.VALUES if 1e8 <= beta <= 1e17]
-    [found] = safe_ranges(penalty_stiffness.AXIS, rows)
+    rows = [stability_row("penalty", beta, "penalty") for beta in problem_axes.VALUES if 1e8 <= beta <= 1e17]
+    [found] = safe_ranges(problem_axes.PENALTY_STIFFNESS, rows)
     assert found.best is not None
     assert found.best_value is not None
     assert best.penalty / 10 < found.best_value < best.penalty * 10
@@ -57,9 +58,9 @@ def test_perturbed_lagrangian_has_no_valley() -> None:
 def test_condition_numbers_of_closed_forms() -> None:
     posed = find_axis("mass-ratio").pose(2.0**60)  # K is diagonal: its condition number is the ratio
     assert predict(posed, find("active-set"), "", None).condition == pytest.approx(2.0**60, rel=1e-12)
-    truss = penalty_stiffness.pose(1.0)
+    truss = problem_axes.pose_penalty_stiffness(1.0)
     for beta in (1e3, 1e20):  # 2x2: κ = λmax² / det
-        K = np.array(penalty_stiffness.STIFFNESS) + np.diag([0.0, beta])
+        K = np.array(problem_axes.STIFFNESS) + np.diag([0.0, beta])
         largest = np.linalg.eigvalsh(K)[-1]
         determinant = float(Fraction(59803) * (Fraction(77443) + Fraction(beta)) - Fraction(6883.1) ** 2)
         found = predict(truss, find("penalty"), "", beta).condition

@@ -10,8 +10,7 @@ import contactqp as cq
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.model.solution import Solution
 from contactqp.study.stability.axes import find_axis
-from contactqp.study.stability.posed import SweptTruth
-from contactqp.study.stability.stated import stated
+from contactqp.study.stability.posed import SweptTruth, stated
 
 
 def saying(solution: Solution, **said: object) -> Solution:

@@ -21,19 +21,17 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows as report_rows
-from contactqp.study.rungs import condensable
-from contactqp.study.running.cells import Crash
-from contactqp.study.running.stopping import Stopped
+from contactqp.study.attempt import condensable
+from contactqp.study.running.journal import Crash
+from contactqp.study.running.runner import Stopped
 from contactqp.study.stability import cells as cells_module
 from contactqp.study.stability import report as report_module
 from contactqp.study.stability.axes import AXES, find_axis
 from contactqp.study.stability.cells import cells, row_of, stability_row
-from contactqp.study.stability.heat_maps import LETTERS
-from contactqp.study.stability.ranges import grouped, safe_ranges
-from contactqp.study.stability.report import page_of, write_stability
+from contactqp.study.stability.charts import LETTERS
+from contactqp.study.stability.report import page_of, stability_charts, stability_sections, write_stability
 from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, digits_lost
-from contactqp.study.stability.sections import stability_charts, stability_sections
-from contactqp.study.stability.study import StabilityStudy, lines
+from contactqp.study.stability.study import StabilityStudy, grouped, lines, safe_ranges
 
 ROOT = Path(__file__).parents[3]
 FEW = ("active-set", "penalty", "lagrange-multiplier", "pyqpmad")
@@ -76,7 +74,7 @@ def test_very_many_contacts_are_not_condensed_onto_to_write_a_row(monkeypatch: p
         raise AssertionError("all contacts were condensed onto")
 
     problem = find_axis("contacts").pose(1e4).problem
-    monkeypatch.setattr("contactqp.study.rungs.condense", refuse)
+    monkeypatch.setattr("contactqp.study.attempt.condense", refuse)
     assert condensable(problem, find("penalty"))
     monkeypatch.setattr("contactqp.study.truth.condense", refuse)
     assert find_axis("contacts").pose(1e4).truth.errors(np.zeros(10_000), np.zeros(10_000), np.zeros(0)).judged > 0.1

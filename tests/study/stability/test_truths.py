@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.study.stability.axes import AXES, contact_count, find_axis, friction, incline, penalty_stiffness
-from contactqp.study.stability.axes.unit_systems import UNITS
-from contactqp.study.stability.exact_answer import ExactAnswer, answer_with_closed, refuse_wrong
-from contactqp.study.stability.posed import NO_EQUILIBRIUM
+from contactqp.study.stability import problem_axes
+from contactqp.study.stability.axes import AXES, find_axis
+from contactqp.study.stability.posed import NO_EQUILIBRIUM, ExactAnswer, answer_with_closed, refuse_wrong
+from contactqp.study.stability.problem_axes import UNITS
 
 
 @pytest.mark.parametrize("axis", AXES, ids=lambda axis: axis.name)
@@ -29,8 +29,8 @@ def test_every_value_has_a_problem_and_the_same_one_every_time(axis) -> None:
 
 
 def test_the_truss_has_its_closed_form_and_the_chapters_number() -> None:
-    [answer] = penalty_stiffness.pose(1.0).exact
-    assert answer == penalty_stiffness.closed_form()
+    [answer] = problem_axes.pose_penalty_stiffness(1.0).exact
+    assert answer == problem_axes.closed_form()
     # Of the printed decimals, 30.2549928366469910 kN; of their doubles the same to rounding.
     printed = Fraction(180933933661, 5980300000)
     assert abs(answer.normal_force[0] / printed - 1) < Fraction(1, 10**15)
@@ -84,8 +84,8 @@ def test_a_support_that_softens_takes_what_the_wall_does_not() -> None:
 
 
 def test_past_the_critical_coefficient_there_are_three_answers() -> None:
-    assert len(friction.pose(0.75).exact) == 1
-    posed = friction.pose(1.5)
+    assert len(problem_axes.pose_friction(0.75).exact) == 1
+    posed = problem_axes.pose_friction(1.5)
     assert len(posed.exact) == 3
     listed = cq.exact_equilibria(posed.problem)
     assert {tuple(e.displacement) for e in listed} == {answer.displacement for answer in posed.exact}
@@ -96,20 +96,20 @@ def test_past_the_critical_coefficient_there_are_three_answers() -> None:
 
 
 def test_below_the_slope_nothing_holds() -> None:
-    below, above = incline.pose(1.0 - 2.0**-50), incline.pose(1.0)
+    below, above = problem_axes.pose_incline(1.0 - 2.0**-50), problem_axes.pose_incline(1.0)
     assert not below.exact
     assert below.truth.errors(np.zeros(2), np.array([4.0]), None) == NO_EQUILIBRIUM
     assert above.truth.errors(np.zeros(2), np.array([4.0]), None).small
 
 
 def test_constructed_strings_agree_with_rational_elimination() -> None:
-    for axis in (contact_count.CONTACTS, contact_count.CLOSED_CONTACTS):
+    for axis in (problem_axes.CONTACTS, problem_axes.CLOSED_CONTACTS):
         for count in (1.0, 10.0):
             posed = axis.pose(count)
             answer = answer_with_closed(posed.problem, posed.closed)
             assert [float(x) for x in answer.displacement] == posed.truth.displacement.tolist()
             assert [float(x) for x in answer.normal_force] == posed.truth.normal_force.tolist()
-    large = contact_count.CONTACTS.pose(1e5)
+    large = problem_axes.CONTACTS.pose(1e5)
     assert large.problem.contacts == 100_000
     assert np.count_nonzero(large.truth.normal_force) == 4
 
@@ -122,8 +122,8 @@ def test_the_beam_answers_the_same_in_every_unit() -> None:
 
 
 def test_a_wrong_answer_is_refused() -> None:
-    problem = penalty_stiffness.truss()
-    right = penalty_stiffness.closed_form()
+    problem = problem_axes.truss()
+    right = problem_axes.closed_form()
     refuse_wrong(problem, right)
     for change in (
         dict(normal_force=(right.normal_force[0] * (1 + Fraction(1, 10**30)),)),
@@ -133,7 +133,7 @@ def test_a_wrong_answer_is_refused() -> None:
             refuse_wrong(problem, dataclasses.replace(right, **change))
     with pytest.raises(ArithmeticError, match="penetrates"):
         answer_with_closed(problem, [])
-    posed = friction.pose(1.5)
+    posed = problem_axes.pose_friction(1.5)
     slides, sticks, _ = posed.exact
     with pytest.raises(ArithmeticError, match="Coulomb"):
         refuse_wrong(posed.problem.replace(friction=0.1), sticks)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from contactqp.study.statistics.means import LIMIT, shifted_geometric_mean
+from contactqp.study.statistics import LIMIT, shifted_geometric_mean
 
 
 def test_by_hand() -> None:

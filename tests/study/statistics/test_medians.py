@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from contactqp.study.rows import Row
-from contactqp.study.statistics.medians import median_cases, median_limit, median_rows
+from contactqp.study.statistics import median_cases, median_limit, median_rows
 from tests.study.statistics.examples import gave_up, right
 
 RUNG: dict[str, Any] = dict(variant="raw", knob="tolerance", knob_value=1e-3)

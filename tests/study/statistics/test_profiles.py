@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.study.statistics.profiles import profile, ratios
+from contactqp.study.statistics import profile, ratios
 
 
 def test_profiles_of_two_solvers() -> None:

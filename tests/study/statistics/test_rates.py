@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from contactqp.study.statistics.rates import method_rates
-from contactqp.study.statistics.routes import compared_cases
+from contactqp.study.statistics import compared_cases, method_rates
 from tests.study.statistics.examples import right, study, wrong
 
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from contactqp.study import rows
-from contactqp.study.statistics.overview import overview
-from contactqp.study.statistics.routes import Route, compared_cases, route_times, solved
+from contactqp.study.statistics import Route, compared_cases, overview, route_times, solved
 from tests.study.statistics.examples import gave_up, right, study, wrong
 
 

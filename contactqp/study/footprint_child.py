@@ -18,15 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import ContactQPError
 from contactqp.linalg.stages import STAGES, StageClock, timed
-from contactqp.study.footprint.footprint import (
-    IMPORT,
-    OPTIONAL,
-    ContactCount,
-    Footprint,
-    Memory,
-    Modules,
-    StageTime,
-)
+from contactqp.study.footprint import IMPORT, OPTIONAL, ContactCount, Footprint, Memory, Modules, StageTime
 
 if TYPE_CHECKING:
     from contactqp.analysis.history import History

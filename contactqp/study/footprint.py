@@ -1,0 +1,252 @@
+"""What one case takes in a process of its own: time by stage, memory, modules, factorisations, contacts.
+
+A footprint measured in a fresh interpreter, where nothing else is in it.
+
+A footprint on a screen.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from contactqp.scene.tables import print_table
+
+IMPORT = "import modules"
+# What a case brings in where it needs it, and what for.
+OPTIONAL: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("files of meshes", ("meshlane",)),
+    (
+        "QP backends",
+        ("qpsolvers", "cvxpy", "osqp", "clarabel", "piqp", "proxsuite", "daqp", "highspy", "scs", "qpalm"),
+    ),
+    ("fast rational algebra", ("flint",)),
+    ("pictures and pages", ("matplotlib", "plotly", "jinja2")),
+    ("files of other codes", ("h5py",)),
+    ("faster sparse solvers", ("pypardiso", "pyamg")),
+)
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """What one stage took, without the stages in it."""
+
+    name: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ContactCount:
+    """Of the contacts of a case, how many the solver had to do with: looked at = without partner + dropped + kept."""
+
+    looked_at: int  # nodes of the sides that may touch
+    without_partner: int  # nothing is opposite, or it is out of reach: they have no row
+    dropped: int  # rows left out of the condensed problem, being far from closing
+    kept: int  # rows condensed onto
+    least_dropped_gap: float | None = None  # over all answers; the answer was checked against these too [length]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Resident memory, bytes; None where the system does not say."""
+
+    peak: int | None
+    interpreter: int | None  # of the peak: Python itself, before anything of ours
+    modules: int | None  # what importing added
+
+
+@dataclass(frozen=True)
+class Modules:
+    """What was imported."""
+
+    count: int  # all modules, those of the standard library included
+    packages: tuple[str, ...]  # of third parties
+    left_out: tuple[str, ...]  # optional ones that are installed and were not needed
+    missing: tuple[str, ...]  # optional ones that are not installed
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """One case from its file to its certified answer, in a fresh interpreter.
+
+    Where it came to no answer `failure` says why in one line, and the rest is what was measured until then; a process
+    that died or was stopped leaves nothing but that.
+    """
+
+    case: str
+    method: str
+    failure: str | None = None
+    seconds: float | None = None  # all of it, without starting the interpreter
+    stages: tuple[StageTime, ...] = ()  # their sum is `seconds`, but for what is in no stage
+    instants: int = 0  # solutions: more than one of a path or a motion
+    certified: bool = False  # whether the certificate of the last one passes
+    contacts: ContactCount | None = None
+    factorisations: int = 0  # of the stiffness, over all instants
+    back_substitutions: int = 0  # right-hand sides solved with them
+    memory: Memory | None = None
+    modules: Modules | None = None
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Footprint:
+        """What `data` was made of."""
+        parts: dict[str, Any] = {"stages": tuple(StageTime(**stage) for stage in data["stages"])}
+        for name, kind in (("contacts", ContactCount), ("memory", Memory)):
+            parts[name] = None if data[name] is None else kind(**data[name])
+        if data["modules"] is not None:
+            lists = {key: tuple(value) for key, value in data["modules"].items() if isinstance(value, list | tuple)}
+            parts["modules"] = Modules(**{**data["modules"], **lists})
+        return cls(**{**data, **parts})
+
+
+CHILD = "contactqp.study.footprint_child"
+
+
+def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit: float | None = None) -> Footprint:
+    """What a case takes from its file to its certified answer.
+
+    Parameters
+    ----------
+    case : path
+        A case file.
+    method : str
+        A name of `contactqp.methods()` that needs no knob.
+    time_limit : float, optional
+        Seconds; what takes longer is stopped.
+
+    Returns
+    -------
+    Footprint
+        Its `failure` says in one line why there is no answer: what the error of the package says, the signal that
+        ended the process, that it took too long.
+    """
+    known = (str(case), method)
+    command = [sys.executable, "-P", "-m", CHILD, *known]  # -P: no modules from the folder that it is run in
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=time_limit,
+            env=_environment(),
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Footprint(*known, failure=f"stopped after {time_limit:g} s")
+    except OSError as error:
+        return Footprint(*known, failure=f"no process could be started: {error.strerror or error}")
+    if done.returncode:
+        return Footprint(*known, failure=_ending(done.returncode, done.stderr))
+    try:
+        return Footprint.from_data(json.loads(done.stdout.splitlines()[-1]))  # libraries may have said something
+    except (IndexError, ValueError, TypeError, KeyError):
+        return Footprint(*known, failure="the process that measured said nothing that can be read")
+
+
+def _environment() -> dict[str, str]:
+    """This process's, modules looked for where it does."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(folder or os.getcwd() for folder in sys.path)}
+
+
+def _ending(code: int, said: str) -> str:
+    """How a process ended that did not end well."""
+    if code < 0:
+        try:
+            name = signal.Signals(-code).name
+        except ValueError:
+            name = f"signal {-code}"
+        return f"the process died of {name}"
+    last = said.strip().splitlines()[-1:] or [f"exit code {code}"]
+    return f"the process ended early: {last[0]}"
+
+
+MEBIBYTE = 2**20
+
+
+def print_footprint(console: Console, footprint: Footprint) -> None:
+    """What the answer took, line by line, and the time of each stage."""
+    console.print(escape(f"solved by {footprint.method} in a fresh interpreter: {footprint_outcome(footprint)}"))
+    if footprint.seconds is None:
+        return
+    rows = [
+        [stage.name, f"{1e3 * stage.seconds:.4g}", share_text(stage.seconds / footprint.seconds)]
+        for stage in footprint.stages
+    ]
+    print_table(console, ["stage", "time [ms]", "share"], [*rows, ["total", f"{1e3 * footprint.seconds:.4g}", ""]])
+    for line in footprint_lines(footprint):
+        console.print(escape(line), soft_wrap=True)
+
+
+def share_text(part: float) -> str:
+    """A part of the whole in percent."""
+    return "< 1 %" if part < 0.005 else f"{100 * part:.0f} %"
+
+
+def footprint_outcome(footprint: Footprint) -> str:
+    """How it ended."""
+    if footprint.failure is not None:
+        return f"no answer: {footprint.failure}"
+    count = f"{footprint.instants} instants, " if footprint.instants > 1 else ""
+    return count + ("certificate passed" if footprint.certified else "the certificate refuses the answer")
+
+
+def footprint_lines(footprint: Footprint) -> Iterator[str]:
+    """Work, contacts, memory and modules, one sentence each."""
+    factorisations, right_hand_sides = footprint.factorisations, footprint.back_substitutions
+    yield f"work: {factorisations} {_many('factorisation', factorisations)} of the stiffness, {right_hand_sides} " + (
+        _many("back-substitution", right_hand_sides)
+    )
+    if footprint.contacts is not None:
+        yield f"contacts: {_contacts(footprint.contacts)}"
+    if footprint.memory is not None and footprint.memory.peak is not None:
+        yield f"memory: {_memory(footprint.memory, footprint.memory.peak)}"
+    if footprint.modules is not None:
+        yield from _modules(footprint.modules)
+
+
+def _many(name: str, count: int) -> str:
+    return name if count == 1 else f"{name}s"
+
+
+def _contacts(count: ContactCount) -> str:
+    text = f"{count.looked_at} looked at"
+    if count.without_partner:
+        text += f", {count.without_partner} without a partner within reach"
+    text += f", {count.kept} kept"
+    if not count.dropped:
+        return f"{text}, none dropped before the solve"
+    text += f", {count.dropped} dropped before the solve as out of reach and checked after it"
+    return text if count.least_dropped_gap is None else f"{text}, smallest gap {count.least_dropped_gap:.6g}"
+
+
+def _memory(memory: Memory, peak: int) -> str:
+    text = f"{peak / MEBIBYTE:.0f} MiB at most"
+    if memory.interpreter is None or memory.modules is None:
+        return text
+    left = max(peak - memory.interpreter - memory.modules, 0)
+    return (
+        f"{text}: {memory.interpreter / MEBIBYTE:.0f} the interpreter, {memory.modules / MEBIBYTE:.0f} imported "
+        f"modules, {left / MEBIBYTE:.0f} this case"
+    )
+
+
+def _modules(modules: Modules) -> Iterator[str]:
+    packages = ", ".join(modules.packages) or "none"
+    yield f"imported: {modules.count} modules; packages of others: {packages}"
+    for heading, names in (("not imported", modules.left_out), ("not installed", modules.missing)):
+        groups = ((what, [name for name in group if name in names]) for what, group in OPTIONAL)
+        if names:
+            yield f"{heading}: " + "; ".join(f"{what} ({', '.join(group)})" for what, group in groups if group)
