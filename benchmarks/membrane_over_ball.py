@@ -16,7 +16,7 @@ import contactqp as cq
 from benchmarks.h1_error import Vector, h1_error
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.scalar_pairing import pair_scalar
+from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import disc, rectangle
 from contactqp.elements.structure import Structure, Support
 

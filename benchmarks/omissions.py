@@ -29,10 +29,10 @@ import numpy as np
 
 import contactqp as cq
 from contactqp.certificate.subset_bounds import take_all
-from contactqp.elements.mass import solid_mass
+from contactqp.elements.loads import solid_mass
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
-from contactqp.elements.scalar_pairing import pair_scalar
+from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support, System

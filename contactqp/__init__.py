@@ -23,35 +23,35 @@ if TYPE_CHECKING:
     from contactqp.certificate.local_certificate import fclib_merit_1 as fclib_merit_1
     from contactqp.certificate.local_certificate import siconos_global_error as siconos_global_error
     from contactqp.certificate.local_certificate import siconos_local_error as siconos_local_error
+    from contactqp.elements.deformable import Supported as Supported
     from contactqp.elements.energies.constrained_energy import ConstrainedEnergy as ConstrainedEnergy
     from contactqp.elements.energies.constrained_energy import ConstrainedMinimum as ConstrainedMinimum
+    from contactqp.elements.energies.constrained_energy import PartState as PartState
     from contactqp.elements.energies.limits import AtLeast as AtLeast
     from contactqp.elements.energies.limits import AtMost as AtMost
     from contactqp.elements.energies.limits import Equal as Equal
     from contactqp.elements.energies.limits import Obstacle as Obstacle
-    from contactqp.elements.energies.part import PartState as PartState
-    from contactqp.elements.energies.plastic_hinge import PlasticHinge as PlasticHinge
     from contactqp.elements.energies.springs import Cable as Cable
+    from contactqp.elements.energies.springs import PlasticHinge as PlasticHinge
     from contactqp.elements.energies.springs import Spring as Spring
     from contactqp.elements.energies.springs import Strut as Strut
-    from contactqp.elements.green_truss import NonlinearTruss as NonlinearTruss
+    from contactqp.elements.facet import Surface as Surface
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.nonlinear_solid import NonlinearSolid as NonlinearSolid
+    from contactqp.elements.nonlinear_truss import NonlinearTruss as NonlinearTruss
+    from contactqp.elements.nonlinear_truss import UpdatedTruss as UpdatedTruss
     from contactqp.elements.obstacle import Plane as Plane
+    from contactqp.elements.obstacle import SignedDistance as SignedDistance
     from contactqp.elements.obstacle_contact import ContactGroup as ContactGroup
     from contactqp.elements.obstacle_contact import ObstacleContact as ObstacleContact
     from contactqp.elements.pairing import Pairing as Pairing
     from contactqp.elements.pairing import pair as pair
-    from contactqp.elements.paraboloid import Paraboloid as Paraboloid
+    from contactqp.elements.pairing import pair_scalar as pair_scalar
     from contactqp.elements.round_obstacle import Circle as Circle
     from contactqp.elements.round_obstacle import Cylinder as Cylinder
+    from contactqp.elements.round_obstacle import Paraboloid as Paraboloid
     from contactqp.elements.round_obstacle import Sphere as Sphere
-    from contactqp.elements.scalar_pairing import pair_scalar as pair_scalar
-    from contactqp.elements.signed_distance import SignedDistance as SignedDistance
-    from contactqp.elements.supported import Supported as Supported
-    from contactqp.elements.surface import Surface as Surface
-    from contactqp.elements.updated_truss import UpdatedTruss as UpdatedTruss
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -128,30 +128,30 @@ _HOME = {
     "MotionHistory": "analysis.motion.history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
-    "NonlinearTruss": "elements.green_truss",
+    "NonlinearTruss": "elements.nonlinear_truss",
     "NotCertified": "errors",
     "NotConverged": "errors",
     "Obstacle": "elements.energies.limits",
     "ObstacleContact": "elements.obstacle_contact",
     "Pairing": "elements.pairing",
-    "Paraboloid": "elements.paraboloid",
-    "PartState": "elements.energies.part",
+    "Paraboloid": "elements.round_obstacle",
+    "PartState": "elements.energies.constrained_energy",
     "Plane": "elements.obstacle",
-    "PlasticHinge": "elements.energies.plastic_hinge",
+    "PlasticHinge": "elements.energies.springs",
     "Scene": "scene.scene",
     "SceneError": "errors",
     "SeveralEquilibria": "errors",
-    "SignedDistance": "elements.signed_distance",
+    "SignedDistance": "elements.obstacle",
     "Solution": "model.solution",
     "Sphere": "elements.round_obstacle",
     "Spring": "elements.energies.springs",
     "Strut": "elements.energies.springs",
-    "Supported": "elements.supported",
-    "Surface": "elements.surface",
+    "Supported": "elements.deformable",
+    "Surface": "elements.facet",
     "TimeStepWarning": "errors",
     "Units": "model.problem",
     "Unsupported": "errors",
-    "UpdatedTruss": "elements.updated_truss",
+    "UpdatedTruss": "elements.nonlinear_truss",
     "acary_bremond_huber_error": "certificate.local_certificate",
     "associated_difference": "solving.equilibria",
     "certify": "oracle.judged_answer",
@@ -173,7 +173,7 @@ _HOME = {
     "pair": "elements.pairing",
     "pair_mortar": "elements.mortar",
     "pair_node_to_segment": "elements.node_to_segment",
-    "pair_scalar": "elements.scalar_pairing",
+    "pair_scalar": "elements.pairing",
     "read_fclib": "exchange.fclib",
     "read_fclib_guesses": "exchange.fclib",
     "read_fclib_solution": "exchange.fclib",

@@ -1,17 +1,30 @@
-"""The equilibria that a step of a load path with friction asks for: on the contact unknowns, or by `solve`."""
+"""The equilibria that a step of a load path with friction asks for: on the contact unknowns, or by `solve`.
+
+One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
+
+A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is anchored
+at its E_T u at the fraction of the step at which its gap reaches zero: the contacts without an anchor are held open,
+and where they overlap at the end of the step the first load at which one of them touches is searched for. On loads
+between which no other contact changes its state gaps are linear, and the secant finds that load exactly.
+
+The solutions along a load path with Coulomb friction, each from where the one before left its contacts.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
-from contactqp.analysis.anchoring import State
+from contactqp.analysis.history import Event, LazySolutions, Unfinished
 from contactqp.certificate.figures import balance
 from contactqp.certificate.subset_bounds import first_candidates
-from contactqp.errors import NoEquilibrium, NotConverged
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import iterated
@@ -24,8 +37,129 @@ from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search
 from contactqp.solving.friction_runs import run_on_combination
+from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
+
+# Loads tried for one closing: bisection takes over where the secant does not shrink its bracket.
+MOST_LOADS = 60
+# A bracket of this part of the leg holds a jump: no load shows the contact touching.
+JUMP = 1e-13
+# Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
+HALVINGS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One equilibrium along a path, as far as the next one needs it."""
+
+    fraction: float  # of the leg
+    gap: Vector  # (m,) g - E_N u [length]; negative at contacts that were held open and overlap
+    position: Array  # (m, d-1) E_T u [length]
+    pushes: Mask  # (m,) which carry a force
+    slides: Mask  # (m,) which of them slip
+    touching: Mask  # (m,) closed, or with no gap but rounding
+    overlap: Mask  # (m,) held open, and too far in to be rounding
+    step: Unfinished
+
+
+# The equilibrium at a fraction of the leg, from slip origins (m, d-1), with contacts held open.
+Solve = Callable[[float, Array, Mask], State]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """Where contacts stood at the end of a step."""
+
+    position: Array  # (m, d-1) E_T u
+    anchored: Mask  # (m,)
+
+
+def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
+    """The state at a fraction of the leg, contacts that close on the way anchored where they do.
+
+    Raises
+    ------
+    NoEquilibrium, SeveralEquilibria, NotConverged
+        Of the solve at the end of the step, all contacts anchored.
+    """
+    origin, anchored = anchors.position.copy(), anchors.anchored.copy()
+    low = before
+    while True:
+        high = None if np.all(anchored) else _tried(solve, fraction, origin=origin, held_open=~anchored)
+        if high is None and np.all(anchored):
+            return solve(fraction, origin, ~anchored)
+        if high is not None and not np.any(high.overlap):
+            return high
+        touched = _first_touch(low, high, fraction, partial(_tried, solve, origin=origin, held_open=~anchored))
+        if touched is None:
+            # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
+            anchored[:] = True
+            continue
+        closing = ~anchored & (touched.touching | touched.overlap)
+        origin[closing] = touched.position[closing]
+        anchored |= closing
+        low = touched
+
+
+def _tried(solve: Solve, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
+    """The state, or None where the bodies without these contacts have none."""
+    try:
+        return solve(fraction, origin, held_open)
+    except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
+        return None
+
+
+def _first_touch(
+    low: State, high: State | None, fraction: float, solve: Callable[[float], State | None]
+) -> State | None:
+    """The first state after `low` in which a contact that is held open touches, or None where motion is free."""
+    if high is None:
+        low, high = _furthest(low, fraction, solve)
+        if high is None:
+            return None
+    same_side, last_over = 0, None
+    for _ in range(MOST_LOADS):
+        at = _secant(low, high) if same_side < 2 else 0.0
+        if not low.fraction < at < high.fraction:
+            at = (low.fraction + high.fraction) / 2
+        if high.fraction - low.fraction <= JUMP:
+            return high
+        here = solve(at)
+        if here is None:
+            return high
+        held = high.gap < 0
+        if not np.any(here.overlap) and np.any(here.touching & held):
+            return here
+        over = bool(np.any(here.overlap))
+        same_side = same_side + 1 if over == last_over else 0
+        last_over, (low, high) = over, (low, here) if over else (here, high)
+    return high
+
+
+def _secant(low: State, high: State) -> float:
+    """Where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
+    falls = high.overlap & (low.gap > high.gap)
+    if not np.any(falls):
+        return (low.fraction + high.fraction) / 2
+    part = np.maximum(low.gap[falls], 0.0) / (np.maximum(low.gap[falls], 0.0) - high.gap[falls])
+    return float(low.fraction + np.min(part) * (high.fraction - low.fraction))
+
+
+def _furthest(low: State, fraction: float, solve: Callable[[float], State | None]) -> tuple[State, State | None]:
+    """A state without overlap, and one with it, between `low` and a fraction that has none."""
+    beyond = fraction
+    for _ in range(HALVINGS):
+        at = (low.fraction + beyond) / 2
+        here = solve(at)
+        if here is None:
+            beyond = at
+        elif np.any(here.overlap):
+            return low, here
+        else:
+            low = here
+    return low, None
+
 
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
@@ -242,3 +376,114 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
         overlap=held_open & (gap < -rounding),
         step=SolvedStep(solution),
     )
+
+
+# Of `solve`, and what they are if nobody says.
+DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
+ARGUMENTS = tuple(DEFAULTS)
+
+
+class FrictionSteps(LazySolutions):
+    """The solutions at the steps; refined, expanded and certified when they are looked at.
+
+    The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
+    at the step before or from where it closed within the step. A contact that is open at the end of a step has no
+    anchor; its slip origin is its E_T u of the step before and says nothing.
+    """
+
+    _before: State
+    _anchors: Anchors
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        if problem.slip_origin is None:
+            raise ValueError("a path with friction of a problem without tangential rows")
+        super().__init__()
+        self._problem = problem
+        self._stepper = _stepper(problem, method, options)
+        self._leg = -1
+        self._states: list[tuple[Mask, Mask]] = []
+        nothing = np.zeros(problem.dimension)
+        self._stepper.turn(nothing, nothing)
+        origin = problem.slip_origin
+        with one_blas_thread(problem):
+            state = self._stepper.solve(1.0, origin, np.zeros(problem.contacts, dtype=bool))
+        # A contact that is closed and carries nothing is where the caller anchored it.
+        at_rest = state.touching & ~state.pushes
+        self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.position), state.touching))
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Set out from one corner to the next."""
+        self._stepper.turn(start, end)
+        self._leg += 1
+        self._before = replace(self._before, fraction=0.0)
+
+    def go_to(self, fraction: float) -> None:
+        """One more step, to the load at a fraction of the leg.
+
+        Raises
+        ------
+        NoEquilibrium, SeveralEquilibria, NotConverged
+            As `solve`, with the pseudo-time.
+        """
+        try:
+            with one_blas_thread(self._problem):
+                state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
+                self._keep(state, Anchors(state.position, state.touching))
+        except (NoEquilibrium, SeveralEquilibria) as error:
+            raise type(error)(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
+        except NotConverged as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotConverged(message, error.history, error.solution) from error
+        except NotCertified as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotCertified(message, error.solution) from error
+
+    def _keep(self, state: State, anchors: Anchors) -> None:
+        self._before = state = self._stepper.accept(state)
+        self._anchors = anchors
+        self.append(state.step)
+        self._states.append((state.pushes, state.slides))
+
+    def changes(self, times: Sequence[float]) -> Iterator[Event]:
+        """Every change of state, at the first step that shows it."""
+        for (before, now), instant in zip(pairwise(self._states), times[1:], strict=True):
+            for i in range(self._problem.contacts):
+                for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
+                    yield Event(kind, i, instant, self._problem.contact_name(i))
+
+
+def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
+    """Raise on options that `solve` refuses, and on a start that the path has itself."""
+    if options.get("algorithm") == "associated":
+        raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
+    if "warm_start" in options:
+        raise InvalidProblem("warm_start: a path starts each step from the one before")
+    known = {name: options[name] for name in ARGUMENTS if name in options}
+    refuse_arguments(**(DEFAULTS | known))
+    others = {name: value for name, value in options.items() if name not in (*ARGUMENTS, "algorithm")}
+    refuse_unsupported(problem, chosen, Settings(options=others), options.get("algorithm"))
+
+
+def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
+    """Newton on the contact unknowns in the plane, unless the caller wants something else, or the bodies are large."""
+    chosen = find(method)
+    if not chosen.exact or not chosen.semidefinite:
+        raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
+    refuse_options(problem, chosen, options)
+    limited = options.get("max_iter") is not None or options.get("time_limit") is not None
+    in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
+    whole = iterated(problem) or first_candidates(problem) is not None
+    own = chosen.solve_friction is not None  # systems of stick and slip
+    if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
+        return PlaneStepper(problem, method, {**options, "algorithm": None})
+    return SolveStepper(problem, method, options)
+
+
+def kinds(before: tuple[Any, Any], now: tuple[Any, Any]) -> list[str]:
+    """What happened to a contact that (pushed, slid) before and does so now."""
+    (pushed, slid), (pushes, slides) = before, now
+    if pushed != pushes:
+        return (["closed", "slip"] if slides else ["closed"]) if pushes else ["opened"]
+    if pushed and slid != slides:
+        return ["slip" if slides else "stick"]
+    return []

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import Event, History
-from contactqp.analysis.lazy_solutions import LazySolutions
+from contactqp.analysis.history import Event, History, LazySolutions
 from contactqp.analysis.motion.history import MotionHistory, Moving
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import NotCertified

@@ -9,11 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LoadedBody
 from contactqp.analysis.large.load_control import LoadControl, Program
-from contactqp.analysis.large.loaded_body import LoadedBody
 from contactqp.analysis.large.newton_step import NewtonSettings
-from contactqp.analysis.large.path_control import PathControl
+from contactqp.analysis.large.path_following import PathControl
 from contactqp.elements.deformable import ContactGeometry, Deformable
 from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.events import events_of_leg
-from contactqp.analysis.friction_path import follow_with_friction
-from contactqp.analysis.history import Event, History
+from contactqp.analysis.friction_path import follow_on_springs, follow_with_friction
+from contactqp.analysis.history import Event, History, LazySolutions, events_of_leg
 from contactqp.analysis.idle_history import of_all_rows
-from contactqp.analysis.lazy_solutions import LazySolutions
-from contactqp.analysis.sprung_path import follow_on_springs
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
@@ -62,7 +59,7 @@ def follow_path(
         None reports a change of state at the first step that shows it. "exact" finds its time exactly: between
         changes the displacement is linear in the load. With friction in the plane a contact closes or opens where its
         gap or its force vanishes, and slips where |l_T| = mu l_N; whether it slips on, and what follows where several
-        change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_rates`).
+        change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_events`).
     method, **options
         As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
         stick and slip (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex

@@ -132,7 +132,7 @@ def gallery_command(
     if as_json:
         print_json([summary(known) for known in chosen])
     elif listed:
-        pass  # MERGED
+        # MERGED
 
         print_gallery(console(), chosen)
     elif folder is not None:

@@ -1,11 +1,23 @@
-"""What a large deformation asks of a body and of its contacts: two small protocols that anyone's code can meet."""
+"""What a large deformation asks of a body and of its contacts: two small protocols that anyone's code can meet.
+
+A deformable body some of whose unknowns are held: what is left is a body of the free ones.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
-from contactqp.model.arrays import Vector
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from contactqp.elements.reading import real_array, real_number
+from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index, Vector, computes
+from contactqp.model.problem_data import ReadOnly, is_whole, read_only
 
 
 @runtime_checkable
@@ -75,3 +87,135 @@ class ContactGeometry(Protocol):
 
     def positions(self, displacement: Vector) -> Vector:
         """(m, d): where the contacts are [length]: anchors of a slip."""
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class Supported(ReadOnly):
+    """A body with supports: unknown j is unknown free[j] of the body, the others keep their values.
+
+    Parameters
+    ----------
+    body : Deformable
+    held : array of int, or mapping of int to float
+        Places in the u of the body that are held, at zero or at a given displacement [length].
+
+    Raises
+    ------
+    InvalidProblem
+        A place that is none, or everything held.
+
+    Examples
+    --------
+    >>> from contactqp.elements.nonlinear_truss import NonlinearTruss
+    >>> bar = Supported(NonlinearTruss([[0, 0], [1, 0]], [[0, 1]], 1.0, 1.0), held=[0, 1])
+    >>> bar.dimension, bar.internal_force([0.2, 0.5]).round(15).tolist()
+    (2, [0.414, 0.1725])
+    """
+
+    body: Deformable
+    held: Any
+
+    def __post_init__(self) -> None:
+        values = dict(self.held) if isinstance(self.held, Mapping) else dict.fromkeys(np.ravel(self.held).tolist(), 0.0)
+        n = self.body.dimension
+        for place, value in values.items():
+            if not is_whole(place) or not 0 <= place < n:
+                raise InvalidProblem(f"held: expected places from 0 to {n - 1}, got {place!r}")
+            real_number(f"held: displacement of place {place}", value)
+        if len(values) == n:
+            raise InvalidProblem("held: every unknown is; expected some that are free")
+        object.__setattr__(self, "held", values)
+
+    @cached_property
+    def free(self) -> Index:
+        """The place in the body's u of each unknown, ascending."""
+        return read_only(np.setdiff1d(np.arange(self.body.dimension), list(self.held)).astype(np.int64))
+
+    @property
+    def dimension(self) -> int:
+        """How many unknowns are free."""
+        return len(self.free)
+
+    def expand(self, displacement: ArrayLike) -> Vector:
+        """The u of the body from that of the free unknowns."""
+        u = np.zeros(self.body.dimension)
+        u[list(self.held)] = list(self.held.values())
+        u[self.free] = _of("displacement", displacement, self.dimension)
+        return u
+
+    def restrict(self, load: ArrayLike) -> Vector:
+        """Loads on the free unknowns, from those on all of the body's."""
+        return _of("load", load, self.body.dimension)[self.free]
+
+    def energy(self, displacement: ArrayLike) -> float:
+        """Of the body."""
+        return self.body.energy(self.expand(displacement))
+
+    def internal_force(self, displacement: ArrayLike) -> Vector:
+        """At the free unknowns."""
+        return np.asarray(self.body.internal_force(self.expand(displacement))[self.free])
+
+    def tangent(self, displacement: ArrayLike) -> Any:
+        """Of the free unknowns, CSC."""
+        return sp.csc_array(sp.csr_array(self.body.tangent(self.expand(displacement)))[self.free][:, self.free])
+
+    def support_forces(self, displacement: ArrayLike) -> Vector:
+        """What the supports do to the body, at held unknowns; zero at free ones: (n of the body,) [force].
+
+        Loads and contact forces that act on held unknowns go straight into the supports and are not in it.
+        """
+        force = self.body.internal_force(self.expand(displacement)).copy()
+        force[self.free] = 0.0
+        return force
+
+    def contact(self, geometry: ContactGeometry) -> SupportedContact:
+        """A contact geometry over the body's unknowns, as one over the free ones."""
+        return SupportedContact(self, geometry)
+
+
+def _of(what: str, values: ArrayLike, size: int) -> Vector:
+    read = real_array(what, values)
+    if read.shape != (size,):
+        raise InvalidProblem(f"{what}: expected shape ({size},), got {read.shape}")
+    return read
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class SupportedContact:
+    """Contacts of a supported body: only the free unknowns move them."""
+
+    support: Supported
+    geometry: ContactGeometry
+
+    @property
+    def contacts(self) -> int:
+        """m."""
+        return self.geometry.contacts
+
+    @property
+    def dimension(self) -> int:
+        """How many unknowns are free."""
+        return self.support.dimension
+
+    def state(self, displacement: Vector) -> ContactState:
+        """Gaps, and the rows of the free unknowns."""
+        found = self.geometry.state(self.support.expand(displacement))
+        free = self.support.free
+        tangent = None if found.tangent is None else sp.csr_array(found.tangent[:, free])
+        return ContactState(found.gap, sp.csr_array(found.normal[:, free]), tangent, found.rounding)
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """Of the free unknowns."""
+        found = self.geometry.curvature(self.support.expand(displacement), normal_force)
+        free = self.support.free
+        return None if found is None else sp.csc_array(sp.csr_array(found)[free][:, free])
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """(m, d-1)."""
+        return self.geometry.slip_since(self.support.expand(displacement), anchor)
+
+    def positions(self, displacement: Vector) -> Vector:
+        """(m, d)."""
+        return self.geometry.positions(self.support.expand(displacement))

@@ -1,4 +1,9 @@
-"""Facets of a boundary: reference coordinates, shape functions and their derivatives, surface normals, Gauss points."""
+"""Facets of a boundary: reference coordinates, shape functions and their derivatives, surface normals, Gauss points.
+
+A part of a body's boundary that may touch something: nodes, facets, and where their displacements stand in u.
+
+Whether a surface can be worked with: one clear error that names the surface, and the facet or the node.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +14,62 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.surface import Surface
+from contactqp.elements.reading import positive_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
+from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(ReadOnly):
+    """Facets of a body's boundary, oriented so that their normals point out of the body.
+
+    Parameters
+    ----------
+    points : (N, d) array
+        Coordinates of all nodes of the body [length], d = 2 or 3.
+    facets : (p, k) array of int
+        Node numbers of each facet. 2D: its ends, then the middle if quadratic (k = 2 or 3); walking from the first end
+        to the second the body lies on the left, so the outward normal of a tangent (t_x, t_y) is (t_y, -t_x). 3D: its
+        corners, counter-clockwise seen from outside (k = 3 or 4), then the middles of the edges between them in the
+        same order (k = 6 or 8), then the centre (k = 9).
+    unknowns : (N, d) array of int
+        unknowns[i, a] is the place of node i's displacement along axis a in u.
+    name : str
+        Used in every message.
+    thickness : float
+        Of a plane body [length]: forces are for all of it. With 1 they are per unit thickness.
+    revolved : bool
+        The surface of an axisymmetric body, about x = 0: forces are those of the full circle.
+
+    Raises
+    ------
+    InvalidProblem
+        Arrays that are none of real or of whole numbers, a thickness that is not positive.
+    """
+
+    points: NDArray[np.float64]
+    facets: NDArray[np.int64]
+    unknowns: NDArray[np.int64]
+    name: str = "surface"
+    thickness: float = 1.0
+    revolved: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", read_only(read_array(f"{self.name}: points", self.points)))
+        for what in ("facets", "unknowns"):
+            object.__setattr__(self, what, read_only(read_whole(f"{self.name}: {what}", getattr(self, what))))
+        positive_number(f"{self.name}: thickness", self.thickness, "length")
+
+    @property
+    def dimension(self) -> int:
+        """d."""
+        return int(self.points.shape[1])
+
+    @property
+    def nodes(self) -> NDArray[np.int64]:
+        """The nodes of the facets, each once, in ascending order."""
+        return read_only(np.unique(self.facets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,3 +258,85 @@ def diameters(positions: Array) -> Array:
     apart = positions[:, :, np.newaxis, :] - positions[:, np.newaxis, :, :]
     longest: Array = np.sqrt((apart**2).sum(axis=3)).max(axis=(1, 2))
     return longest
+
+
+# A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
+FLAT = 1e-10
+
+
+def check_surface(surface: Surface) -> None:
+    """Refuse surfaces without facets, with wrong shapes or numbers, and with degenerate or folded facets.
+
+    Raises
+    ------
+    InvalidProblem
+    """
+    name, points, facets, unknowns = surface.name, surface.points, surface.facets, surface.unknowns
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InvalidProblem(f"{name}: points: expected shape (N, 2) or (N, 3), got {points.shape}")
+    if facets.ndim != 2 or not len(facets):
+        raise InvalidProblem(f"{name}: facets: expected shape (p, k) with at least one facet, got {facets.shape}")
+    if unknowns.shape != points.shape:
+        raise InvalidProblem(f"{name}: unknowns: expected shape {points.shape} as points, got {unknowns.shape}")
+    outside = np.argwhere((facets < 0) | (facets >= len(points)))
+    if outside.size:
+        f, j = outside[0]
+        raise InvalidProblem(f"{name}: facet {f}: expected nodes from 0 to {len(points) - 1}, got {int(facets[f, j])}")
+    nodes = surface.nodes
+    wrong = nodes[~np.isfinite(points[nodes]).all(axis=1)]
+    if wrong.size:
+        raise InvalidProblem(f"{name}: node {wrong[0]}: expected finite coordinates, got {points[wrong[0]].tolist()}")
+    if unknowns[nodes].min() < 0:
+        negative = nodes[(unknowns[nodes] < 0).any(axis=1)][0]
+        raise InvalidProblem(f"{name}: node {negative}: expected unknowns from 0, got {unknowns[negative].tolist()}")
+    _refuse_degenerate(surface)
+
+
+def check_apart(slave: Surface, master: Surface) -> None:
+    """Refuse two surfaces of different dimension, or that share a node: it cannot touch itself.
+
+    Raises
+    ------
+    InvalidProblem
+    """
+    if slave.dimension != master.dimension:
+        raise InvalidProblem(
+            f"{slave.name} has {slave.dimension} dimensions and {master.name} has {master.dimension}: expected the same"
+        )
+    mine = slave.unknowns[slave.nodes]
+    shared = np.isin(mine, master.unknowns[master.nodes]).any(axis=1)
+    if shared.any():
+        raise InvalidProblem(f"{slave.name}: node {slave.nodes[shared][0]} belongs to {master.name} as well")
+
+
+def check_distances(reach: float | None, overlap: float | None) -> None:
+    """Refuse a reach that is not positive, or an overlap that is negative; None is neither.
+
+    Raises
+    ------
+    InvalidProblem
+    """
+    if reach is not None and not (np.isfinite(reach) and reach > 0):
+        raise InvalidProblem(f"reach: expected a positive length, got {reach}")
+    if overlap is not None and not (np.isfinite(overlap) and overlap >= 0):
+        raise InvalidProblem(f"overlap: expected a length, zero or positive, got {overlap}")
+
+
+def _refuse_degenerate(surface: Surface) -> None:
+    """The surface element must keep the side and stay away from zero, at the Gauss points and at the nodes."""
+    kind = kind_of(surface)
+    positions = surface.points[surface.facets]
+    middle = normal_vectors(
+        tangent_vectors(positions, np.repeat(kind.derivatives(kind.centre[None]), len(positions), 0))
+    )
+    smallest = FLAT * diameters(positions) ** (surface.dimension - 1)
+    for xi in np.vstack([kind.quadrature(3)[0], kind.nodes]):
+        here = normal_vectors(tangent_vectors(positions, np.repeat(kind.derivatives(xi[None]), len(positions), 0)))
+        size = np.linalg.norm(here, axis=1)
+        bad = (size <= smallest) | ((here * middle).sum(axis=1) <= 0)
+        if bad.any():
+            f = int(np.argmax(bad))
+            raise InvalidProblem(
+                f"{surface.name}: facet {f} (nodes {surface.facets[f].tolist()}) is degenerate or folded: "
+                f"expected a surface element of one sign, got {size[f]:.3g} at the reference point {xi.tolist()}"
+            )

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.assembly import assemble, pattern
+from contactqp.elements.facet import Surface
 from contactqp.elements.geometry import at_rule
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reading import positive_number
-from contactqp.elements.surface import Surface
+from contactqp.elements.solid import assemble, pattern
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 

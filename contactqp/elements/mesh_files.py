@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.abaqus import read_abaqus
+from contactqp.elements.abaqus import Cells, mesh_from_cells, read_abaqus
 from contactqp.elements.geometry import Block, at_rule
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.mesh_import import Cells, mesh_from_cells
 from contactqp.elements.reference import REFERENCES, Reference
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.model.arrays import Index

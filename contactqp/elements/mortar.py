@@ -7,17 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.contact_rows import contact_rows, count_unknowns
-from contactqp.elements.facet import diameters, kind_of, middle_normals
-from contactqp.elements.faceting import faceting_notes
-from contactqp.elements.mortar_integrals import Integrals, integrate, joined
-from contactqp.elements.mortar_segments import segments
+from contactqp.elements.facet import (
+    Surface,
+    check_apart,
+    check_distances,
+    check_surface,
+    diameters,
+    kind_of,
+    middle_normals,
+)
+from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
 from contactqp.elements.nodal_pressure import from_areas
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing
-from contactqp.elements.surface import Surface
-from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
-from contactqp.elements.tributary import tributary_areas
+from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.tributary import faceting_notes, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, own_floating_point
 

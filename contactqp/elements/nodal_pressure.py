@@ -46,9 +46,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.facet import KINDS, FacetKind, diameters, kind_of
+from contactqp.elements.facet import KINDS, FacetKind, Surface, diameters, kind_of
 from contactqp.elements.reading import real_array
-from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import nodal_moments, node_normals
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector

@@ -5,16 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.contact_rows import contact_rows, count_unknowns
-from contactqp.elements.facet import diameters, kind_of, middle_normals
-from contactqp.elements.faceting import faceting_notes, same_facets
+from contactqp.elements.facet import (
+    Surface,
+    check_apart,
+    check_distances,
+    check_surface,
+    diameters,
+    kind_of,
+    middle_normals,
+)
 from contactqp.elements.nearest_facet import Partners, nearest_facets
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing
-from contactqp.elements.surface import Surface
-from contactqp.elements.surface_checks import check_apart, check_distances, check_surface
-from contactqp.elements.tributary import node_normals, tributary_areas
+from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.tributary import faceting_notes, node_normals, same_facets, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 

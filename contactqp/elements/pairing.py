@@ -1,24 +1,88 @@
-"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices."""
+"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices.
+
+E_N and E_T from relative motions: each contact moves as a weighted sum of node displacements.
+
+Membranes and other scalar fields over an obstacle: one unknown a node, u >= height(x).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.contact_rows import contact_rows, count_unknowns
+from contactqp.elements.facet import Surface, check_surface
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.reading import real_array
-from contactqp.elements.surface import Surface
-from contactqp.elements.surface_checks import check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import computes, own_floating_point
-from contactqp.model.problem_data import ReadOnly, read_whole
+from contactqp.model.arrays import Array, computes, own_floating_point
+from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
+
+Places = NDArray[np.int64]
+
+
+def contact_rows(
+    contact: Places, weight: Array, unknowns: Places, normals: Array, tangents: Array, shape: tuple[int, int]
+) -> tuple[Any, Any]:
+    """E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight u_node.
+
+    Entries of one contact add up. A node that meets an obstacle is one entry of weight 1; a node that meets a facet has
+    further ones of weight -N_j for the facet's nodes.
+
+    Parameters
+    ----------
+    contact : (e,) array of int
+        The contact that an entry belongs to.
+    weight : (e,) array [-]
+    unknowns : (e, d) array of int
+        Where the displacement of the entry's node stands in u.
+    normals : (e, d) array
+        n, unit vectors out of the obstacle.
+    tangents : (e, d-1, d) array
+        Orthonormal.
+    shape : (contacts, n)
+
+    Returns
+    -------
+    (contacts, n) and ((d-1) contacts, n) sparse arrays, the second contact-major.
+    """
+    contacts, n = shape
+    d = unknowns.shape[1]
+    along = (np.arange(d - 1) + (d - 1) * contact[:, np.newaxis])[:, :, np.newaxis]
+    E_N = _sum((-weight[:, np.newaxis] * normals, contact[:, np.newaxis], unknowns), (contacts, n))
+    E_T = _sum((weight[:, None, None] * tangents, along, unknowns[:, np.newaxis, :]), ((d - 1) * contacts, n))
+    return E_N, E_T
+
+
+def _sum(entries: tuple[Array, Places, Places], shape: tuple[int, int]) -> Any:
+    values, rows, columns = (np.broadcast_to(part, entries[0].shape).ravel() for part in entries)
+    matrix = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def count_unknowns(largest: int, dimension: int | None) -> int:
+    """n: as stated, else one more than the largest number in use.
+
+    Raises
+    ------
+    InvalidProblem
+        Unknowns are numbered beyond the stated dimension, or it is no whole number.
+    """
+    if dimension is None:
+        return largest + 1
+    if not is_whole(dimension):
+        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {dimension!r}")
+    if largest >= dimension:
+        raise InvalidProblem(f"unknowns: expected numbers from 0 to {dimension - 1}, got {largest}")
+    return dimension
+
 
 __all__ = ["Pairing", "Plane", "pair"]
 
@@ -185,3 +249,81 @@ def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     if not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers, got {x[~np.isfinite(x)][0]}")
     return x
+
+
+Side = Literal["above", "below"]
+
+
+@own_floating_point
+def pair_scalar(
+    points: ArrayLike,
+    obstacle_height: ArrayLike | Callable[[NDArray[np.float64]], Any],
+    *,
+    side: Side = "above",
+    unknowns: ArrayLike | None = None,
+    dimension: int | None = None,
+) -> Pairing:
+    """Hold a scalar field on one side of an obstacle at the nodes: s (u - height) >= 0, s = 1 above and -1 below.
+
+    E_N = -s at the node's unknown and gap = -s height, so that gap - E_N u = s (u - height). The multiplier is the
+    force on the membrane at the node, positive along s [force]; a pressure is its projection onto the surface.
+
+    Parameters
+    ----------
+    points : (p, d) array
+        The nodes [length], d = 1, 2 or 3: the domain of u.
+    obstacle_height : callable or (p,) array
+        Heights [the unit of u], or a function from (p, d) points to them. An infinite height on the far side of the
+        membrane (-inf above, +inf below) means that there is no obstacle: the node is left out and listed as unpaired.
+    side : "above" or "below"
+        Where the membrane is.
+    unknowns : (p,) array of int, optional
+        The place of each node in u; by default 0 to p-1.
+    dimension : int, optional
+        n, the number of all unknowns; by default one more than the largest in `unknowns`.
+
+    Returns
+    -------
+    Pairing
+        Without tangents: E_T has no rows. `direction` is s, (p, 1).
+
+    Raises
+    ------
+    InvalidProblem
+        Shapes that do not fit, heights that are NaN or infinite on the membrane's side, unknowns out of range.
+
+    Examples
+    --------
+    >>> pairing = pair_scalar([[0.0, 0.0], [1.0, 0.0]], [0.5, -np.inf])
+    >>> pairing.normal.toarray().tolist(), pairing.gap.tolist(), pairing.unpaired.tolist()
+    ([[-1.0, 0.0]], [-0.5], [1])
+    """
+    if side not in get_args(Side):
+        raise InvalidProblem(f"side: expected one of {get_args(Side)}, got {side!r}")
+    x = real_array("points", points)
+    if x.ndim != 2 or not np.all(np.isfinite(x)):
+        raise InvalidProblem(f"points: expected finite numbers of shape (p, d), got shape {x.shape}")
+    sign = 1.0 if side == "above" else -1.0
+    given = obstacle_height(x) if callable(obstacle_height) else obstacle_height
+    height = real_array("obstacle_height", given)
+    if height.shape != (len(x),):
+        raise InvalidProblem(f"obstacle_height: expected shape ({len(x)},), got {height.shape}")
+    wrong = np.flatnonzero(np.isnan(height) | (height == sign * np.inf))
+    if wrong.size:
+        i = int(wrong[0])
+        raise InvalidProblem(f"obstacle_height: expected a number at node {i}, {x[i].tolist()}, got {height[i]}")
+    places = np.arange(len(x)) if unknowns is None else read_whole("unknowns", unknowns)
+    if places.shape != (len(x),):
+        raise InvalidProblem(
+            f"unknowns: expected whole numbers of shape ({len(x)},), got {places.dtype} {places.shape}"
+        )
+    if places.min(initial=0) < 0:
+        raise InvalidProblem(f"unknowns: expected numbers from 0, got {int(places.min())}")
+    n = count_unknowns(int(places.max(initial=-1)), dimension)
+    nodes = np.flatnonzero(np.isfinite(height))
+    one = np.ones(len(nodes))
+    normals = sign * one[:, np.newaxis]
+    contact, columns = np.arange(len(nodes)), places[nodes, np.newaxis].astype(np.int64)
+    E_N, E_T = contact_rows(contact, one, columns, normals, np.zeros((len(nodes), 0, 1)), (len(nodes), n))
+    unpaired = np.flatnonzero(~np.isfinite(height))
+    return Pairing(E_N, -sign * height[nodes], E_T, nodes, x[nodes], normals, unpaired)

@@ -1,10 +1,13 @@
-"""Rigid circles, spheres and cylinders, solid or as holes: the distance to a centre or to an axis."""
+"""Rigid circles, spheres and cylinders, solid or as holes: the distance to a centre or to an axis.
+
+The rigid paraboloid, Hertz's own obstacle: with the gap that his theory measures, or with the true distance.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,3 +166,129 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
         )
     normals: NDArray[np.float64] = radial / length[:, np.newaxis]
     return -normals if inside else normals
+
+
+Measure = Literal["axis", "normal"]
+# Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
+NEWTON_STEPS = 100
+
+
+@computes
+@dataclass(frozen=True, eq=False)
+class Paraboloid:
+    """The rigid obstacle behind z = -r^2 / (2 R): z along the axis from the apex, r the distance from the axis.
+
+    In two dimensions it is a parabola (the cylinder of Hertz's line contact). The body is on the side that the axis
+    points to. A rigid indenter that comes from above has the axis (0, 0, -1): it is r^2 / (2 R) above its apex.
+
+    Parameters
+    ----------
+    apex : (2,) or (3,) array [length]
+    axis : array of the same size
+        Out of the obstacle, of any length but zero.
+    radius : float
+        R, the radius of curvature at the apex, positive [length].
+    inside : bool
+        The body is inside a bowl: the obstacle is behind z = +r^2 / (2 R).
+    measure : "axis" or "normal"
+        How the gap is measured. "axis", the default: along the axis, gap = z + r^2 / (2 R) and n = axis everywhere.
+        That is the gap and the pressure's direction of Hertz's theory (Johnson 1985, sections 3.1 and 4.1), so that
+        solutions converge to his formulas; it is larger than the distance by the part r^2 / (2 R^2) of it.
+        "normal": the Euclidean distance to the surface and its unit normal, what a body on the flank feels.
+    """
+
+    apex: Any
+    axis: Any
+    radius: float
+    inside: bool = False
+    measure: Measure = "axis"
+
+    def __post_init__(self) -> None:
+        apex, axis = (real_array(f"paraboloid {what}", getattr(self, what)) for what in ("apex", "axis"))
+        sizes = apex.shape, axis.shape
+        if sizes not in (((2,), (2,)), ((3,), (3,))):
+            raise InvalidProblem(f"paraboloid: expected an apex and an axis of two or three components, got {sizes}")
+        if not np.all(np.isfinite([apex, axis])):
+            raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
+        positive_number("paraboloid radius", self.radius, "length")
+        if self.measure not in get_args(Measure):
+            raise InvalidProblem(f"paraboloid measure: expected one of {get_args(Measure)}, got {self.measure!r}")
+        unit_vector(self.axis, "paraboloid axis")
+
+    @property
+    def dimension(self) -> int:
+        return len(self.apex)
+
+    def distance(self, points: Any) -> NDArray[np.float64]:
+        """The gaps of the (p, dimension) points by the chosen measure, positive when open, (p,) [length]."""
+        z, radial = self._coordinates(points)
+        if self.measure == "axis":
+            along: NDArray[np.float64] = z + self._sign * (radial**2).sum(axis=1) / (2 * self.radius)
+            return along
+        foot, normals = self._foot(z, radial)
+        apart = np.outer(z, self._along) + radial - foot
+        distances: NDArray[np.float64] = (apart * normals).sum(axis=1)
+        return distances
+
+    def normals(self, points: Any) -> NDArray[np.float64]:
+        """The unit vectors that the gaps are measured along, (p, dimension).
+
+        Raises
+        ------
+        InvalidProblem
+            measure="normal" and a point that has no single nearest point (on the axis, beyond the focal length R).
+        """
+        z, radial = self._coordinates(points)
+        return np.tile(self._along, (len(z), 1)) if self.measure == "axis" else self._foot(z, radial)[1]
+
+    @property
+    def _along(self) -> NDArray[np.float64]:
+        return unit_vector(np.asarray(self.axis, dtype=float), "paraboloid axis")
+
+    @property
+    def _sign(self) -> float:
+        """Of the curvature: the surface is z = -sign r^2 / (2 R)."""
+        return -1.0 if self.inside else 1.0
+
+    def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """z, (p,), and the vectors from the axis to the points, (p, dimension)."""
+        apart = real_array("points", points) - np.asarray(self.apex, dtype=float)
+        z = apart @ self._along
+        return z, apart - np.outer(z, self._along)
+
+    def _foot(
+        self, z: NDArray[np.float64], radial: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The nearest points on the surface, from the apex, and the unit normals there.
+
+        The foot at the distance rho from the axis satisfies rho^3 + p rho = q, p = 2 R (R + s z), q = 2 R^2 r, with
+        s = 1 for a solid and -1 for a bowl; the nearest is the largest root.
+        """
+        R, s = float(self.radius), self._sign
+        r = np.linalg.norm(radial, axis=1)
+        p, q = 2 * R * (R + s * z), 2 * R**2 * r
+        lost = np.flatnonzero((r == 0) & (p <= 0))
+        if lost.size:
+            raise InvalidProblem(
+                f"paraboloid: point {lost[0]} lies on the axis {abs(z[lost[0]]):.6g} from the apex, beyond the radius "
+                f"{R:.6g}: expected a point with one nearest point on the surface"
+            )
+        rho = _largest_root(p, q)
+        outwards = radial / np.where(r > 0, r, 1.0)[:, np.newaxis]
+        foot = rho[:, np.newaxis] * outwards - np.outer(s * rho**2 / (2 * R), self._along)
+        normals = self._along + s * (rho / R)[:, np.newaxis] * outwards
+        return foot, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest root of x^3 + p x = q >= 0: Newton's method from above, monotone as the cubic is convex."""
+    x: NDArray[np.float64] = np.cbrt(q) + np.sqrt(np.maximum(-p, 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = np.where(p > 0, np.minimum(x, q / p), x)
+    for _ in range(NEWTON_STEPS):
+        slope = 3 * x**2 + p
+        step = np.where(slope > 0, (x**3 + p * x - q) / np.where(slope > 0, slope, 1.0), 0.0)
+        x = x - step
+        if np.all(np.abs(step) <= 4 * np.finfo(float).eps * x):
+            break
+    return x

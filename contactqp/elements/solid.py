@@ -1,25 +1,109 @@
-"""Elastic bodies: a mesh, a material, and the stiffness matrix that follows."""
+"""Elastic bodies: a mesh, a material, and the stiffness matrix that follows.
+
+From element matrices to one sparse matrix: linear in the number of elements, and symmetric to the last digit.
+
+Stresses of a displaced body, at its quadrature points and at its nodes, and von Mises' equivalent stress.
+
+All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is the
+radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.assembly import Pattern, blocks_of_nodes, from_blocks, pattern
-from contactqp.elements.geometry import Block, Geometry, at_rule, batches
-from contactqp.elements.kinematics import measure, strain_matrix
-from contactqp.elements.material import MODELS, STRAINS, Material, Model
+from contactqp.elements.facet import Surface
+from contactqp.elements.geometry import Block, Geometry, at_rule, batches, sum_at_nodes
+from contactqp.elements.material import MODELS, STRAINS, Material, Model, measure, strain_matrix, strains
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.quadrature import Quadrature
-from contactqp.elements.reading import positive_number
-from contactqp.elements.surface import Surface
+from contactqp.elements.reading import positive_number, real_array
+from contactqp.elements.reference import REFERENCES, Quadrature, Reference, gauss, tetrahedron, triangle
 from contactqp.errors import InvalidProblem
+from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Which pairs of nodes meet in an element, as compressed rows, and where each pair of each element stands in them.
+
+    Attributes
+    ----------
+    indptr, indices : arrays of int
+        Row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending.
+    slots : (total of E n^2,) array of int
+        The place in `indices` of every pair (first node, second node) of every element, element by element.
+    """
+
+    indptr: Index
+    indices: Index
+    slots: Index
+
+
+def pattern(connectivities: Sequence[Index], nodes: int) -> Pattern:
+    """The pattern of elements with the given (E, n) node numbers among `nodes` nodes, by two counting sorts."""
+    rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).ravel() for c in connectivities])
+    columns = np.concatenate([np.tile(c, (1, c.shape[1])).ravel() for c in connectivities])
+    order = _counting_sort(columns, nodes)
+    order = order[_counting_sort(rows[order], nodes)]
+    row, column = rows[order], columns[order]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
+    slots = np.empty(len(order), dtype=np.int64)
+    slots[order] = np.cumsum(new) - 1
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(row[new], minlength=nodes))])
+    return Pattern(indptr, column[new], slots)
+
+
+def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
+    """The (nodes d, nodes d) CSC matrix of symmetric element matrices; as `blocks_of_nodes`."""
+    return from_blocks(where, blocks_of_nodes(where, entries))
+
+
+def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The blocks (pairs in the pattern, d, d) of symmetric element matrices, summed up.
+
+    Parameters
+    ----------
+    where : Pattern
+    entries : (d, d, total of E n^2) array
+        entries[a, b, s] couples axis a of the first node of pair s with axis b of its second node.
+
+    Notes
+    -----
+    Both (i, j) and (j, i) add up their elements one after the other in the order of the elements, so that symmetric
+    element matrices give a matrix that is symmetric to the last digit.
+    """
+    d, count = entries.shape[0], len(where.indices)
+    blocks = np.empty((count, d, d))
+    for a in range(d):
+        for b in range(d):
+            blocks[:, a, b] = np.bincount(where.slots, weights=entries[a, b], minlength=count)
+    return blocks
+
+
+def from_blocks(where: Pattern, blocks: NDArray[np.float64]) -> Any:
+    """The (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
+    size = blocks.shape[1] * (len(where.indptr) - 1)
+    # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
+    whole = np.int32 if blocks.size < np.iinfo(np.int32).max else np.int64
+    indices, indptr = where.indices.astype(whole), where.indptr.astype(whole)
+    rows = sp.bsr_array((blocks, indices, indptr), shape=(size, size)).tocsr()
+    return sp.csc_array((rows.data, rows.indices, rows.indptr), shape=(size, size))
+
+
+def _counting_sort(keys: Index, largest: int) -> Index:
+    """The stable order of whole numbers below `largest`: transposing one compressed row is a counting sort."""
+    row = sp.csr_array((np.arange(len(keys)), keys, [0, len(keys)]), shape=(1, largest))
+    order: Index = row.tocsc().data
+    return order
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,3 +267,94 @@ class Body(ReadOnly):
             turn[:, a], turn[:, b] = -x[:, b], x[:, a]
             motions.append(turn.ravel())
         return np.stack(motions, axis=1)
+
+
+# Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
+# integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.
+_SAMPLES = {
+    "tri3": triangle(1), "tri6": triangle(3), "tet4": tetrahedron(1), "tet10": tetrahedron(4),
+    "quad4": gauss(2, 2), "quad8": gauss(2, 2), "quad9": gauss(2, 2),
+    "hex8": gauss(2, 3), "hex20": gauss(2, 3), "hex27": gauss(2, 3),
+}  # fmt: skip
+
+
+class PointStress(NamedTuple):
+    """Stresses at the quadrature points of one block of elements."""
+
+    positions: NDArray[np.float64]  # (E, q, d) [length]
+    stress: NDArray[np.float64]  # (E, q, 6) [force / length^2]
+
+
+def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStress, ...]:
+    """sigma = D B u at the quadrature points of the stiffness, one entry for each block of the mesh.
+
+    Raises
+    ------
+    InvalidProblem
+        The displacement is not (N d,).
+    """
+    u = _displacement(body, displacement)
+    found = []
+    for block in body.mesh.blocks:
+        geometry = Geometry(block.kind, body.mesh.points[block.nodes], body.stiffness_rule(block).points)
+        found.append(PointStress(geometry.positions, _stress(body, block, geometry, u)))
+    return tuple(found)
+
+
+def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
+    """(N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the elements.
+
+    Raises
+    ------
+    InvalidProblem
+        The displacement is not (N d,).
+    """
+    total, count = stress_sums(body, displacement, body.mesh.blocks)
+    return total / count
+
+
+def stress_sums(
+    body: Body, displacement: ArrayLike, blocks: Sequence[Block]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is in."""
+    u = _displacement(body, displacement)
+    N = len(body.mesh.points)
+    total, count = np.zeros((N, 6)), np.zeros((N, 1))
+    for block in blocks:
+        geometry = Geometry(block.kind, body.mesh.points[block.nodes], _SAMPLES[block.kind.name].points)
+        continued = np.matmul(_continuation(block.kind), _stress(body, block, geometry, u))
+        total += sum_at_nodes(block, continued, N)
+        count += sum_at_nodes(block, np.ones((*block.nodes.shape, 1)), N)
+    return total, count
+
+
+def von_mises(stress: ArrayLike) -> NDArray[np.float64]:
+    """sqrt(1/2 ((xx-yy)^2 + (yy-zz)^2 + (zz-xx)^2) + 3 (xy^2 + yz^2 + zx^2)) of (..., 6) stresses.
+
+    >>> von_mises([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]]).tolist()
+    [2.0, 0.0]
+    """
+    xx, yy, zz, xy, yz, zx = np.moveaxis(real_array("stress", stress), -1, 0)
+    squares = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * (xy**2 + yz**2 + zx**2)
+    return np.asarray(np.sqrt(squares))
+
+
+def _stress(body: Body, block: Block, geometry: Geometry, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    strain = strains(geometry, body.model, u.reshape(body.mesh.points.shape)[block.nodes])
+    return np.asarray(strain @ body.material.stress_matrix(body.model).T)
+
+
+def _continuation(kind: Reference) -> NDArray[np.float64]:
+    """(n, samples): the field of the linear kind through the sample points, at the nodes; constant for one sample."""
+    samples = _SAMPLES[kind.name].points
+    if len(samples) == 1:
+        return np.ones((len(kind.nodes), 1))
+    linear = REFERENCES[kind.linear]
+    return linear.shape(kind.nodes) @ np.linalg.inv(linear.shape(samples))
+
+
+def _displacement(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
+    u = real_array(f"{body.name}: displacement", displacement)
+    if u.shape != (body.size,):
+        raise InvalidProblem(f"{body.name}: expected a displacement of shape ({body.size},), got {u.shape}")
+    return u

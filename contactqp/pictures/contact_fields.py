@@ -17,13 +17,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements.boundary import facet_keys
-from contactqp.elements.geometry import Block
+from contactqp.elements.geometry import Block, facet_keys
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.reference import Reference
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes, von_mises
+from contactqp.elements.solid import Body, stress_at_nodes, von_mises
 from contactqp.elements.structure import Structure, System
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index, Vector

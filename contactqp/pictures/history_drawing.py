@@ -132,7 +132,7 @@ def draw_points(panel: Any, events: Sequence[Event], x: NDArray[np.float64], y: 
         panel.plot(x[mine], y[mine], linestyle="none", gid=f"event {kind}", zorder=4, **look)
 
 
-def handles(events: Sequence[Event], points: bool) -> list[Any]:
+def event_handles(events: Sequence[Event], points: bool) -> list[Any]:
     """For the legend: each kind with its line, its marker where there are points, and how many there are."""
     found = []
     for kind, look in KINDS.items():
@@ -223,7 +223,7 @@ def history_figure(history: History, *, title: str = "", time_unit: str = "") ->
         below = dict(xycoords="axes fraction", xytext=(0, -34), textcoords="offset points", annotation_clip=False)
         axes[-1].annotate("\n".join(remarks), (0, 0), va="top", fontsize="small", gid="remarks", **below)
     result.suptitle(style.headline(title, _headline(fields)))
-    handles = handles(fields.events, points=load is not None)
+    handles = event_handles(fields.events, points=load is not None)
     style.add_legend(result, handles, columns=max(len(handles), 1))
     return result
 

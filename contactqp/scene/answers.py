@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.large.deformation import LargeSolution
-from contactqp.elements import spring, truss
+from contactqp.elements import bar, spring
 from contactqp.elements.exact import Number
 from contactqp.scene import elimination
 from contactqp.scene.answers_of_large import OF_LARGE
@@ -82,7 +82,7 @@ def _bar_force(claim: Claim, answer: Answer) -> float:
     start, end = (point(scene, node) for node in item.nodes)
     displacement = np.concatenate([answer.of_node(node) for node in item.nodes])
     modulus, area = scene.system.value(item.modulus), scene.system.value(item.area)
-    return float(truss.axial_force(modulus, area, start, end, displacement))
+    return float(bar.truss_axial_force(modulus, area, start, end, displacement))
 
 
 def _spring_force(claim: Claim, answer: Answer) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.stress import von_mises
+from contactqp.elements.solid import von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.bodies import BodyModel

@@ -12,19 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements import loads, solid
-from contactqp.elements.facet import diameters
+from contactqp.elements.facet import Surface, diameters
 from contactqp.elements.material import Material
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
-from contactqp.elements.pairing import Pairing, pair
-from contactqp.elements.scalar_pairing import pair_scalar
-from contactqp.elements.stress import stress_at_nodes
+from contactqp.elements.pairing import Pairing, pair, pair_scalar
+from contactqp.elements.solid import stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
-from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import beam, node_contact, spring, string, truss
+from contactqp.elements import bar, beam, obstacle, spring, string
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.obstacle import Plane
 from contactqp.linalg.stages import BUILD, stage
@@ -23,7 +23,7 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at
 from contactqp.scene.exact_loads import Row, exact_loads, sum_of
 from contactqp.scene.exact_numbers import displacements, ends, point, value
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.obstacles import obstacle as obstacle_named
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
@@ -190,9 +190,9 @@ def spring_direction(scene: SceneData, item: Spring) -> Numbers:
 
 def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
     """The unknowns and the stiffness of every element."""
-    for bar in scene.bars:
-        for segment in bar.segments:
-            yield displacements(scene, segment), _bar_stiffness(scene, bar, segment)
+    for item in scene.bars:
+        for segment in item.segments:
+            yield displacements(scene, segment), _bar_stiffness(scene, item, segment)
     for item in scene.springs:
         formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
         stiffness = formula(value(scene, item.stiffness), spring_direction(scene, item))
@@ -210,7 +210,7 @@ def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbe
 
 
 def _bar_stiffness(scene: SceneData, item: Bar, segment: Iterable[str]) -> Numbers:
-    return truss.stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
+    return bar.truss_stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
 
 
 def _beam_stiffness(scene: SceneData, item: Beam) -> Numbers:
@@ -235,7 +235,7 @@ def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
     else:
         first, second = (point(scene, node) for node in contact.touched)
         direction = second - first if contact.direction is None else np.array(contact.direction)
-        rows = node_contact.between_nodes(first, second, direction)
+        rows = obstacle.between_nodes(first, second, direction)
     names = displacements(scene, contact.touched)
     along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
     origin = [value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
@@ -253,10 +253,10 @@ def _row(names: Iterable[str], values: Numbers) -> Row:
     return {name: value for name, value in zip(names, values, strict=True) if value}
 
 
-def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
+def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRows:
     """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
     item = scene.obstacle(name)
     if item.kind == "plane":
         plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
-        return node_contact.against_plane(where, plane)
-    return node_contact.against_surface(where, obstacle(scene, name))
+        return obstacle.against_plane(where, plane)
+    return obstacle.against_surface(where, obstacle_named(scene, name))

@@ -14,11 +14,9 @@ import numpy as np
 
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution
 from contactqp.analysis.large_deformation import large_deformation
-from contactqp.elements.bar_law import LAWS, LawOfEachBar
-from contactqp.elements.deformable import ContactGeometry
-from contactqp.elements.green_truss import NonlinearTruss
+from contactqp.elements.deformable import ContactGeometry, Supported
+from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTruss
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
-from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel

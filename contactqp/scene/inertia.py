@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.elements import point_mass
 from contactqp.elements.exact import Number, Numbers
-from contactqp.elements.mass import bar_mass, solid_mass
+from contactqp.elements.loads import bar_mass, solid_mass
 from contactqp.scene.building import NodeModel, assembled
 from contactqp.scene.exact_numbers import displacements, ends, value
 from contactqp.scene.unknowns import of_node

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.kinds import is_motion
+from contactqp.analysis.motion.history import is_motion
 from contactqp.errors import SceneError
 from contactqp.scene.claims import Claim
 

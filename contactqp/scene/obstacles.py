@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.elements.obstacle import Obstacle, Plane
-from contactqp.elements.paraboloid import Paraboloid
-from contactqp.elements.round_obstacle import Circle, Cylinder, Sphere
+from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.errors import InvalidProblem
 from contactqp.scene.units import number, vector
 

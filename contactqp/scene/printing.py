@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
+from contactqp.analysis.motion.history import is_moving
 from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
 from contactqp.scene.building import NodeModel
 from contactqp.scene.expectations import Comparison

@@ -54,7 +54,7 @@ def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), motion=True, of="both", **asked)
 
 
-# Stresses in the order of contactqp.elements.stress, and the equivalent one.
+# Stresses in the order of contactqp.elements.solid, and the equivalent one.
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
 _WAY: dict[str, Any] = {"path": True, "whole_way": True}
 _POINT: dict[str, Any] = {"counted": True, "whole_way": True}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.kinds import is_moving
+from contactqp.analysis.motion.history import is_moving
 from contactqp.scene.units import KINDS
 
 if TYPE_CHECKING:

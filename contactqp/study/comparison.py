@@ -58,7 +58,7 @@ def compare(
         The truth. By default the active-set solution, if its certificate proves it; without a truth, errors are None.
     knobs : mapping of method names to values, optional
         Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
-        the contact stiffness (`contactqp.study.attempt.contact_stiffness`), and the others are run as `solve` runs them.
+        the contact stiffness (`contactqp.study.attempt.contact_stiffness`); the others are run as `solve` runs them.
 
     Returns
     -------

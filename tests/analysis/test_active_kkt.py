@@ -7,14 +7,14 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.analysis.large.active_kkt import (
     by_signs,
+    coulomb_by_signs,
     determinant_sign,
     lowest_eigenvalue,
     negative_on,
     positive_semidefinite,
     solve_system,
 )
-from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
-from contactqp.analysis.large.loaded_body import Forces
+from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import NotConverged
 from contactqp.linalg.factorization import DENSE_SIZE
 

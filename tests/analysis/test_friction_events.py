@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_rates
+from contactqp.analysis import friction_events
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.solving.friction.problems import TOUCH, one_contact, two_masses
 
@@ -271,14 +271,14 @@ def test_a_block_pressed_and_pushed(friction: float) -> None:
 
 def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, loads = rolling_block(0.2, (8, 3))
-    monkeypatch.setattr(friction_rates, "ALL_TRIED", 4096)
+    monkeypatch.setattr(friction_events, "ALL_TRIED", 4096)
     every = cq.follow_path(problem, loads, events="exact")
-    monkeypatch.setattr(friction_rates, "ALL_TRIED", 0)
+    monkeypatch.setattr(friction_events, "ALL_TRIED", 0)
     quick = cq.follow_path(problem, loads, events="exact")
     assert events(every) == events(quick)
     np.testing.assert_allclose(quick[-1].displacement, every[-1].displacement, rtol=1e-9, atol=1e-15)
-    monkeypatch.setattr(friction_rates, "QUICK_STEPS", 0)
-    monkeypatch.setattr(friction_rates, "MOST_TRIED", 0)
+    monkeypatch.setattr(friction_events, "QUICK_STEPS", 0)
+    monkeypatch.setattr(friction_events, "MOST_TRIED", 0)
     with pytest.raises(cq.NotConverged, match="undecided"):
         cq.follow_path(problem, loads, events="exact")
 

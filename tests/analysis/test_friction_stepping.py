@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis import friction_stepping
-from contactqp.analysis.anchoring import Anchors, State, step_to
+from contactqp.analysis.friction_stepping import Anchors, State, step_to
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.solving.friction.problems import TOUCH, two_masses
 

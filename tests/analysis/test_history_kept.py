@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis.lazy_solutions import LazySolutions
+from contactqp.analysis.history import LazySolutions
 from contactqp.analysis.load_path import changes
 
 LOADS = [[-1.0, -3.0], [-1.0, 3.0]]

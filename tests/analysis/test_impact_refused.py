@@ -9,8 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.analysis.motion.contact_time import slowest_frequency
-from contactqp.analysis.motion.critical_step import critical_step
+from contactqp.analysis.motion.run import critical_step, slowest_frequency
 from tests.analysis.motions import LENGTH, WAVE, rod_at_wall, rod_matrices, thrown_rod
 
 BALL: dict[str, Any] = dict(

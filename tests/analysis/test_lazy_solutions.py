@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis.lazy_solutions import LazySolutions
+from contactqp.analysis.history import LazySolutions
 
 
 @dataclass

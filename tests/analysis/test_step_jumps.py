@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_rates, step_jumps
+from contactqp.analysis import friction_events, friction_path
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.analysis.test_friction_events import KLARBRING, random_body
 from tests.solving.friction.problems import one_contact, two_masses
@@ -98,10 +98,10 @@ def test_what_is_not_examined_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert note == "whether steps jump was not examined: two tangential rows a contact"
     problem, loads = rolling_block(0.2, (8, 3))
     history = cq.follow_path(problem, loads, steps=2)
-    monkeypatch.setattr(friction_rates, "ALL_TRIED", 0)
-    monkeypatch.setattr(friction_rates, "QUICK_STEPS", 0)
-    monkeypatch.setattr(friction_rates, "MOST_TRIED", 0)
+    monkeypatch.setattr(friction_events, "ALL_TRIED", 0)
+    monkeypatch.setattr(friction_events, "QUICK_STEPS", 0)
+    monkeypatch.setattr(friction_events, "MOST_TRIED", 0)
     assert "step to t = 0.5: whether it jumps was not found out; at t = 0" in history.notes[0]
-    monkeypatch.setattr(step_jumps, "first_candidates", lambda problem: problem)
+    monkeypatch.setattr(friction_path, "first_candidates", lambda problem: problem)
     (note,) = cq.follow_path(problem, loads, steps=2).notes
     assert note.endswith("too many contacts")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements import clipping
+from contactqp.elements import mortar_segments
 from contactqp.errors import InvalidProblem
 
 PAIRINGS = [cq.pair_node_to_segment, cq.pair_mortar]
@@ -269,17 +269,21 @@ def test_the_areas_of_a_mortar_are_the_covered_area(mine, theirs):
 def test_clipping_squares_and_triangles():
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     turned = np.array([[0.5, -0.2], [1.2, 0.5], [0.5, 1.2], [-0.2, 0.5]])
-    common = clipping.clip(turned[np.newaxis], square[np.newaxis])
-    assert np.isclose(clipping.areas(common)[0], 1 - 4 * 0.3**2 / 2, rtol=1e-14)  # an octagon
+    common = mortar_segments.clip(turned[np.newaxis], square[np.newaxis])
+    assert np.isclose(mortar_segments.areas(common)[0], 1 - 4 * 0.3**2 / 2, rtol=1e-14)  # an octagon
     corner = np.array([[2.0, 2.0], [0.0, 2.0], [2.0, 0.5]])
-    assert np.isclose(clipping.areas(clipping.clip(corner[np.newaxis], square[np.newaxis]))[0], 0.0, atol=1e-15)
+    assert np.isclose(
+        mortar_segments.areas(mortar_segments.clip(corner[np.newaxis], square[np.newaxis]))[0], 0.0, atol=1e-15
+    )
     moved = square + np.array([0.25, 0.5])
-    assert np.isclose(clipping.areas(clipping.clip(moved[np.newaxis], square[np.newaxis]))[0], 0.375, rtol=1e-15)
-    assert clipping.areas(clipping.clip(square[np.newaxis] + 5, square[np.newaxis]))[0] == 0
-    several = clipping.clip(np.stack([turned, moved, square + 5, square]), np.stack([square] * 4))
-    np.testing.assert_allclose(clipping.areas(several), [0.82, 0.375, 0, 1], atol=1e-14)
-    fans = clipping.areas(clipping.triangles(several).reshape(-1, 3, 2)).reshape(4, -1)
-    np.testing.assert_allclose(fans.sum(axis=1), clipping.areas(several), atol=1e-15)
+    assert np.isclose(
+        mortar_segments.areas(mortar_segments.clip(moved[np.newaxis], square[np.newaxis]))[0], 0.375, rtol=1e-15
+    )
+    assert mortar_segments.areas(mortar_segments.clip(square[np.newaxis] + 5, square[np.newaxis]))[0] == 0
+    several = mortar_segments.clip(np.stack([turned, moved, square + 5, square]), np.stack([square] * 4))
+    np.testing.assert_allclose(mortar_segments.areas(several), [0.82, 0.375, 0, 1], atol=1e-14)
+    fans = mortar_segments.areas(mortar_segments.triangles(several).reshape(-1, 3, 2)).reshape(4, -1)
+    np.testing.assert_allclose(fans.sum(axis=1), mortar_segments.areas(several), atol=1e-15)
 
 
 def test_clipping_random_triangles_is_symmetric_and_additive():
@@ -287,17 +291,20 @@ def test_clipping_random_triangles_is_symmetric_and_additive():
     rng = np.random.default_rng(5)
     a, b = _triangles(rng, 200), _triangles(rng, 200)
     np.testing.assert_allclose(
-        clipping.areas(clipping.clip(a, b)), clipping.areas(clipping.clip(b, a)), rtol=0, atol=1e-14
+        mortar_segments.areas(mortar_segments.clip(a, b)),
+        mortar_segments.areas(mortar_segments.clip(b, a)),
+        rtol=0,
+        atol=1e-14,
     )
     left = np.array([[0.0, 0.0], [0.6, 0.0], [0.3, 1.0], [0.0, 1.0]])
     right = np.array([[0.6, 0.0], [1.0, 0.0], [1.0, 1.0], [0.3, 1.0]])
-    halves = [clipping.areas(clipping.clip(a, np.tile(half, (200, 1, 1)))) for half in (left, right)]
-    np.testing.assert_allclose(sum(halves), clipping.areas(a), atol=1e-14)
+    halves = [mortar_segments.areas(mortar_segments.clip(a, np.tile(half, (200, 1, 1)))) for half in (left, right)]
+    np.testing.assert_allclose(sum(halves), mortar_segments.areas(a), atol=1e-14)
     assert min(half.max() for half in halves) > 0.1
 
 
 def _triangles(rng, count):
     t = rng.uniform(0, 1, (count, 3, 2))
-    clockwise = clipping.areas(t) < 0
+    clockwise = mortar_segments.areas(t) < 0
     t[clockwise] = t[clockwise][:, ::-1]
     return t

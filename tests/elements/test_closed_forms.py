@@ -8,8 +8,7 @@ from contactqp.elements.loads import Pressure, Traction
 from contactqp.elements.material import Material
 from contactqp.elements.reference import REFERENCES
 from contactqp.elements.shapes import box, rectangle
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes
+from contactqp.elements.solid import Body, stress_at_nodes
 from contactqp.elements.structure import Structure, Support
 from tests.elements.bodies import PLANE, SOLID
 

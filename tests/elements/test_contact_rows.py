@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import contactqp as cq
-from contactqp.elements.node_contact import against_plane, between_nodes
-from contactqp.elements.obstacle import Plane, tangents
+from contactqp.elements.obstacle import Plane, against_plane, between_nodes, tangents
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.point_mass import inertia, weight
 from contactqp.errors import InvalidProblem

@@ -6,8 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from contactqp.elements.loads import Gravity, Weight
-from contactqp.elements.mass import bar_mass, solid_mass
+from contactqp.elements.loads import Gravity, Weight, bar_mass, solid_mass
 from contactqp.elements.material import Material
 from contactqp.elements.mesh_files import mesh_from_skfem
 from contactqp.elements.shapes import rectangle

@@ -8,7 +8,7 @@ import contactqp as cq
 from contactqp.elements.loads import Traction
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import mesh_from_arrays
-from contactqp.elements.scalar_pairing import pair_scalar
+from contactqp.elements.pairing import pair_scalar
 from contactqp.elements.shapes import box, disc, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support

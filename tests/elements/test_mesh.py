@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from contactqp.elements import mesh_checks
+from contactqp.elements import mesh
 from contactqp.elements.geometry import Block, Geometry
 from contactqp.elements.mesh import Mesh, mesh_from_arrays
 from contactqp.elements.reference import REFERENCES
@@ -172,7 +172,7 @@ def test_an_element_that_folds_between_its_nodes_and_quadrature_points_is_refuse
     for points in folded:
         with pytest.raises(InvalidProblem, match="inverted"):
             Mesh(points, (block,))
-    monkeypatch.setattr(mesh_checks, "UNEVEN", -np.inf)
+    monkeypatch.setattr(mesh, "UNEVEN", -np.inf)
     missed = 0
     for points in folded:
         try:

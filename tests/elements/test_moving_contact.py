@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements.deformable import ContactGeometry, Deformable
-from contactqp.elements.green_truss import NonlinearTruss
+from contactqp.elements.deformable import ContactGeometry, Deformable, Supported
+from contactqp.elements.nonlinear_truss import NonlinearTruss
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
-from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem
 from tests.elements.derivatives import check_derivatives
 from tests.elements.test_obstacles import OBSTACLES
@@ -74,7 +73,7 @@ def test_several_obstacles_are_one_geometry():
 
 
 def test_a_surface_brings_its_own_unknowns():
-    from contactqp.elements.surface import Surface
+    from contactqp.elements.facet import Surface
 
     points = np.array([[0.0, 1.0], [1.0, 1.0]])
     surface = Surface(points, np.array([[1, 0]]), np.array([[2, 3], [0, 1]]))

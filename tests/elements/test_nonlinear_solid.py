@@ -7,15 +7,13 @@ import pytest
 from scipy.optimize import brentq
 
 import contactqp as cq
-from contactqp.elements.deformable import Deformable
-from contactqp.elements.hyperelastic import NeoHookean
+from contactqp.elements.deformable import Deformable, Supported
 from contactqp.elements.loads import Traction
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.nonlinear_solid import LAWS, NonlinearSolid
+from contactqp.elements.nonlinear_solid import LAWS, NeoHookean, NonlinearSolid
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
-from contactqp.elements.supported import Supported
 from contactqp.errors import InvalidProblem, NotConverged
 from tests.elements.bodies import body
 from tests.elements.derivatives import check_derivatives

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from contactqp.elements.geometry import at_rule
-from contactqp.elements.quadrature import gauss, tetrahedron, triangle
-from contactqp.elements.reference import KINDS, REFERENCES
+from contactqp.elements.reference import KINDS, REFERENCES, gauss, tetrahedron, triangle
 from tests.elements.bodies import distorted
 
 ALL = list(REFERENCES)

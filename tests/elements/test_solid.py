@@ -6,14 +6,12 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from contactqp.elements import geometry
-from contactqp.elements.assembly import assemble, pattern
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import mesh_from_arrays
 from contactqp.elements.mesh_files import mesh_from_skfem
 from contactqp.elements.reference import REFERENCES
 from contactqp.elements.shapes import ball, box, disc, rectangle
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_quadrature
+from contactqp.elements.solid import Body, assemble, pattern, stress_at_quadrature
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import MODELS, STEEL, body, distorted
 

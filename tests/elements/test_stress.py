@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from contactqp.elements.shapes import box, rectangle
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes, stress_at_quadrature, von_mises
+from contactqp.elements.solid import Body, stress_at_nodes, stress_at_quadrature, von_mises
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import MODELS, STEEL, body
 from tests.elements.test_solid import constant_strain

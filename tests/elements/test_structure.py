@@ -9,8 +9,7 @@ import contactqp as cq
 from contactqp.elements.loads import Gravity, Pressure, Traction
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.shapes import box, rectangle
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes
+from contactqp.elements.solid import Body, stress_at_nodes
 from contactqp.elements.structure import Structure, Support
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import STEEL

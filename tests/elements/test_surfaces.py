@@ -7,8 +7,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.elements import facet
-from contactqp.elements.closest_point import closest_point
 from contactqp.elements.facet import kind_of, triangle_quadrature
+from contactqp.elements.nearest_facet import closest_point
 from contactqp.elements.tributary import node_normals, tributary_areas
 from contactqp.errors import InvalidProblem
 

@@ -12,8 +12,7 @@ import contactqp as cq
 from contactqp.elements.loads import Pressure
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import box, rectangle
-from contactqp.elements.solid import Body
-from contactqp.elements.stress import stress_at_nodes
+from contactqp.elements.solid import Body, stress_at_nodes
 from contactqp.elements.structure import Structure, Support, System
 from contactqp.pictures.contact_fields import BodyFields, ContactFields, contact_fields
 

@@ -11,7 +11,6 @@ import contactqp as cq
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import find
 from contactqp.study import attempt
-from contactqp.study.attempt import attempt
 from contactqp.study.case_study import CaseStudy, load_studies
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -56,10 +55,10 @@ def test_rows_say_on_which_unknowns() -> None:
     study = _study("cantilever_stop", "active-set", "osqp")
     truth = study.truth()
     active, osqp, whole = study.rungs[0], study.rungs[1], next(rung for rung in study.rungs if rung.whole)
-    row = attempt(study.problem, whole, truth)
+    row = attempt.attempt(study.problem, whole, truth)
     assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
-    assert attempt(study.problem, osqp, truth).condensed == "yes"
-    assert attempt(study.problem, active, truth).condensed == ""  # the active set works on contacts by itself
+    assert attempt.attempt(study.problem, osqp, truth).condensed == "yes"
+    assert attempt.attempt(study.problem, active, truth).condensed == ""  # the active set works on contacts by itself
 
 
 @pytest.mark.parametrize("name", ["two_bars", "klarbring_slides_back", "bar_impact"])

@@ -1,18 +1,36 @@
-"""Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP)."""
+"""Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP).
+
+Where the slips of a load step are counted from, when contacts slide far and close on the way.
+
+From a balance that Newton's method found to a certified solution of the history.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from contactqp.analysis.large.deformation import NewtonIteration
-from contactqp.analysis.large.loaded_body import Forces, Imbalance, Instant, LoadedBody
-from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
-from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.arrays import Vector
+from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
+from contactqp.analysis.large.deformation import Forces, Imbalance, Instant, LargeSolution, LoadedBody, NewtonIteration
+from contactqp.analysis.large.newton_step import (
+    NewtonSettings,
+    NewtonStep,
+    Target,
+    in_displacement,
+    newton_step,
+    slipped,
+    stationary_step,
+)
+from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.elements.deformable import ContactGeometry, ContactState
+from contactqp.errors import InvalidProblem, NotCertified, NotConverged
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.solution import Work
 
 # Armijo's part of the slope, and the shortest fraction of a step that is tried.
 SUFFICIENT = 1e-4
@@ -225,3 +243,143 @@ def _merit(loaded: LoadedBody, now: Instant, target: Target, weight: float) -> t
     penalty = weight * _violation(loaded, now, target)
     size = abs(elastic) + float(abs(target.load) @ abs(now.displacement)) + penalty
     return elastic - work + penalty, MERIT_ROUNDING * size
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOpen:
+    """Contacts some of which are too far away to close."""
+
+    geometry: ContactGeometry
+    offset: Vector  # (m,) added to the gaps [length]
+
+    @property
+    def contacts(self) -> int:
+        """m."""
+        return self.geometry.contacts
+
+    def state(self, displacement: Vector) -> ContactState:
+        """With wider gaps."""
+        state = self.geometry.state(displacement)
+        return replace(state, gap=state.gap + self.offset)
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """Of the geometry."""
+        return self.geometry.curvature(displacement, normal_force)
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """Of the geometry."""
+        return self.geometry.slip_since(displacement, anchor)
+
+    def positions(self, displacement: Vector) -> Vector:
+        """Of the geometry."""
+        return self.geometry.positions(displacement)
+
+
+def balance_with_anchors(
+    loaded: LoadedBody,
+    position: Array,
+    gap: Vector,
+    touching: Any,
+    solve_with: Callable[[LoadedBody, Array], Balance],
+) -> tuple[Balance, Array]:
+    """The balance at the end of a step, and the anchors (m, d) of its slips.
+
+    A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
+    had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.
+
+    Parameters
+    ----------
+    position, gap, touching : (m, d), (m,), (m,)
+        At the start of the step.
+    solve_with : function
+        The balance of a body whose slips start at anchors.
+    """
+    found = solve_with(loaded, position)
+    closes = (found.forces.normal > 0) & ~touching
+    if not np.any(closes) or loaded.contact is None:
+        return found, position
+    anchor = position.copy()
+    far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
+    free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
+    try:
+        beyond = solve_with(free, position)
+        end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
+    except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
+        end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
+    fraction = np.clip(gap / np.maximum(gap - reached, np.finfo(float).tiny), 0.0, 1.0)
+    anchor[closes] += (fraction[:, None] * (end - position))[closes]
+    return solve_with(loaded, anchor), anchor
+
+
+# Friction within this part of its bound is at it.
+STICKS = 1e-9
+
+
+def large_solution(
+    loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
+) -> LargeSolution:
+    """The equilibrium with the certificate of its last Newton step, and whether it is stable.
+
+    Raises
+    ------
+    NotCertified
+        The certificate refuses the answer of an exact method.
+    """
+    now, step, forces = balance.now, balance.step, balance.forces
+    problem = in_displacement(step.problem, balance.before.displacement)
+    started = time.perf_counter()
+    friction = forces.friction
+    if friction is None and problem.slip_origin is not None:
+        friction = np.zeros_like(problem.slip_origin)
+    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
+    if step.springs:
+        note = (
+            f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
+            "balance and contact are those of the body, its stability is another question"
+        )
+        certificate = replace(certificate, notes=(*certificate.notes, note))
+    spent = time.perf_counter() - started
+    found = step.solution
+    solution = LargeSolution(
+        problem=problem,
+        displacement=now.displacement,
+        normal_force=forces.normal,
+        friction_force=friction,
+        tie_force=forces.tie,
+        contact_status=contact_status(problem, certificate),
+        free_motions=() if found is None else found.free_motions,
+        certificate=certificate,
+        method=settings.method if found is None else found.method,
+        seconds=balance.seconds + spent,
+        certify_seconds=spent,
+        work=replace(Work() if found is None else found.work, iterations=len(balance.iterations)),
+        history=tuple(iteration.error for iteration in balance.iterations),
+        load_factor=load_factor,
+        load=target.load,
+        tie_value=target.tie_value,
+        increment=step.increment,
+        current_gap=now.contact.gap,
+        current_slip=slipped(loaded, now, target),
+        position=None if loaded.contact is None else loaded.contact.positions(now.displacement),
+        elastic=loaded.body.energy(now.displacement),
+        negative=negative_motions(loaded, balance),
+        iterations=balance.iterations,
+    )
+    if settings.exact and not certificate.passed:
+        failures = "; ".join(certificate.failures)
+        raise NotCertified(f"the certificate refuses the last step: {failures}", solution)
+    return solution
+
+
+def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
+    """How many motions that keep ties, pushing contacts and sticking ones as they are lower the energy."""
+    K = loaded.hessian(balance.now, balance.forces)
+    if positive_semidefinite(K):
+        return 0
+    contact, forces = balance.now.contact, balance.forces
+    rows = [contact.normal[np.flatnonzero(forces.normal > 0)], loaded.tie]
+    if forces.friction is not None and loaded.friction is not None and contact.tangent is not None:
+        width = forces.friction.shape[1]
+        sticks = np.linalg.norm(forces.friction, axis=1) < loaded.friction * forces.normal * (1 - STICKS)
+        rows.append(contact.tangent[np.flatnonzero(np.repeat(sticks, width))])
+    return negative_on(K, sp.vstack(rows, format="csr"))

@@ -9,12 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
-from contactqp.analysis.large.constrained_newton import Balance, find_balance
-from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, Snap
-from contactqp.analysis.large.deformation_steps import large_solution
-from contactqp.analysis.large.loaded_body import Forces, LoadedBody
+from contactqp.analysis.large.constrained_newton import Balance, balance_with_anchors, find_balance, large_solution
+from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolution, LoadedBody, Snap
 from contactqp.analysis.large.newton_step import NewtonSettings, Target
-from contactqp.analysis.large.slip_anchors import balance_with_anchors
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Vector
 

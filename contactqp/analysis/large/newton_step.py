@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.large.active_kkt import by_signs, lowest_eigenvalue, negative_on, positive_semidefinite
-from contactqp.analysis.large.coulomb_kkt import coulomb_by_signs
-from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
+from contactqp.analysis.large.active_kkt import (
+    by_signs,
+    coulomb_by_signs,
+    lowest_eigenvalue,
+    negative_on,
+    positive_semidefinite,
+)
+from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem

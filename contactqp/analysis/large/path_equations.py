@@ -11,8 +11,7 @@ import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import determinant_sign, solve_system
 from contactqp.analysis.large.constrained_newton import Balance
-from contactqp.analysis.large.deformation import NewtonIteration
-from contactqp.analysis.large.loaded_body import Forces, Instant, LoadedBody
+from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody, NewtonIteration
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Mask, Vector

@@ -1,4 +1,14 @@
-"""The steps of a motion: each posed by the scheme, solved, and certified with its neighbours."""
+"""The steps of a motion: each posed by the scheme, solved, and certified with its neighbours.
+
+How long a contact lasts: half a period of the slowest vibration that an impact excites.
+
+A rod of length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end
+held. On matrices: omega the lowest frequency with the closed contacts held that is not zero and that the velocities at
+the impact excite, time pi / omega. It comes from Lanczos' method on the operator of a time step, which is factorised
+already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
+
+The longest time step of central differences.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +20,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.balance import Motion
-from contactqp.analysis.motion.contact_time import ImpactsMinded, meeting, slowest_frequency
-from contactqp.analysis.motion.critical_step import critical_step
-from contactqp.analysis.motion.history import MotionHistory
+from contactqp.analysis.motion.history import Motion, MotionHistory
 from contactqp.analysis.motion.mass import touched
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_certificate import StepJudge
@@ -29,10 +37,112 @@ from contactqp.errors import (
     SeveralEquilibria,
     TimeStepWarning,
 )
+from contactqp.linalg.factorization import factorise
 from contactqp.linalg.stages import CERTIFY, METHOD, stage
 from contactqp.model.arrays import Vector
+from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work
+
+# Enough to part the slowest vibration from others where the step is long.
+LANCZOS_STEPS = 24
+# Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
+RESOLVED_STEPS = 1e-9
+# Shares below this are the rounding of motions that contacts hold: a step would last for a million contacts.
+HELD = 1e-13
+# A vector that this part is left of lies in the space that was spanned before.
+SPANNED = 1e-12
+
+
+def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: float, velocity: Vector) -> float | None:
+    """omega [1 / time], or None where all motions are rigid.
+
+    Parameters
+    ----------
+    respond : function
+        x = (M s + K)^-1 y with the closed contacts held, s = `inertia`: its frequencies are those of s / (s + omega^2)
+        as the eigenvalues of x = respond(s M x).
+    mass : (n, n) matrix
+    inertia : float
+        s [1 / time^2].
+    velocity : (n,) array
+        What the impact excites: vibrations that have no part in it are not found.
+    """
+    basis: list[Vector] = []
+    images: list[Vector] = []
+    vector = respond(inertia * (mass @ velocity))
+    for _ in range(LANCZOS_STEPS):
+        for other in 2 * basis:
+            vector = vector - (other @ (mass @ vector)) * other
+        size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
+        reference = np.sqrt(float(images[-1] @ (mass @ images[-1]))) if images else size
+        if not np.isfinite(size) or size <= SPANNED * reference or size == 0:
+            break
+        basis.append(vector / size)
+        images.append(respond(inertia * (mass @ basis[-1])))
+        vector = images[-1]
+    if not basis:
+        return None
+    operator = np.array([[a @ (mass @ b) for b in images] for a in basis])
+    shares = np.linalg.eigvalsh((operator + operator.T) / 2)
+    slow = shares[(shares > HELD) & (shares < 1 - RESOLVED_STEPS)]
+    return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None
+
+
+class ImpactsMinded:
+    """Which contacts have closed by an impact so far: each is looked at when it does so first."""
+
+    def __init__(self, problem: ContactProblem) -> None:
+        self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
+        self.unminded = problem.contacts > 0
+
+    def new(self, before: State, now: State) -> NDArray[np.intp]:
+        """Contacts that begin to push in a step, approaching, for the first time."""
+        closing = np.flatnonzero((now.normal_force > 0) & (before.normal_force <= 0) & ~self._met)
+        if len(closing):
+            closing = closing[self._normal[closing] @ before.velocity > 0]
+            self._met[closing] = True
+            self.unminded = not bool(np.all(self._met))
+        return closing
+
+
+def meeting(problem: ContactProblem, mass: Any, contacts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(n,) the unknowns of the bodies that contacts act on; ties make one body of two. Others are bystanders."""
+    from scipy.sparse.csgraph import connected_components
+
+    tied = abs(problem.tie).T @ abs(problem.tie)
+    rows = abs(problem.normal[contacts])
+    label = connected_components(abs(problem.stiffness_rows) + abs(mass) + tied, directed=False)[1]
+    return np.isin(label, label[sp.csr_matrix(rows).indices])
+
+
+# Up to here all frequencies are found at once.
+DENSE_SIZE = 200
+
+
+def critical_step(mass: Any, stiffness: Any) -> float:
+    """2 / omega, omega the highest frequency of K x = omega^2 M x on the unknowns with mass [time]; inf without any.
+
+    Unknowns without mass are held: that makes frequencies no lower.
+    """
+    moving = np.flatnonzero(mass.diagonal() > 0)
+    K = sp.csr_matrix(stiffness)[moving][:, moving]
+    M = sp.csr_matrix(mass)[moving][:, moving]
+    if not len(moving) or not np.any(K.data):
+        return np.inf
+    if len(moving) <= DENSE_SIZE:
+        from scipy.linalg import eigvalsh
+
+        highest = float(eigvalsh(K.toarray(), M.toarray())[-1])
+    else:
+        from scipy.sparse.linalg import LinearOperator, eigsh
+
+        factor = factorise(M)
+        inverse = LinearOperator(M.shape, matvec=factor.solve, dtype=float)
+        start = np.random.default_rng(0).standard_normal(len(moving))
+        highest = float(eigsh(K, 1, M=M, Minv=inverse, which="LA", v0=start, tol=1e-8, return_eigenvectors=False)[0])
+    return 2 / np.sqrt(highest) if highest > 0 else np.inf
+
 
 # Steps certified at once.
 BLOCK = 64

@@ -10,7 +10,7 @@ import numpy as np
 from contactqp.distributed.asking import asked
 from contactqp.distributed.pieces.sources import OUTSIDE, Share
 from contactqp.distributed.ranks import Ranks
-from contactqp.elements.boundary import facet_keys, groups
+from contactqp.elements.geometry import facet_keys, groups
 from contactqp.elements.reference import REFERENCES
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.formats import block_type
 from contactqp.distributed.pieces.nodes import Nodes
-from contactqp.elements.assembly import pattern
 from contactqp.elements.geometry import Block, batches
-from contactqp.elements.solid import Body
+from contactqp.elements.solid import Body, pattern
 from contactqp.elements.structure import Part
 from contactqp.model.arrays import Index
 

@@ -21,9 +21,8 @@ from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows
 from contactqp.distributed.stored_rows import chosen_rows
-from contactqp.elements.free_contacts import FreeContacts
 from contactqp.elements.loads import Load
-from contactqp.elements.structure import EVERYTHING_HELD, Structure, Support
+from contactqp.elements.structure import EVERYTHING_HELD, FreeContacts, Structure, Support
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import Units

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.pieces.nodes import Nodes
 from contactqp.distributed.ranks import Ranks
+from contactqp.elements.facet import Surface
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.structure import Structure
-from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index
 

@@ -16,12 +16,11 @@ from contactqp.distributed.pieces.system import PieceSystem
 from contactqp.distributed.pieces.touching import Touching
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks
-from contactqp.elements.free_contacts import FreeContacts, free_contacts
 from contactqp.elements.geometry import Block
 from contactqp.elements.loads import node_numbers
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.stress import stress_sums
-from contactqp.elements.structure import Part, Structure
+from contactqp.elements.solid import stress_sums
+from contactqp.elements.structure import FreeContacts, Part, Structure, free_contacts
 from contactqp.elements.structure import Support as Held
 from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage

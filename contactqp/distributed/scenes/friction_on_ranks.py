@@ -1,7 +1,7 @@
 """A load path with Coulomb friction in steps on the ranks of MPI, contacts anchored as in one process.
 
-What a step needs to know of the contacts before it, `contactqp.analysis.anchoring`, is whole on every rank: as many
-numbers as there are contacts. All ranks decide alike then.
+What a step needs to know of the contacts before it (`contactqp.analysis.friction_stepping`) is whole on every rank: as
+many numbers as there are contacts. All ranks decide alike then.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.anchoring import Anchors, State, step_to
-from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, SolvedStep
-from contactqp.analysis.friction_steps import kinds
+from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, kinds, step_to
 from contactqp.analysis.history import Energies, Event
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.solution import DistributedSolution

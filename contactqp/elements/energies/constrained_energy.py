@@ -1,4 +1,7 @@
-"""A quadratic energy with parts and constraints, its minimum, and what each part carries there."""
+"""A quadratic energy with parts and constraints, its minimum, and what each part carries there.
+
+What a part of a structure adds to a quadratic energy, and what the minimum says about it.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,128 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.energies.part import Condition, Contribution, Found, Part, PartState
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector, computes
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.model.problem_data import ReadOnly, is_whole, read_stiffness, read_vector
+from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_stiffness, read_vector
 from contactqp.model.solution import Certificate, Solution
 from contactqp.solving.solve import solve
+
+# A linear form of the unknowns by their names.
+Form = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Square:
+    """1/2 stiffness (form(u) - offset)^2."""
+
+    form: Form
+    stiffness: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    """form(u) <= bound, or = bound in a tie."""
+
+    name: str
+    form: Form
+    bound: float
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What a part adds: unknowns of its own, energy, constraints."""
+
+    internal: tuple[str, ...] = ()
+    squares: tuple[Square, ...] = ()
+    load: Form | None = None  # energy -load(u)
+    unilateral: tuple[Condition, ...] = ()
+    ties: tuple[Condition, ...] = ()
+
+
+@dataclass(frozen=True)
+class Found:
+    """Unknowns and multipliers of a minimum by their names."""
+
+    unknown: Mapping[str, float]
+    multiplier: Mapping[str, float]  # of conditions, one-sided ones not negative
+
+    def value(self, form: Form) -> float:
+        return float(sum(factor * self.unknown[name] for name, factor in form.items()))
+
+
+@dataclass(frozen=True)
+class PartState:
+    """One part at the minimum."""
+
+    deformation: float  # elongation, rotation, or the bounded combination of unknowns
+    force: float  # what the part resists it with; the docstring of the part says which sign
+    status: str  # "taut" | "slack", "pushes" | "idle", "active" | "inactive", "elastic" | "yields", "tied"
+    plastic: float = 0.0  # plastic part of the deformation
+
+
+class Part(Protocol):
+    """Anything with a name that adds energy or constraints."""
+
+    @property
+    def name(self) -> str: ...
+
+    def contribution(self) -> Contribution:
+        """What it adds."""
+
+    def state(self, found: Found) -> PartState:
+        """What became of it."""
+
+
+def read_form(part: str, given: Any) -> dict[str, float]:
+    """A linear form as its user wrote it, zeros left out.
+
+    Raises
+    ------
+    InvalidProblem
+        It is no mapping from names to finite numbers, or zero.
+    """
+    if not isinstance(given, Mapping):
+        raise InvalidProblem(f"{part}: expected a mapping from unknowns to factors, as {{'x': 1.0}}, got {given!r}")
+    form = {str(name): read_number(f"{part}: factor of {name!r}", factor) for name, factor in given.items()}
+    form = {name: factor for name, factor in form.items() if factor}
+    if not form:
+        raise InvalidProblem(f"{part}: expected at least one unknown with a factor that is not zero, got {dict(given)}")
+    return form
+
+
+def read_number(what: str, value: Any, *, positive: bool = False, above: float | None = None) -> float:
+    """A finite number.
+
+    Raises
+    ------
+    InvalidProblem
+        It is none, or not above what it must be above.
+    """
+    least = 0.0 if positive else above
+    expected = "a finite number" if least is None else f"a finite number above {least:g}"
+    if not is_number(value) or not np.isfinite(value):
+        raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
+    if least is not None and not value > least:
+        raise InvalidProblem(f"{what}: expected {expected}, got {value!r}")
+    return float(value)
+
+
+def plus(form: Form, others: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """A form with unknowns of the part's own."""
+    return dict(form) | dict(others)
+
+
+def minus(form: Form) -> dict[str, float]:
+    return {name: -factor for name, factor in form.items()}
+
 
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
@@ -39,7 +151,7 @@ class ConstrainedEnergy:
     load : (n,) array, optional
         f; zero by default.
     parts : sequence of Spring, Cable, Strut, AtMost, AtLeast, Equal, Obstacle, PlasticHinge, or anything that is a
-        `contactqp.elements.energies.part.Part`
+        `contactqp.elements.energies.constrained_energy.Part`
     units : Units or mapping, optional
         As in `ContactProblem`; labels only.
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.energies.part import (
+from contactqp.elements.energies.constrained_energy import (
     Condition,
     Contribution,
     Form,

@@ -1,7 +1,7 @@
 """A load path with Coulomb friction in the plane, in rational numbers, from event to event.
 
 While no contact opens, closes, starts or stops slipping, all is affine in the load. At each event and corner Coulomb's
-law in rates says how the contacts at a limit go on (`contactqp.analysis.friction_rates` states it):
+law in rates says how the contacts at a limit go on (`contactqp.analysis.friction_events` states it):
 
     edge of the cone, l_T = e mu l_N:    s' = 0 and e l_T' <= mu l_N'    or    l_T' = e mu l_N' and e s' >= 0
     neither gap nor force:    gap' >= 0    or    gap' = 0, l_N' >= 0 and |l_T'| <= mu l_N', = mu l_N' along s' != 0
