@@ -1,7 +1,4 @@
-"""The bar: two nodes on one line, one axial displacement each.
-
-The truss bar: an axial bar in two or three dimensions.
-"""
+"""Bars: two nodes on one line with one axial displacement each, and the truss bar in two or three dimensions."""
 
 from __future__ import annotations
 
@@ -56,7 +53,7 @@ def truss_stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers)
     Course chapter, Example 2.10. L^2 is kept exact, so an irrational length is rounded once.
 
     >>> from fractions import Fraction
-    >>> K = stiffness(Fraction(315000), Fraction(1), np.array([Fraction(0)] * 2), np.array([Fraction(-3), Fraction(4)]))
+    >>> K = truss_stiffness(Fraction(315000), Fraction(1), np.array([Fraction(0)] * 2), np.array([Fraction(-3), Fraction(4)]))
     >>> K[0, 0], K[0, 1]
     (Fraction(22680, 1), Fraction(-30240, 1))
     """
