@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.elements import loads, solid
 from contactqp.elements.facet import Surface, diameters
 from contactqp.elements.material import Material
-from contactqp.elements.membrane import Membrane
+from contactqp.elements.membrane import Membrane as MembranePart
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
@@ -170,7 +170,7 @@ def body_model(scene: SceneData) -> BodyModel:
     for i, membrane in enumerate(scene.membranes):
         with at_key(f"membranes[{i}] ({membrane.name!r})"):
             tension = number(scene.system, membrane.tension)
-            bodies.append(Membrane(body_mesh(scene, membrane), tension, name=membrane.name))
+            bodies.append(MembranePart(body_mesh(scene, membrane), tension, name=membrane.name))
     with at_key("bodies"):
         whole = Structure(bodies)
     acting = list(loads_of(scene, whole))
@@ -244,7 +244,7 @@ def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float 
 def _membrane_contact(scene: SceneData, whole: Structure, contact: Contact, name: str) -> PairedContact:
     """All free nodes of a membrane over an obstacle; where the obstacle has no height there is no contact."""
     membrane = whole.body(name)
-    if not isinstance(membrane, Membrane) or contact.obstacle is None:
+    if not isinstance(membrane, MembranePart) or contact.obstacle is None:
         raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")
     heights = height_of(obstacle(scene, contact.obstacle), contact.obstacle, membrane.mesh.points)
     if not np.isfinite(heights).any():

@@ -23,7 +23,7 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at
 from contactqp.scene.exact_loads import Row, exact_loads, sum_of
 from contactqp.scene.exact_numbers import displacements, ends, point, value
-from contactqp.scene.obstacles import obstacle as obstacle_named
+from contactqp.scene.obstacles import obstacle
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
@@ -190,9 +190,9 @@ def spring_direction(scene: SceneData, item: Spring) -> Numbers:
 
 def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
     """The unknowns and the stiffness of every element."""
-    for item in scene.bars:
-        for segment in item.segments:
-            yield displacements(scene, segment), _bar_stiffness(scene, item, segment)
+    for rod in scene.bars:
+        for segment in rod.segments:
+            yield displacements(scene, segment), _bar_stiffness(scene, rod, segment)
     for item in scene.springs:
         formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
         stiffness = formula(value(scene, item.stiffness), spring_direction(scene, item))
@@ -259,4 +259,4 @@ def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRow
     if item.kind == "plane":
         plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
         return obstacle.against_plane(where, plane)
-    return obstacle.against_surface(where, obstacle_named(scene, name))
+    return obstacle.against_surface(where, obstacle(scene, name))

@@ -12,7 +12,7 @@ import signal
 import sys
 
 import contactqp as cq
-import contactqp.distributed.path as path
+from contactqp.distributed import path
 from contactqp.distributed.ranks import Ranks
 
 case, folder, *killed_at = sys.argv[1:]
