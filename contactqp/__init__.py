@@ -66,11 +66,11 @@ if TYPE_CHECKING:
     from contactqp.exchange.fclib import read_fclib as read_fclib
     from contactqp.exchange.fclib import read_fclib_guesses as read_fclib_guesses
     from contactqp.exchange.fclib import read_fclib_solution as read_fclib_solution
-    from contactqp.exchange.fclib_writing import write_fclib as write_fclib
+    from contactqp.exchange.fclib import write_fclib as write_fclib
     from contactqp.exchange.local_form import local_form_of as local_form_of
     from contactqp.exchange.problem_files import read_problem as read_problem
     from contactqp.exchange.problem_folder import write_problem as write_problem
-    from contactqp.exchange.siconos_text import read_siconos as read_siconos
+    from contactqp.exchange.siconos import read_siconos as read_siconos
     from contactqp.model.global_problem import GlobalProblem as GlobalProblem
     from contactqp.model.local_problem import LocalProblem as LocalProblem
     from contactqp.model.local_problem import LocalSolution as LocalSolution
@@ -178,13 +178,13 @@ _HOME = {
     "read_fclib_guesses": "exchange.fclib",
     "read_fclib_solution": "exchange.fclib",
     "read_problem": "exchange.problem_files",
-    "read_siconos": "exchange.siconos_text",
+    "read_siconos": "exchange.siconos",
     "redistributed_mass": "analysis.motion.mass",
     "run": "scene.running",
     "siconos_global_error": "certificate.local_certificate",
     "siconos_local_error": "certificate.local_certificate",
     "solve": "solving.solve",
-    "write_fclib": "exchange.fclib_writing",
+    "write_fclib": "exchange.fclib",
     "write_problem": "exchange.problem_folder",
 }
 __all__ = ["__version__", *sorted(_HOME)]

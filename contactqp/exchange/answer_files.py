@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
-from contactqp.exchange import answer_arrays, answer_json, answer_tables, ansys, calculix_results
+from contactqp.exchange import answer_arrays, answer_json, ansys, calculix_results
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, places
 from contactqp.exchange.problem_writing import ANSWER_FILE
 from contactqp.exchange.refusal import Path, read_bytes
@@ -16,7 +16,7 @@ from contactqp.model.problem import ContactProblem
 
 READERS: list[AnswerReader] = [
     answer_json.READER,
-    answer_tables.READER,
+    answer_arrays.READER,
     answer_arrays.ARCHIVE,
     answer_arrays.ARRAY,
     calculix_results.FRD,
@@ -82,7 +82,7 @@ def reader_of(path: Path) -> AnswerReader:
     for reader in READERS:
         if reader.known is not None and reader.known(head):
             return reader
-    by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not answer_tables.READER)
+    by_suffix = (reader for reader in READERS if suffix in reader.suffixes and reader is not answer_arrays.READER)
     return next(by_suffix, answer_arrays.ARRAY)
 
 

@@ -23,8 +23,7 @@ from contactqp.exchange.answer_reader import (
     refuse_unit,
     vector,
 )
-from contactqp.exchange.ledger import Ledger
-from contactqp.exchange.refusal import Path, one_line, read_text, wrong
+from contactqp.exchange.refusal import Ledger, Path, one_line, read_text, wrong
 from contactqp.model.problem import ContactProblem
 
 NAME = "JSON"

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader, names_of, places
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.numpy_files import read_npz, sparse_matrix
-from contactqp.exchange.refusal import Path, file_size, read_bytes, wrong
+from contactqp.exchange.refusal import Ledger, Path, file_size, read_bytes, wrong
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 

@@ -22,9 +22,18 @@ from numpy.typing import NDArray
 from contactqp.exchange.answer_json import load_json
 from contactqp.exchange.fclib import StoredAnswer, read_solution_for
 from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.numpy_files import NUMPY, read_npy
-from contactqp.exchange.refusal import Path, is_number, no_number, number, one_line, read_bytes, read_text, wrong
+from contactqp.exchange.refusal import (
+    Ledger,
+    Path,
+    is_number,
+    no_number,
+    number,
+    one_line,
+    read_bytes,
+    read_text,
+    wrong,
+)
 from contactqp.model.local_problem import LocalProblem
 
 EXPECTED = "forces: FCLIB's HDF5, .npy, JSON, CSV or plain numbers"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendMissing, InvalidProblem
-from contactqp.exchange.matrix_storage import StoredMatrix, matrix_of
+from contactqp.exchange.matrix_reader import StoredMatrix, matrix_of
 from contactqp.exchange.refusal import Path, check_finite, file_size, one_line, read_bytes, wrong
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

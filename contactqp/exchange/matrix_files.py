@@ -7,25 +7,17 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from contactqp.exchange import (
-    abaqus_matrix,
-    ansys,
-    calculix_matrices,
-    harwell_boeing,
-    matrix_market,
-    numpy_files,
-    text_matrix,
-)
+from contactqp.exchange import ansys, deck_matrices, harwell_boeing, matrix_market, numpy_files, text_matrix
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
 from contactqp.exchange.refusal import Path, read_bytes, wrong
 
 READERS: list[MatrixReader] = [
-    abaqus_matrix.READER,  # .mtx without Matrix Market's banner
+    deck_matrices.ABAQUS,  # .mtx without Matrix Market's banner
     matrix_market.READER,
     harwell_boeing.READER,
     numpy_files.READER,
-    calculix_matrices.READER,
-    calculix_matrices.MASS,
+    deck_matrices.CALCULIX,
+    deck_matrices.MASS,
     ansys.READER,
     text_matrix.READER,
 ]

@@ -21,9 +21,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import Unsupported
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader, say_sums
-from contactqp.exchange.refusal import Path, check_rows, file_size, is_number, no_number, number, wrong
+from contactqp.exchange.refusal import Ledger, Path, check_rows, file_size, is_number, no_number, number, wrong
 
 BANNER = b"%%MatrixMarket"
 NAME = "Matrix Market"

@@ -19,10 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import ContactQPError, Unsupported
-from contactqp.exchange.ledger import Ledger
-from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.matrix_storage import COLUMNS, ROWS, StoredMatrix, matrix_of
-from contactqp.exchange.refusal import Path, check_rows, file_size, one_line, wrong
+from contactqp.exchange.matrix_reader import COLUMNS, ROWS, MatrixFile, MatrixReader, StoredMatrix, matrix_of
+from contactqp.exchange.refusal import Ledger, Path, check_rows, file_size, one_line, wrong
 
 NAME = "NumPy's .npy or .npz"
 NUMPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"

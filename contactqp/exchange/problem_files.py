@@ -7,14 +7,12 @@ from pathlib import Path as FilePath
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.fclib import read_fclib
 from contactqp.exchange.hdf5_file import SIGNATURE, SIGNATURE_PLACES, is_hdf5
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP
-from contactqp.exchange.problem_archive import read_problem_archive
-from contactqp.exchange.problem_folder import is_problem_folder, read_problem_folder, tie_names
+from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder, tie_names
 from contactqp.exchange.problem_writing import PROBLEM_FILE
-from contactqp.exchange.refusal import Path, read_bytes, wrong
-from contactqp.exchange.siconos_text import read_siconos
+from contactqp.exchange.refusal import Ledger, Path, read_bytes, wrong
+from contactqp.exchange.siconos import read_siconos
 from contactqp.model.global_problem import GlobalProblem
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem

@@ -1,4 +1,9 @@
-"""What is said of a file that is not what it should be: the file, the place in it, what was expected, what came."""
+"""What is said of a file that is not what it should be: the file, the place in it, what was expected, what came.
+
+What became of a file on its way into a problem or an answer: nothing is dropped or assumed in silence.
+
+The lines of a text file that another program printed, one after the other: files may be larger than memory.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -176,3 +182,56 @@ def check_rows(path: Path, place: str, rows: int) -> None:
 
 def _unreadable(path: Path, expected: str, error: Exception) -> InvalidProblem:
     return InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or one_line(error)})")
+
+
+KINDS = ("read", "converted", "assumed", "ignored")
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """What was read, converted, assumed and ignored of one source, a line each; readers add to it as they go."""
+
+    source: str
+    read: list[str] = field(default_factory=list)
+    converted: list[str] = field(default_factory=list)  # other signs, units or orders than ours
+    assumed: list[str] = field(default_factory=list)  # what the source does not say
+    ignored: list[str] = field(default_factory=list)  # what it says and no problem or answer has a place for
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """Kind and line, in the order of `KINDS`."""
+        for kind in KINDS:
+            for line in getattr(self, kind):
+                yield kind, line
+
+    def data(self) -> dict[str, object]:
+        """All of it, for JSON."""
+        return {"source": self.source} | {kind: list(getattr(self, kind)) for kind in KINDS}
+
+
+# Programs that print tables of numbers break their lines; what does not is none of their files.
+LONGEST = 2**16
+
+
+def text_lines(path: Path, expected: str) -> Iterator[str]:
+    """The lines, without their ends.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, an empty one, a byte that is not ASCII or zero, an endless line, or a last line that does not
+        end: such a file was cut off, maybe within a number.
+    """
+    if not file_size(path, expected):
+        raise wrong(path, "content", expected, "nothing")
+    number = 0
+    with open(path, "rb") as file:
+        while line := file.readline(LONGEST):
+            number += 1
+            if not line.endswith(b"\n"):
+                if len(line) == LONGEST:
+                    raise wrong(path, f"line {number}", f"at most {LONGEST} bytes", "more")
+                raise wrong(path, "last line", "a line break after it", "the end of the file: it was cut off")
+            if not line.isascii() or b"\0" in line:
+                strange = next(byte for byte in line if byte > 127 or byte == 0)
+                raise wrong(path, f"line {number}", expected, f"the byte 0x{strange:02x}")
+            yield line.rstrip(b"\r\n").decode("ascii")

@@ -6,6 +6,15 @@
     left,142.5,10.0
 
 Cells are apart by commas, semicolons or tabs; comments begin with #.
+
+Contacts, ties and loads by the names of unknowns, for a stiffness whose unknowns are called like "12.x".
+
+    contacts.csv   contact,dof,coefficient,gap[,tangent[,tangent_2],friction,slip_origin[,slip_origin_2]]
+    ties.csv       tie,dof,coefficient[,value]
+    load.csv       dof,load
+
+A contact has a row for every unknown in it: its coefficient in E_N (and E_T); what belongs to the contact as a whole
+stands in its first row, and in the others the same or nothing. Without names unknowns are positions counted from 0.
 """
 
 from __future__ import annotations
@@ -13,10 +22,16 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from contactqp.exchange.refusal import Path, no_number, number, read_bytes, read_text, wrong
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.exchange.answer_reader import plain_name
+from contactqp.exchange.refusal import Ledger, Path, no_number, number, read_bytes, read_text, wrong
 
 EXPECTED = "a table with named columns"
 HEAD = 512
@@ -110,3 +125,165 @@ def _cells(path: Path, text: str) -> list[tuple[int, list[str]]]:
     if len(rows) != len(numbered):
         raise wrong(path, "content", EXPECTED, "a quoted cell that goes over a line's end")
     return [(number, row) for (number, _), row in zip(numbered, rows, strict=True)]
+
+
+TANGENTS = ("tangent", "tangent_2")
+ORIGINS = ("slip_origin", "slip_origin_2")
+
+
+class Unknowns:
+    """Where an unknown stands, by its name, also as others spell it, or where there are no names by its position."""
+
+    def __init__(self, names: Sequence[str] | None, count: int) -> None:
+        self.count = count
+        self.named = names is not None
+        self.respelled: dict[str, str] = {}  # what a table calls an unknown, and what it is called here
+        self._place = {name: j for j, name in enumerate(names if names is not None else map(str, range(count)))}
+        self._meaning: dict[str, list[str]] = {}
+        for name in self._place if self.named else ():
+            self._meaning.setdefault(plain_name(name) or name, []).append(name)
+
+    def place(self, table: Table, line: int, name: str) -> int:
+        if name in self._place:
+            return self._place[name]
+        found = self._meaning.get(plain_name(name) or "", [])
+        if len(found) > 1:
+            raise wrong(table.path, f"line {line}", f"one of {found[0]!r:.40} and {found[1]!r:.40}", repr(name[:40]))
+        if not found:
+            known = f"one of the {self.count} unknowns, such as {next(iter(self._place), '')!r:.40}"
+            raise wrong(table.path, f"line {line}", known, repr(name[:40]))
+        self.respelled[name] = found[0]
+        return self._place[found[0]]
+
+    def say(self, what: str, ledger: Ledger) -> None:
+        """What was assumed of names, once for each table."""
+        if not self.named:
+            ledger.assumed.append(f"{what}: the stiffness has no names: unknowns are positions counted from 0")
+        if self.respelled:
+            theirs, ours = next(iter(self.respelled.items()))
+            count = len(self.respelled)
+            ledger.assumed.append(f"{what}: {count} unknowns spelled otherwise, such as {theirs:.40} for {ours:.40}")
+            self.respelled.clear()
+
+
+def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[str, Any], list[str]]:
+    """normal, gap and, where their columns are there, tangent, friction, slip_origin; and the names of the contacts.
+
+    Raises
+    ------
+    InvalidProblem
+        As `read_tables`; a column that is missing or unknown, an unknown twice in a contact, two gaps of one contact.
+    """
+    table = _table(path, "contact", ("dof", "coefficient", "gap"), (*TANGENTS, "friction", *ORIGINS))
+    names, row = _grouped(table)
+    parts: dict[str, Any] = {
+        "normal": _rows(table, "coefficient", row, len(names), unknowns),
+        "gap": np.array(_of_group(table, "gap", row, names)),
+    }
+    directions = [column for column in TANGENTS if column in table.columns]
+    if directions:
+        blocks = [_rows(table, column, row, len(names), unknowns) for column in directions]
+        order = np.arange(len(directions) * len(names)).reshape(len(directions), -1).T.ravel()
+        parts["tangent"] = sp.csr_array(sp.vstack(blocks))[order]
+    if "friction" in table.columns:
+        parts["friction"] = np.array(_of_group(table, "friction", row, names))
+    origins = [column for column in ORIGINS if column in table.columns]
+    if origins:
+        parts["slip_origin"] = np.array([_of_group(table, column, row, names) for column in origins]).T
+    _say(table, names, "contacts", unknowns, ledger)
+    return parts, names
+
+
+def read_tie_names(path: Path) -> list[str]:
+    """What the ties of a table are called, in the order of their rows; raises as `read_contact_rows`."""
+    return _grouped(_tie_table(path))[0]
+
+
+def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> dict[str, Any]:
+    """tie and, where its column is there, tie_value; raises as `read_contact_rows`."""
+    table = _tie_table(path)
+    names, row = _grouped(table)
+    parts: dict[str, Any] = {"tie": _rows(table, "coefficient", row, len(names), unknowns)}
+    if "value" in table.columns:
+        parts["tie_value"] = np.array(_of_group(table, "value", row, names))
+    _say(table, names, "ties", unknowns, ledger)
+    return parts
+
+
+def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> NDArray[np.float64]:
+    """(n,) the load; unknowns that are not named carry none. Raises as `read_contact_rows`."""
+    table = _table(path, "dof", ("load",), ())
+    places = [unknowns.place(table, line, name) for line, name in zip(table.lines, table.column("dof"), strict=True)]
+    _refuse_twice(table, places)
+    load = np.zeros(unknowns.count)
+    load[places] = table.numbers("load")
+    ledger.read.append(f"load: {len(places)} of {unknowns.count} unknowns")
+    if len(places) < unknowns.count:
+        ledger.assumed.append(f"load: none at the {unknowns.count - len(places)} unknowns that are not in the table")
+    unknowns.say("load", ledger)
+    return load
+
+
+def _tie_table(path: Path) -> Table:
+    return _table(path, "tie", ("dof", "coefficient"), ("value",))
+
+
+def _table(path: Path, key: str, needed: Sequence[str], possible: Sequence[str]) -> Table:
+    tables = read_tables(path, (key,))
+    if len(tables) != 1:
+        raise wrong(path, "content", f"one table that begins with {key}", f"{len(tables)}")
+    columns = set(tables[0].columns) - {key}
+    missing, odd = set(needed) - columns, columns - set(needed) - set(possible)
+    if missing or odd:
+        expected = f"the columns {', '.join((key, *needed))}, and at most {', '.join(possible) or 'these'}"
+        raise wrong(path, "columns", expected, ", ".join(tables[0].columns)[:100])
+    return tables[0]
+
+
+def _grouped(table: Table) -> tuple[list[str], list[int]]:
+    """The names of contacts or ties in the order in which they come, and the row of the matrix of each line."""
+    given = table.column(table.columns[0])
+    names = list(dict.fromkeys(given))
+    place = {name: i for i, name in enumerate(names)}
+    return names, [place[name] for name in given]
+
+
+def _rows(table: Table, column: str, row: list[int], count: int, unknowns: Unknowns) -> Any:
+    entries = zip(table.lines, table.column("dof"), strict=True)
+    places = [unknowns.place(table, line, name) for line, name in entries]
+    _refuse_twice(table, list(zip(row, places, strict=True)))
+    values = [_cell(table, k, column) for k in range(len(row))]
+    stored = sp.coo_array((values, (row, places)), shape=(count, unknowns.count))
+    return sp.csr_array(stored)
+
+
+def _cell(table: Table, k: int, column: str) -> float:
+    cell = table.rows[k][table.columns.index(column)]
+    return cell_number(table.path, table.lines[k], cell)
+
+
+def _refuse_twice(table: Table, entries: Sequence[Any]) -> None:
+    seen: set[Any] = set()
+    for line, entry in zip(table.lines, entries, strict=True):
+        if entry in seen:
+            raise wrong(table.path, f"line {line}", "every unknown once", "one that was there before")
+        seen.add(entry)
+
+
+def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> list[float]:
+    """One value for each contact; it may be left out where the contact goes on."""
+    found: dict[int, float] = {}
+    for k, i in enumerate(row):
+        cell = table.rows[k][table.columns.index(column)]
+        if cell == "" and i in found:
+            continue
+        value = _cell(table, k, column)
+        if found.setdefault(i, value) != value:
+            place = f"line {table.lines[k]}"
+            raise wrong(table.path, place, f"the {column} {found[i]:g} of {names[i]!r:.40} again", f"{value:g}")
+    return [found[i] for i in range(len(names))]
+
+
+def _say(table: Table, names: list[str], what: str, unknowns: Unknowns, ledger: Ledger) -> None:
+    ledger.read.append(f"{what}: {len(names)} in {len(table.rows)} rows")
+    unknowns.say(what, ledger)

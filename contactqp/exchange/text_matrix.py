@@ -9,9 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
-from contactqp.exchange.refusal import Path, file_size, is_number, no_number, number, refuse_utf_16, wrong
+from contactqp.exchange.refusal import Ledger, Path, file_size, is_number, no_number, number, refuse_utf_16, wrong
 
 NAME = "text or CSV"
 EXPECTED = "numbers in text or CSV"

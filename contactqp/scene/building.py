@@ -23,7 +23,7 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.corners import end_time, factors_at
 from contactqp.scene.exact_loads import Row, exact_loads, sum_of
 from contactqp.scene.exact_numbers import displacements, ends, point, value
-from contactqp.scene.obstacles import obstacle
+from contactqp.scene.obstacles import obstacle as obstacle_named
 from contactqp.scene.units import KINDS, read_unit
 from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
 
@@ -259,4 +259,4 @@ def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRow
     if item.kind == "plane":
         plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
         return obstacle.against_plane(where, plane)
-    return obstacle.against_surface(where, obstacle(scene, name))
+    return obstacle.against_surface(where, obstacle_named(scene, name))

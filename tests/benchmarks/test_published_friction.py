@@ -15,7 +15,7 @@ from benchmarks.friction_score import Arrays, projection, score
 from benchmarks.performance_profiles import draw
 from benchmarks.siconos_process import block_text
 from contactqp.certificate.local_certificate import certify_local
-from contactqp.exchange.siconos_text import read_siconos
+from contactqp.exchange.siconos import read_siconos
 from tests.solving.friction.test_local import made
 
 needs_siconos = pytest.mark.skipif(

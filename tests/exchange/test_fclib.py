@@ -271,7 +271,7 @@ def test_what_cannot_be_written_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(cq.InvalidProblem, match="storage: expected 'csc', 'csr' or 'triplet', got 'coo'"):
         cq.write_fclib(file, problem, storage="coo")
     with monkeypatch.context() as patch:
-        patch.setattr("contactqp.exchange.fclib_writing._put_vectors", _full_disk)
+        patch.setattr("contactqp.exchange.fclib._put_vectors", _full_disk)
         with pytest.raises(cq.InvalidProblem, match="No space left"):
             cq.write_fclib(file, problem)
     assert file.read_bytes() == before

@@ -9,8 +9,8 @@ import pytest
 
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
-from contactqp.exchange.ledger import Ledger
 from contactqp.exchange.matrix_reader import MatrixFile, MatrixReader
+from contactqp.exchange.refusal import Ledger
 from contactqp.exchange.refusal import Path as AnyPath
 from contactqp.model.problem import ContactProblem
 

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.exchange.answer_files import read_answer
-from contactqp.exchange.unknown_names import axis_called, plain_name
+from contactqp.exchange.answer_reader import axis_called, plain_name
 from tests.cli.test_cli import CASES, run
 
 NAMES = ("1.x", "1.y", "2.x")

@@ -1,4 +1,6 @@
-"""Matrices in Siconos's text: dense, sparse blocks, and the dumps of CSparse.
+"""The words of a Siconos text file, taken one after another; what is not a number is refused with its line.
+
+Matrices in Siconos's text: dense, sparse blocks, and the dumps of CSparse.
 
 storage  size0  size1      and then, by storage,
 0   size0 size1, and the values column by column
@@ -6,6 +8,14 @@ storage  size0  size1      and then, by storage,
     column; the lengths of two lists: the first block of each block row, the block column of each block; then for
     each block its number and its values column by column
 2   1 (triplets) or 2 (columns), and what CSparse prints, with the six digits it prints
+
+Siconos's text files of frictional contact.
+
+    dimension, contacts, W, q, mu                 local:   u = W r + q
+    dimension, contacts, M, H, f, w, mu           global:  M v = H r + f,  u = H'v + w
+
+Old versions end a local file with one more number, 0 or 1. Nothing in a file says which of the two it is: it is local
+if its first matrix has the size of the contacts and what follows it is q and mu. Names of files say nothing.
 """
 
 from __future__ import annotations
@@ -17,9 +27,138 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import Unsupported
-from contactqp.exchange.refusal import wrong
-from contactqp.exchange.siconos_numbers import Words, as_integers, as_numbers
+from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.exchange.fclib import solvable
+from contactqp.exchange.refusal import (
+    Path,
+    check_dimension,
+    check_finite,
+    check_friction,
+    is_number,
+    naming,
+    read_bytes,
+    wrong,
+)
+from contactqp.model.global_problem import GlobalProblem
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
+
+EXPECTED = "a Siconos file (text)"
+
+
+class Words:
+    """A place in a text; line breaks are like blanks to Siconos."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        data = read_bytes(path, EXPECTED)
+        try:
+            self._text = data.decode("ascii")
+        except UnicodeDecodeError as error:
+            byte = f"the byte 0x{data[error.start]:02x} at place {error.start}"
+            raise wrong(path, "content", EXPECTED, byte) from None
+        self._words = self._text.split()
+        self._next = 0
+        if not self._words:
+            raise wrong(path, "content", EXPECTED, "an empty file")
+
+    @property
+    def left(self) -> int:
+        """How many words there still are."""
+        return len(self._words) - self._next
+
+    def peek(self) -> str | None:
+        """The next word, if there is one."""
+        return self._words[self._next] if self.left else None
+
+    def ahead(self, count: int) -> list[str]:
+        """The next words, without taking them."""
+        return self._words[self._next : self._next + count]
+
+    def words(self, count: int, what: str) -> list[str]:
+        """The next words; `what` says what they are.
+
+        Raises
+        ------
+        InvalidProblem
+            The text ends before.
+        """
+        if count > self.left:
+            raise wrong(self.path, what, f"{count} {'value' if count == 1 else 'values'}", f"{self.left}, then the end")
+        taken = self._words[self._next : self._next + count]
+        self._next += count
+        return taken
+
+    def integer(self, what: str) -> int:
+        return int(self.integers(1, what)[0])
+
+    def size(self, what: str) -> int:
+        value = self.integer(what)
+        if value < 0:
+            raise wrong(self.path, what, "a size", value)
+        return value
+
+    def integers(self, count: int, what: str) -> NDArray[np.int64]:
+        first = self._next
+        return as_integers(self, self.words(count, what), what, first)
+
+    def numbers(self, count: int, what: str) -> NDArray[np.float64]:
+        """(count,) finite numbers."""
+        first = self._next
+        return as_numbers(self, self.words(count, what), what, first)
+
+    def literal(self, *expected: str, what: str) -> None:
+        """Step over these words."""
+        first = self._next
+        taken = self.words(len(expected), what)
+        for place, (want, got) in enumerate(zip(expected, taken, strict=True)):
+            if want != got:
+                raise self.unexpected(what, repr(want), first + place)
+
+    def unexpected(self, what: str, expected: str, place: int | None = None) -> InvalidProblem:
+        """The refusal of the word at a place, the one taken last by default."""
+        at = self._next - 1 if place is None else place
+        return wrong(self.path, f"{what} (line {self._line(at)})", expected, repr(self._words[at][:40]))
+
+    @property
+    def place(self) -> int:
+        return self._next
+
+    def _line(self, place: int) -> int:
+        before = 0
+        for number, line in enumerate(self._text.splitlines(), start=1):
+            before += len(line.split())
+            if before > place:
+                return number
+        return 0
+
+
+def as_integers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.int64]:
+    """Words as integers; the k-th stands at the place first + k step."""
+    try:
+        return np.array([int(word) for word in taken], dtype=np.int64)
+    except (ValueError, OverflowError):
+        bad = next(k for k, word in enumerate(taken) if not _is_integer(word))
+        raise words.unexpected(what, "an integer", first + bad * step) from None
+
+
+def as_numbers(words: Words, taken: list[str], what: str, first: int, step: int = 1) -> NDArray[np.float64]:
+    """Words as finite numbers; the k-th stands at the place first + k step."""
+    try:
+        values = np.array([float(word) for word in taken])
+    except ValueError:
+        bad = next(k for k, word in enumerate(taken) if not is_number(word))
+        raise words.unexpected(what, "a number", first + bad * step) from None
+    check_finite(words.path, what, values)
+    return values
+
+
+def _is_integer(word: str) -> bool:
+    try:
+        return abs(int(word)) <= np.iinfo(np.int64).max
+    except ValueError:
+        return False
+
 
 DENSE, BLOCKS, SPARSE = 0, 1, 2
 TRIPLETS, COLUMNS, ROWS = 1, 2, 3
@@ -195,3 +334,63 @@ def _colons(words: Words, taken: list[str], name: str, first: int, step: int) ->
     bad = next((k for k, word in enumerate(taken) if word != ":"), None)
     if bad is not None:
         raise words.unexpected(f"{name}, dump", "':'", first + bad * step)
+
+
+# What old versions of Siconos put at the end: whether a problem is complete.
+COMPLETE = ("0", "1")
+# The shortest matrix that can follow: storage, rows, columns.
+MATRIX_HEAD = 3
+
+
+def read_siconos(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
+    """The problem in a text file of Siconos; returns as `read_fclib`.
+
+    Sparse matrices (storage 2) stand in the file with six digits: what is read is that problem, not the one that
+    Siconos had in memory.
+
+    Raises
+    ------
+    InvalidProblem
+        No such file, text that ends early or goes on, a word that is no number, sizes that do not agree, NaN.
+    Unsupported
+        Contacts that resist rolling.
+    """
+    stored = _read(Words(path))
+    return stored if as_stored else solvable(stored, path)
+
+
+def _read(words: Words) -> LocalProblem | GlobalProblem:
+    d = check_dimension(words.path, "dimension", words.integer("dimension"))
+    m = words.size("number of contacts")
+    matrix = read_matrix(words, "first matrix")
+    rows, columns = matrix.shape
+    if rows != columns:
+        raise wrong(words.path, "first matrix", "a square one (W or M)", matrix.shape)
+    tail, bodies = (d + 1) * m, MATRIX_HEAD + rows + (d + 1) * m
+    if rows == d * m and words.left < bodies:
+        _refuse_head_of_matrix(words, rows)
+        q, mu = words.numbers(d * m, "q"), words.numbers(m, "mu")
+        _end(words, f"the {tail} numbers of q and mu")
+        check_friction(words.path, "mu", mu)
+        with naming(words.path):
+            return LocalProblem(delassus=matrix, offset=q, friction=mu, dimension=d)
+    H = read_matrix(words, "H", (rows, d * m))
+    f, w, mu = words.numbers(rows, "f"), words.numbers(d * m, "w"), words.numbers(m, "mu")
+    _end(words, "mu")
+    check_friction(words.path, "mu", mu)
+    with naming(words.path):
+        return GlobalProblem(matrix=matrix, directions=H, load=f, offset=w, friction=mu, dimension=d)
+
+
+def _refuse_head_of_matrix(words: Words, size: int) -> None:
+    """A global file that ends within H must not pass for a local one; q is written with decimal points."""
+    if words.left >= MATRIX_HEAD and words.ahead(MATRIX_HEAD) in ([storage, f"{size}", f"{size}"] for storage in "012"):
+        found = " ".join(words.ahead(MATRIX_HEAD))
+        raise wrong(words.path, "after the first matrix", "q, or the whole of a second matrix", f"{found!r}, its head")
+
+
+def _end(words: Words, after: str) -> None:
+    if words.left == 1 and words.peek() in COMPLETE:
+        return
+    if words.left:
+        raise wrong(words.path, f"after {after}", "the end", f"{words.left} more, beginning with {words.peek()!r:.40}")
