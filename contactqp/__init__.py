@@ -79,7 +79,7 @@ if TYPE_CHECKING:
     from contactqp.model.solution import Certificate as Certificate
     from contactqp.model.solution import LocalCertificate as LocalCertificate
     from contactqp.model.solution import Solution as Solution
-    from contactqp.oracle.diagnosis.finding import Finding as Finding
+    from contactqp.oracle.diagnosis.evidence import Finding as Finding
     from contactqp.oracle.exact.exact import exact as exact
     from contactqp.oracle.exact.exact_solution import ExactSolution as ExactSolution
     from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
@@ -117,7 +117,7 @@ _HOME = {
     "Equal": "elements.energies.limits",
     "ExactEquilibrium": "solving.friction.exact_enumeration",
     "ExactSolution": "oracle.exact.exact_solution",
-    "Finding": "oracle.diagnosis.finding",
+    "Finding": "oracle.diagnosis.evidence",
     "GlobalProblem": "model.global_problem",
     "History": "analysis.history",
     "InvalidProblem": "errors",

@@ -106,9 +106,8 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
     CASE is a case file, whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file of another code,
     whose floats are taken as they stand. Exit 1 if there is no equilibrium or nothing could be proven.
     """
-    from contactqp.oracle.exact.exact import exact
-    from contactqp.oracle.exact.printing import answer_data, print_answer
-    from contactqp.oracle.exact.reading import read_case, tie_names
+    from contactqp.oracle.exact.exact import exact, read_case, tie_names
+    from contactqp.oracle.exact.exact_solution import answer_data, print_answer
 
     asked = read_case(case)
     answer = exact(asked, method)

@@ -121,8 +121,7 @@ def gallery_command(
     DIR must be new or empty. index.json lists the problems; each has a folder with problem.json, stiffness.mtx,
     load.mtx, normal.mtx, gap.mtx and so on, and answer.json with its exact answer, in doubles and as fractions.
     """
-    from contactqp.oracle.gallery.files import summary, write_gallery
-    from contactqp.oracle.gallery.gallery import chosen_problems
+    from contactqp.oracle.gallery.gallery import chosen_problems, summary, write_gallery
 
     chosen = chosen_problems(names, kind, difficulty, count, seed)
     if listed == (folder is not None):

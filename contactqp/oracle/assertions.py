@@ -1,21 +1,247 @@
-"""Assertions for the tests of a contact code; what fails is said in words, beside the right values."""
+"""Assertions for the tests of a contact code; what fails is said in words, beside the right values.
+
+The answer that somebody's numbers are held against: exact where it is known, else a certified solution.
+
+How far somebody's numbers are from the right ones: component by component, or by what the forces do together.
+"""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
+from contactqp.model.arrays import Vector
+from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.oracle.deviations import Deviation, deviations_table, displacement_deviations, force_deviations
+from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
+from contactqp.oracle.foreign.judging import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
-from contactqp.oracle.reference import Reference, known_reference, name_of, plain_problem, solved_reference
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A right answer, and whether it is the only one."""
+
+    problem: ContactProblem
+    name: str
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: NDArray[np.float64] | None  # (m, d-1)
+    tie_force: Vector  # (k,)
+    open: NDArray[np.bool_]  # (m,)
+    slip: NDArray[np.float64]  # (m, d-1) zero where it sticks, (m, 0) without friction
+    one_displacement: bool
+    one_force: bool
+
+    @property
+    def length(self) -> float:
+        """What displacements are relative to: the largest of them, or else of what they must reach; 0 if all vanish."""
+        problem = self.problem
+        origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
+        moved = _largest(self.displacement)
+        return moved if moved > 0 else max(_largest(problem.gap), _largest(origin), _largest(problem.tie_value))
+
+    @property
+    def force(self) -> float:
+        """What forces are relative to: the largest that a contact or tie puts on an unknown, or else of the load."""
+        parts = [weights(self.problem.normal) * abs(self.normal_force), weights(self.problem.tie) * abs(self.tie_force)]
+        if self.friction_force is not None:
+            parts.append(weights(self.problem.tangent) * abs(self.friction_force).ravel())
+        return _largest(np.concatenate(parts)) or _largest(self.problem.load)
+
+    @property
+    def resultant(self) -> Vector:
+        """E_N'l_N + E_T'l_T + A'nu (n,): what all forces do to the bodies together."""
+        problem = self.problem
+        total = problem.normal.T @ self.normal_force + problem.tie.T @ self.tie_force
+        if problem.tangent is not None and self.friction_force is not None:
+            total = total + problem.tangent.T @ self.friction_force.ravel()
+        return np.asarray(total)
+
+
+def weights(rows: Any) -> Vector:
+    """max_j |E_ij| of every row: a multiplier times this is the largest force that it puts on an unknown."""
+    return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
+
+
+def plain_problem(problem: ContactProblem | GalleryProblem) -> ContactProblem:
+    """The contact problem itself."""
+    return problem.problem if isinstance(problem, GalleryProblem) else problem
+
+
+def name_of(problem: ContactProblem | GalleryProblem) -> str:
+    return problem.name if isinstance(problem, GalleryProblem) else repr(problem)
+
+
+def known_reference(known: GalleryProblem) -> Reference:
+    """The exact answer of a gallery problem."""
+    problem, exact = known.problem, known.exact
+    return Reference(
+        problem,
+        known.name,
+        known.displacement,
+        known.normal_force,
+        known.friction_force,
+        known.tie_force,
+        np.array([gap > 0 for gap in exact.gap], dtype=bool),
+        np.array([[float(x) for x in row] for row in exact.slip]).reshape(problem.contacts, -1 if exact.slip else 0),
+        known.unique_displacement,
+        known.unique_forces,
+    )
+
+
+def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
+    """A certified solution, of several the one nearest to an answer.
+
+    Raises
+    ------
+    ContactQPError
+        There is none, or none was found.
+    """
+    found = right_answer(problem, answer)
+    sliding = found.contact_status == "slip"
+    slip = np.zeros((problem.contacts, 0)) if found.slip is None else np.where(sliding[:, None], found.slip, 0.0)
+    only = not found.certificate.uniqueness
+    return Reference(
+        problem,
+        repr(problem),
+        found.displacement,
+        found.normal_force,
+        found.friction_force,
+        found.tie_force,
+        found.contact_status == "open",
+        slip,
+        only,
+        only if problem.frictional else found.certificate.force_bound is not None,
+    )
+
+
+def _largest(values: Vector) -> float:
+    return float(np.max(abs(values), initial=0.0))
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One number that is wrong; `size` is relative to the largest right one of its kind."""
+
+    what: str
+    where: str
+    value: float
+    right: float
+    size: float
+
+
+def displacement_deviations(reference: Reference, displacement: Vector, rtol: float) -> list[Deviation]:
+    """Unknowns further than rtol times the largest displacement from the right ones; none where those have no size."""
+    if not reference.one_displacement or not reference.length > 0:
+        return []
+    problem = reference.problem
+    return _beyond("displacement", problem.dof_name, displacement, reference.displacement, 1 / reference.length, rtol)
+
+
+def force_deviations(
+    reference: Reference,
+    normal_force: Vector,
+    friction_force: NDArray[np.float64] | None,
+    tie_force: Vector | None,
+    rtol: float,
+) -> list[Deviation]:
+    """Forces further than rtol times the largest one from the right ones.
+
+    A multiplier is measured by the largest force that it puts on an unknown, max_j |E_ij| |l_i|: scaling a row changes
+    nothing. Where forces are not unique, what they do together is compared instead: `resultant_deviations`.
+    """
+    if not reference.one_force:
+        return resultant_deviations(reference, normal_force, friction_force, tie_force, rtol)
+    problem, scale = reference.problem, reference.force
+    name = problem.contact_name
+    rows = [("normal force", name, normal_force, reference.normal_force, problem.normal)]
+    if friction_force is not None and reference.friction_force is not None:
+        width = friction_force.shape[1]
+        given, right = friction_force.ravel(), reference.friction_force.ravel()
+        rows.append(("friction force", lambda i: name(i // width), given, right, problem.tangent))
+    if tie_force is not None:
+        rows.append(("tie force", lambda i: f"tie {i}", tie_force, reference.tie_force, problem.tie))
+    return [
+        one
+        for what, called, given, right, matrix in rows
+        for one in _beyond(what, called, given, right, _relative(weights(matrix), scale), rtol)
+    ]
+
+
+def resultant_deviations(
+    reference: Reference,
+    normal_force: Vector,
+    friction_force: NDArray[np.float64] | None,
+    tie_force: Vector | None,
+    rtol: float,
+) -> list[Deviation]:
+    """What is wrong with forces that are one answer among others.
+
+    Right are all that do the same together, E_N'l_N + E_T'l_T + A'nu, that pull nowhere and push at no open contact,
+    and that obey Coulomb's law. Tie forces that were not given may be any.
+    """
+    problem = reference.problem
+    right = reference.resultant
+    scale = float(np.max(abs(right), initial=0.0)) or reference.force
+    name, size = problem.contact_name, _relative(weights(problem.normal), scale)
+    nothing = np.zeros(problem.contacts)
+    found = _beyond("tension", name, np.minimum(normal_force, 0), nothing, size, rtol)
+    found += _beyond("force at an open contact", name, np.where(reference.open, normal_force, 0), nothing, size, rtol)
+    change = problem.normal.T @ (normal_force - reference.normal_force)
+    if friction_force is not None and problem.tangent is not None and problem.friction is not None:
+        change = change + problem.tangent.T @ (friction_force - np.asarray(reference.friction_force)).ravel()
+        bound = problem.friction * np.maximum(normal_force, 0)
+        found += _beyond("friction force", name, np.maximum(lengths(friction_force), bound), bound, size, rtol)
+        slides = np.any(reference.slip != 0, axis=1)
+        along = np.sum(friction_force * directions(reference.slip), axis=1)
+        found += _beyond("friction along the slip", name, np.where(slides, along, bound), bound, size, rtol)
+    if tie_force is not None:
+        change = change + problem.tie.T @ (tie_force - reference.tie_force)
+    elif problem.ties:
+        A = problem.tie.toarray()
+        change = change - A.T @ np.linalg.lstsq(A.T, change, rcond=None)[0]
+    together = _relative(np.ones(problem.dimension), scale)
+    return found + _beyond("resultant", problem.dof_name, right + change, right, together, rtol)
+
+
+def deviations_table(found: list[Deviation], force: str = "", length: str = "", limit: int = 10) -> str:
+    """The deviations as text, the largest first."""
+    units = {"displacement": length}
+    lines = [["where", "what", "given", "right", "relative"]]
+    for one in sorted(found, key=lambda one: -one.size if one.size == one.size else -np.inf)[:limit]:
+        unit = units.get(one.what, force)
+        numbers = [f"{value:.12g}{' ' + unit if unit else ''}" for value in (one.value, one.right)]
+        lines.append([one.where, one.what, *numbers, f"{one.size:.2g}"])
+    widths = [max(len(line[j]) for line in lines) for j in range(5)]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    return "\n".join(text + ([f"and {len(found) - limit} more"] if len(found) > limit else []))
+
+
+def _relative(size: Vector, scale: float) -> Vector:
+    return size / scale if scale > 0 else np.where(size > 0, np.inf, 0.0)
+
+
+def _beyond(what: str, called: Callable[[int], str], given: Any, right: Any, size: Any, rtol: float) -> list[Deviation]:
+    """The entries whose difference times `size` is larger than rtol, or no number."""
+    given, right = np.asarray(given, dtype=float), np.asarray(right, dtype=float)
+    apart = abs(given - right)
+    relative = np.where(apart > 0, apart, 0.0) * np.broadcast_to(size, apart.shape) if apart.size else apart
+    relative = np.where(np.isfinite(given), np.where(apart == 0, 0.0, relative), np.inf)
+    return [
+        Deviation(what, called(int(i)), float(given[i]), float(right[i]), float(relative[i]))
+        for i in np.flatnonzero(relative > rtol)
+    ]
+
 
 # Longest line of a diagnosis.
 WIDTH = 110

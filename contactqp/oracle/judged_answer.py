@@ -19,11 +19,10 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
-from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.diagnosis.evidence import Finding
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.foreign.judged_contacts import JudgedContact, contacts_table, judged_contacts
-from contactqp.oracle.foreign.judging import judge
-from contactqp.oracle.foreign.right_answer import right_answer
+from contactqp.oracle.foreign.judging import judge, right_answer
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,7 +14,7 @@ from benchmarks import counting, judging, silently_wrong
 from benchmarks.bricks import few_bits
 from benchmarks.exact_truth import condition, find_truth
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.oracle.exact.lemke import lemke
+from contactqp.oracle.exact.complementarity import lemke
 from contactqp.oracle.exact.rational import NoSolution, floats, matrix, null_space, number
 
 SOLVABLE = [name for name, entry in FAMILIES.items() if entry.solvable]

@@ -13,8 +13,7 @@ import contactqp as cq
 from contactqp.certificate import state_answer
 from contactqp.oracle.assertions import assert_contact_solution, assert_multipliers
 from contactqp.oracle.gallery.gallery import problem, problems
-from contactqp.oracle.gallery.problem import GalleryProblem
-from contactqp.oracle.gallery.statement import stated
+from contactqp.oracle.gallery.problem import GalleryProblem, stated
 
 EVERY = problems()
 SLIDING = [known for known in EVERY if "slip" in known.exact.contact_status]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.diagnosis.finding import CAUSES, SYMPTOMS
+from contactqp.oracle.diagnosis.evidence import CAUSES, SYMPTOMS
 from tests.oracle.corruptions import KINDS, PROBLEMS, Base, Kind, corpus, frictional, frictionless, redundant
 
 NAMED = [kind for kind in KINDS.values() if kind.named is not None]

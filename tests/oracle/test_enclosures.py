@@ -16,10 +16,8 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.oracle.exact.definite import least_eigenvalue
-from contactqp.oracle.exact.enclosure import enclose
-from contactqp.oracle.exact.fixed_point import FixedMatrix, fixed
-from contactqp.oracle.exact.refinement import refine
+from contactqp.oracle.exact.enclosed_answer import enclose
+from contactqp.oracle.exact.refinement import FixedMatrix, fixed, least_eigenvalue, refine
 from tests.examples import truss
 
 # Redundant rows, contacts that touch with no force or with one of 1e-20 of the largest, stiffnesses ten decades apart.

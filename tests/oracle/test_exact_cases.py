@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.exact.ball import root
+from contactqp.oracle.exact.enclosed_scene import root
 from contactqp.scene.claims import Expectation
 from contactqp.scene.scene import Scene
 from tests.shipped_cases import SCENES

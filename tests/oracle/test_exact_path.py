@@ -10,11 +10,9 @@ import pytest
 from flint import fmpq, fmpq_mat
 
 import contactqp as cq
-from contactqp.oracle.exact.combination import Combination, System, system_of
-from contactqp.oracle.exact.exact_path import follow
-from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
-from contactqp.oracle.exact.loose_rates import LooseRates
-from contactqp.oracle.exact.proof import RationalAnswer
+from contactqp.oracle.exact.closed_set import Combination, System, system_of
+from contactqp.oracle.exact.exact_path import LooseRates, follow
+from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, of_floats
 from contactqp.oracle.exact.rational import column, fractions, zeros
 from tests.shipped_cases import SCENES
 

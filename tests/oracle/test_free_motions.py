@@ -11,10 +11,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.cli import main
-from contactqp.oracle.exact.enclosure import enclose
-from contactqp.oracle.exact.fixed_point import fixed
-from contactqp.oracle.exact.free_motions import carried, hold
-from contactqp.oracle.exact.refinement import refine
+from contactqp.oracle.exact.enclosed_answer import carried, enclose, hold
+from contactqp.oracle.exact.refinement import fixed, refine
 from contactqp.scene.models import build
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"

@@ -149,8 +149,7 @@ def test_what_is_not_unique_is_not_called_so() -> None:
 
 def test_forces_that_only_signs_make_unique_are_found_to_be() -> None:
     """Two opposite stops of one slide, both touching: no compression of both adds nothing... but one alone does."""
-    from contactqp.oracle.gallery.problem import ExactProblem, exact_answer
-    from contactqp.oracle.gallery.uniqueness import only_forces
+    from contactqp.oracle.gallery.problem import ExactProblem, exact_answer, only_forces
 
     def answered(normal: list[list[int]]) -> bool:
         n = len(normal[0])

@@ -15,9 +15,8 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.cli import main
 from contactqp.exchange.problem_folder import read_problem_folder
-from contactqp.oracle.gallery import files as gallery_files
-from contactqp.oracle.gallery.files import write_gallery
-from contactqp.oracle.gallery.gallery import problem, problems
+from contactqp.oracle.gallery import gallery as gallery_files
+from contactqp.oracle.gallery.gallery import problem, problems, write_gallery
 from contactqp.oracle.gallery.problem import GalleryProblem
 from tests.oracle.matrix_market_user import broken_conditions, read_matrix
 

@@ -14,8 +14,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.cli import main
-from contactqp.oracle.exact.decimals import decimal, number_data
-from contactqp.oracle.exact.printing import answer_data
+from contactqp.oracle.exact.exact_solution import answer_data, decimal, number_data
 from tests.examples import PUSHED_OFF
 
 ROOT = pathlib.Path(__file__).parents[2]

@@ -11,13 +11,9 @@ from flint import fmpq
 
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.oracle.exact.affine_family import Family
-from contactqp.oracle.exact.balancing import balance
-from contactqp.oracle.exact.closed_set import balanced, settle
-from contactqp.oracle.exact.combination import Combination, system_of
-from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
-from contactqp.oracle.exact.lemke import lemke
-from contactqp.oracle.exact.proof import STATEMENTS, RationalAnswer, status, wrong
+from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
+from contactqp.oracle.exact.complementarity import Family, lemke
+from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
 from contactqp.oracle.exact.rational import (
     NoSolution,
     column,
@@ -28,7 +24,7 @@ from contactqp.oracle.exact.rational import (
     solve_any,
     zeros,
 )
-from contactqp.oracle.exact.semidefinite import is_semidefinite
+from contactqp.oracle.exact.rational_answer import is_semidefinite
 from tests.examples import truss
 
 LEAST = fmpq(1, 10**40)

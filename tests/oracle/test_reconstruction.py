@@ -10,9 +10,8 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.oracle.exact.fixed_point import Fixed
-from contactqp.oracle.exact.reconstruction import Column, guessed, reconstruct, simplest, solves
-from contactqp.oracle.exact.refinement import refine
+from contactqp.oracle.exact.reconstructed_answer import Column, guessed, reconstruct, simplest, solves
+from contactqp.oracle.exact.refinement import Fixed, refine
 from contactqp.testing import problem as gallery
 
 

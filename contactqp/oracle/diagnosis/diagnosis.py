@@ -13,19 +13,12 @@ from collections.abc import Callable, Iterator
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
-from contactqp.oracle.diagnosis.duplicates import duplicates
-from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
-from contactqp.oracle.diagnosis.finding import Finding
+from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, symptoms, unit_of
 from contactqp.oracle.diagnosis.laws import laws
-from contactqp.oracle.diagnosis.one_value import one_value
-from contactqp.oracle.diagnosis.orders import orders
+from contactqp.oracle.diagnosis.mix_ups import duplicates, one_value, shares, shifted
+from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.other_questions import other_questions, too_large
-from contactqp.oracle.diagnosis.precision import inexact, printed
-from contactqp.oracle.diagnosis.scales import scales
-from contactqp.oracle.diagnosis.shares import shares
-from contactqp.oracle.diagnosis.shifted import shifted
-from contactqp.oracle.diagnosis.symptoms import symptoms, unit_of
-from contactqp.oracle.diagnosis.two_mistakes import two_mistakes
+from contactqp.oracle.diagnosis.scales import inexact, printed, scales
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import JudgedContact
 from contactqp.oracle.foreign.recovery import missing_parts

@@ -17,9 +17,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.solution import Violations
-from contactqp.oracle.diagnosis.evidence import Evidence, Explanation
-from contactqp.oracle.diagnosis.finding import Finding
-from contactqp.oracle.diagnosis.symptoms import unit_of
+from contactqp.oracle.diagnosis.evidence import Evidence, Explanation, Finding, unit_of
 from contactqp.oracle.foreign.judged_contacts import slips
 
 # Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.

@@ -18,9 +18,7 @@ from contactqp.linalg.iteration import iterated
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
-from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
-from contactqp.oracle.diagnosis.finding import Finding
-from contactqp.oracle.diagnosis.symptoms import NAMED
+from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding
 from contactqp.solving.solve import solve
 
 # Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.

@@ -1,17 +1,82 @@
-"""Answers that are right but for a factor: signs, units, halves, nothing at all."""
+"""Answers that are right but for a factor: signs, units, halves, nothing at all.
+
+Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
+
+Answers that are right as far as they go: single precision, printed digits, iterations that stopped early.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from contactqp.linalg.condensation import unknown_scale
 from contactqp.model.arrays import Vector
-from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation
-from contactqp.oracle.diagnosis.finding import Finding
-from contactqp.oracle.diagnosis.named_factors import CLOSE, NamedFactor, named_factor
+from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
+from contactqp.oracle.foreign.judging import judge
+
+# A factor this close to a known one is meant to be it.
+CLOSE = 1e-4
+LARGEST_POWER = 12
+# Powers of ten of units, their names as problems have them.
+LENGTHS = {"m": 0, "mm": -3, "cm": -2, "um": -6, "µm": -6, "km": 3}
+FORCES = {"N": 0, "kN": 3, "MN": 6, "mN": -3}
+WORDS = {"m": "metres", "mm": "millimetres", "cm": "centimetres", "um": "micrometres", "µm": "micrometres"}
+ENGLISH_LENGTHS = {25.4: "inches", 2.54: "inches", 0.0254: "inches", 0.3048: "feet", 12.0: "feet and inches"}
+ENGLISH_FORCES = {9.80665: "kilogram-force", 4.4482216153: "pound-force", 4448.2216153: "kilopound-force"}
+OTHERS = (
+    (2.0, "half", "both halves of a symmetric model added, or everything counted twice"),
+    (0.5, "half", "half of a symmetric model"),
+    (2 * np.pi, "radian", "a whole ring instead of one radian of it"),
+    (1 / (2 * np.pi), "radian", "one radian of a ring instead of all of it"),
+)
+
+
+class NamedFactor(NamedTuple):
+    """The kind of a factor, its exact value, and a guess in words, empty where there is nothing to say."""
+
+    kind: str
+    exact: float
+    guess: str
+
+
+def named_factor(factor: float, length: bool, unit: str) -> NamedFactor | None:
+    """What a factor of displacements or of forces is called; None if it has no name.
+
+    `unit` is the problem's own: a displacement 1000 times too large was given in the next smaller one.
+    """
+    if factor == 0:
+        return NamedFactor("zero", 0.0, "")
+    if abs(factor - 1) <= CLOSE:
+        return NamedFactor("right", 1.0, "")
+    sign, size = (1.0 if factor > 0 else -1.0), abs(factor)
+    if abs(size - 1) <= CLOSE:
+        return NamedFactor("sign", -1.0, "")
+    power = round(float(np.log10(size)))
+    if power and abs(power) <= LARGEST_POWER and abs(size / 10.0**power - 1) <= CLOSE:
+        return NamedFactor("unit", sign * 10.0**power, _power_of_ten(power, length, unit))
+    for known, called in (ENGLISH_LENGTHS if length else ENGLISH_FORCES).items():
+        for exact in (known, 1 / known):
+            if abs(size / exact - 1) <= CLOSE:
+                return NamedFactor("unit", sign * exact, f"{called} somewhere")
+    for exact, kind, guess in OTHERS:
+        if abs(size / exact - 1) <= CLOSE:
+            return NamedFactor(kind, sign * exact, guess)
+    return None
+
+
+def _power_of_ten(power: int, length: bool, unit: str) -> str:
+    known = LENGTHS if length else FORCES
+    if unit not in known:
+        unit = "" if unit else ("m" if power > 0 else "mm") if length else ("kN" if power > 0 else "N")
+    theirs = [name for name, size in known.items() if unit in known and size == known[unit] - power]
+    if not theirs:
+        return "another unit"
+    return f"{WORDS.get(theirs[0], theirs[0])} instead of {WORDS.get(unit, unit)}"
+
 
 CALLED = {
     "displacement": "displacements",
@@ -181,3 +246,80 @@ def _without_right(evidence: Evidence) -> Iterator[Explanation]:
             text = _texts(evidence, ["normal_force"], 10.0**power, one.guess if one else "", RIGHT)
             yield Explanation(Finding("unit", f"{text[0]}: {text[1]} {RIGHT}", True), 0.0)
             return
+
+
+# What is nearer than this to right is right to a few digits.
+FEW_DIGITS = 1e-3
+# Values beneath this part of the largest are noise.
+NOISE = 1e-9
+MOST_PRINTED = 12
+LOOSEST = 1e-2
+
+
+def printed(evidence: Evidence) -> Iterator[Explanation]:
+    """Numbers of single precision or of few digits, each as near to the right one as these are."""
+    if evidence.right is None or not evidence.before <= FEW_DIGITS:
+        return
+    values, right, noise = _side_by_side(evidence)
+    for kind, why, last_digit in _roundings(values):
+        if np.all(abs(values - right) <= last_digit * np.maximum(abs(values), abs(right)) + noise):
+            yield _told(evidence, kind, why)
+            return
+
+
+def inexact(evidence: Evidence) -> Iterator[Explanation]:
+    """To how many digits an answer is right that nothing else explains."""
+    if evidence.right is not None and evidence.before <= FEW_DIGITS:
+        yield _told(evidence, "inexact", "single precision, a printed answer, or iterations that stopped early?")
+
+
+def _told(evidence: Evidence, kind: str, why: str) -> Explanation:
+    text = f"it agrees with the right answer to about {digits(evidence.before)}: {why}"
+    passing = _what_passes(evidence)
+    text = f"{text} {passing}" if text.endswith("?") else f"{text}; {passing}"
+    return Explanation(Finding(kind, text, True), evidence.before)
+
+
+def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:
+    """All given values, the right ones, and what is noise beside the largest of their kind."""
+    mine = [np.ravel(getattr(evidence.given, name)) for name in evidence.given_parts]
+    right = [np.ravel(getattr(evidence.right, name)) for name in evidence.given_parts]
+    noise = [np.full(len(part), NOISE * np.max(abs(part), initial=0.0)) for part in right]
+    return np.concatenate(mine), np.concatenate(right), np.concatenate(noise)
+
+
+def _roundings(values: Vector) -> Iterator[tuple[str, str, float]]:
+    """Kind, words and relative size of the last digit of the roundings that leave the values as they are."""
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32).astype(float)
+    if np.all(np.isclose(single, values, rtol=1e-15, atol=0.0)):
+        yield "single-precision", "every number is one of single precision", float(np.finfo(np.float32).eps)
+    for count in range(1, MOST_PRINTED + 1):
+        printed = np.array([float(f"{value:.{count - 1}e}") for value in values])
+        if np.all(np.isclose(printed, values, rtol=1e-14, atol=0.0)):
+            yield "printed-digits", f"every number has {count} digits at most, as printed", 10.0 ** (1 - count)
+            return
+
+
+def _what_passes(evidence: Evidence) -> str:
+    """The tolerances, powers of ten, that would pass."""
+    found = evidence.certificate
+    sizes = [
+        float(getattr(found, one.name))
+        for one in fields(found)
+        if one.name in ("equilibrium", "balance", "penetration", "tension", "complementarity", "cone", "tie")
+    ]
+    worst = max([*sizes, found.slip_direction, (found.natural_map or 0.0) / 4, found.tolerance])
+    start = int(np.ceil(np.log10(worst))) if np.isfinite(worst) else 0
+    for power in range(start, start + 3):
+        tolerance = max(10.0**power, found.tolerance)
+        if tolerance > LOOSEST:
+            break
+        for error_tolerance in (found.error_tolerance, *(10.0**p for p in range(-6, -1))):
+            if error_tolerance < found.error_tolerance:
+                continue
+            passed, _ = judge(evidence.problem, evidence.given, tolerance, error_tolerance)
+            if passed.passed:
+                more = "" if error_tolerance == found.error_tolerance else f", error_tolerance={error_tolerance:g}"
+                return f"tolerance={tolerance:g}{more} passes it"
+    return f"no tolerance up to {LOOSEST:g} passes it"

@@ -2,22 +2,243 @@
 
 Of the displacements that are equilibria (they differ by motions that nothing drives and nothing resists) the one of
 least norm within the gaps is given, and of the forces that hold it, where contacts are redundant, those of least norm.
+
+The linear system of one combination of open, closed, stick and slip, in rational numbers.
+
+    [ K    A'   P'   T_b' ] [ u   ]   [ f ]
+    [ A                   ] [ nu  ] = [ b ]       c: closed contacts, b: those of them that stick,
+    [ E_c                 ] [ l_N ]   [ g ]       P = E_c, with mu t'E_T added where a contact slips along t
+    [ T_b                 ] [ l_T ]   [ o ]
+
+Without friction P = E_c: the system of a closed set.
+
+The contact and tie forces that hold a displacement, in rational numbers: all of them, and those of least norm.
+
+At a displacement the states of the contacts are known: those without a gap push, along their own slip where they slip,
+and with friction of any direction within the cone where they do not. What is left is linear,
+
+    P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
+
+with P the rows along which forces act (`contactqp.oracle.exact.closed_set`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-from flint import fmpq_mat
+from flint import fmpq, fmpq_mat
 
-from contactqp.oracle.exact.affine_family import Family, Range
-from contactqp.oracle.exact.balancing import Balance, balance
-from contactqp.oracle.exact.combination import Combination, System, system_of
-from contactqp.oracle.exact.complementarity import reduce_problem
-from contactqp.oracle.exact.exact_problem import RationalProblem
-from contactqp.oracle.exact.proof import RationalAnswer, wrong
-from contactqp.oracle.exact.rational import null_space, stack, take, zeros
+from contactqp.errors import Unsupported
+from contactqp.oracle.exact.complementarity import Family, Range, block_of, blocks, reduce_problem
+from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
+from contactqp.oracle.exact.rational import (
+    NoSolution,
+    beside,
+    fraction,
+    independent_rows,
+    least_change,
+    null_space,
+    solve_any,
+    stack,
+    take,
+    take_columns,
+    zeros,
+)
+
+Direction = tuple[fmpq, ...]  # (d-1,) of unit length
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Which contacts are closed, which of these stick, and along what the others slip."""
+
+    closed: tuple[int, ...]
+    stuck: tuple[int, ...] = ()
+    directions: Mapping[int, Direction] = field(default_factory=dict)
+
+    @property
+    def key(self) -> Any:
+        return self.closed, self.stuck, tuple(sorted((i, tuple(map(str, t))) for i, t in self.directions.items()))
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Rows that hold displacements, and those along which forces act."""
+
+    data: RationalProblem
+    combination: Combination
+    held: fmpq_mat  # (k + c + b, n) A, E_c, T_b
+    limit: fmpq_mat  # (k + c + b, 1)
+    pushed: fmpq_mat  # (k + c + b, n) A, P, T_b
+
+    def solve(self) -> tuple[fmpq_mat, fmpq_mat, bool] | None:
+        """u, the forces (k + c + b, 1), and whether both are the only ones; None, proven, where there is none."""
+        n, rows = self.data.unknowns, self.held.nrows()
+        matrix = stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
+        found = solve_any(matrix, stack(self.data.f, self.limit))
+        if found is None:
+            return None
+        x, only = found
+        return take(x, range(n)), take(x, range(n, n + rows)), only
+
+    def answer(self, u: fmpq_mat, forces: fmpq_mat) -> RationalAnswer:
+        """The forces laid out contact by contact."""
+        data, chosen, values = self.data, self.combination, forces.entries()
+        push, rub = zeros(data.contacts, 1), zeros(data.T.nrows(), 1)
+        k, w = data.ties, data.width
+        for at, i in enumerate(chosen.closed):
+            push[i, 0] = values[k + at]
+            for axis, t in enumerate(chosen.directions.get(i, ())):
+                rub[w * i + axis, 0] = data.friction[i] * t * values[k + at]
+        for at, i in enumerate(chosen.stuck):
+            for axis in range(w):
+                rub[w * i + axis, 0] = values[k + len(chosen.closed) + w * at + axis]
+        return RationalAnswer(u, push, rub, take(forces, range(k)))
+
+
+def system_of(data: RationalProblem, combination: Combination) -> System:
+    closed, w = combination.closed, data.width
+    normal = take(data.E, closed)
+    sticking = [w * i + axis for i in combination.stuck for axis in range(w)]
+    stuck, origin = take(data.T, sticking), take(data.slip_origin, sticking)
+    pushes = normal
+    if combination.directions:
+        drag = zeros(len(closed), data.unknowns)
+        table = data.T.tolist()
+        for at, i in enumerate(closed):
+            for axis, t in enumerate(combination.directions.get(i, ())):
+                for j, x in enumerate(table[w * i + axis]):
+                    if x != 0:
+                        drag[at, j] = drag[at, j] + data.friction[i] * t * x
+        pushes = normal + drag
+    return System(
+        data,
+        combination,
+        held=stack(data.A, normal, stuck),
+        limit=stack(data.b, take(data.g, closed), origin),
+        pushed=stack(data.A, pushes, stuck),
+    )
+
+
+NO_RANGE: Range = (fraction(fmpq(0)), fraction(fmpq(0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Forces (k + c + b, 1) of a system, its contact forces of least norm and then its ties'."""
+
+    system: System
+    forces: fmpq_mat
+    only: bool  # no other contact forces hold this displacement
+    ranges: tuple[Range, ...]  # (m,) of the normal forces
+
+
+def states(data: RationalProblem, u: fmpq_mat) -> Combination:
+    """Contacts without a gap, which of them stick, and along what the others slip."""
+    closed = tuple(i for i, x in enumerate(data.gap(u).entries()) if x == 0)
+    rubbing = [i for i in closed if data.friction[i] > 0]
+    if not rubbing:
+        return Combination(closed)
+    slip, w = data.slip(u).entries(), data.width
+    stuck, directions = list[int](), dict[int, Direction]()
+    for i in rubbing:
+        moved = slip[w * i : w * (i + 1)]
+        if any(moved):
+            directions[i] = unit(moved)
+        else:
+            stuck.append(i)
+    return Combination(closed, tuple(stuck), directions)
+
+
+def unit(vector: list[fmpq]) -> Direction:
+    """v / |v|.
+
+    Raises
+    ------
+    Unsupported
+        |v| is irrational.
+    """
+    square = sum((x * x for x in vector), fmpq(0))
+    p, q = int(square.p), int(square.q)
+    root = fmpq(math.isqrt(p), math.isqrt(q))
+    if root * root != square:
+        raise Unsupported("exact: a contact slips along a direction whose length is irrational")
+    return tuple(x / root for x in vector)
+
+
+def balance(data: RationalProblem, u: fmpq_mat, known: tuple[System, fmpq_mat] | None = None) -> Balance | None:
+    """The forces that hold a displacement, None, proven, if none do; `known` are the only ones of their system."""
+    chosen = states(data, u)
+    if known is not None and known[0].combination.key == chosen.key:
+        system, start = known
+        directions = zeros(start.nrows(), 0)
+    else:
+        system = system_of(data, chosen)
+        across = system.pushed.transpose()
+        found = solve_any(across, data.f - data.K * u)
+        if found is None:
+            return None
+        start, directions = found[0], zeros(across.ncols(), 0) if found[1] else null_space(across)
+    conditions = stack(*_conditions(system)) if chosen.closed else zeros(0, start.nrows())
+    if not directions.ncols():
+        push = start.entries()[data.ties :]
+        if any(x < 0 for x in (conditions * start).entries()):
+            return None
+        return Balance(system, start, True, _laid_out(data, chosen, [(fraction(x), fraction(x)) for x in push]))
+    if chosen.stuck and data.width > 1:
+        raise Unsupported("exact: contact forces are not unique, and the cones of friction in space are not linear")
+    return _least(system, start, directions, conditions)
+
+
+def _conditions(system: System) -> Iterator[fmpq_mat]:
+    """Rows that are not negative on forces: l_N, and mu l_N -+ l_T where it sticks in the plane."""
+    data, chosen = system.data, system.combination
+    size, k = system.pushed.nrows(), data.ties
+    for at, i in enumerate(chosen.closed):
+        row = zeros(1, size)
+        row[0, k + at] = fmpq(1)
+        yield row
+        if i in chosen.stuck and data.width == 1:
+            rub = k + len(chosen.closed) + chosen.stuck.index(i)
+            for sign in (-1, 1):
+                row = zeros(1, size)
+                row[0, k + at], row[0, rub] = data.friction[i], fmpq(sign)
+                yield row
+
+
+def _least(system: System, start: fmpq_mat, directions: fmpq_mat, conditions: fmpq_mat) -> Balance | None:
+    data, chosen = system.data, system.combination
+    k, contacts = data.ties, range(data.ties, start.nrows())
+    moved = take(directions, contacts)
+    # Ties alone may be redundant: directions in which no contact force changes.
+    idle = directions * null_space(moved)
+    shifts = take_columns(directions, independent_rows(moved.transpose()))
+    family = Family(take(start, contacts), take(shifts, contacts), conditions * start, conditions * shifts)
+    if not shifts.ncols() and any(x < 0 for x in family.room.entries()):
+        return None
+    if shifts.ncols():
+        try:
+            start = start + shifts * family.least()
+        except NoSolution:
+            return None
+    start = least_change(idle, start)
+    ranges: list[Range] = [(fraction(x), fraction(x)) for x in start.entries()[k:]]
+    for columns in blocks(family.directions, family.slope):
+        part = block_of(family, columns)
+        entries = [place for place, row in enumerate(part.directions.tolist()) if any(x != 0 for x in row)]
+        for place, ends in zip(entries, part.ranges(entries), strict=True):
+            ranges[place] = ends
+    only = all(low == high and low is not None for low, high in ranges)
+    return Balance(system, start, only, _laid_out(data, chosen, ranges))
+
+
+def _laid_out(data: RationalProblem, chosen: Combination, ranges: list[Range]) -> tuple[Range, ...]:
+    known = dict(zip(chosen.closed, ranges, strict=False))
+    return tuple(known.get(i, NO_RANGE) for i in range(data.contacts))
+
 
 # Corrections of a proposed set before Lemke's method is asked.
 MOST_CORRECTIONS = 20

@@ -8,20 +8,28 @@ With Z a basis of the motions that neither K nor A resists,
 
 a linear complementarity problem with free variables a. Lemke's method decides it, and proves by its ray that there is
 no solution.
+
+Lemke's method in rational numbers, with lexicographic ratio tests: finite, and its ray proves infeasibility.
+
+Cottle, Pang and Stone (1992), The Linear Complementarity Problem, section 4.4.
+
+All x = start + N c that meet v + G c >= 0, in rational numbers: the one of least norm, and how far entries range.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from fractions import Fraction
 
 from flint import fmpq, fmpq_mat
 
 from contactqp.oracle.exact.exact_problem import RationalProblem
-from contactqp.oracle.exact.lemke import lemke
 from contactqp.oracle.exact.rational import (
     NoSolution,
+    Undecided,
     beside,
+    fraction,
     independent_rows,
     null_space,
     solve_any,
@@ -30,6 +38,131 @@ from contactqp.oracle.exact.rational import (
     take_columns,
     zeros,
 )
+from contactqp.solving.friction.exact_algebra import Polyhedron
+
+
+def lemke(M: fmpq_mat, p: fmpq_mat, max_pivots: int) -> tuple[list[fmpq], int]:
+    """z of w = p + M z, w >= 0, z >= 0, w'z = 0 for a positive semidefinite M, exactly, and the number of pivots.
+
+    Raises NoSolution on a secondary ray, Undecided after `max_pivots`.
+    """
+    size = M.nrows()
+    if all(x >= 0 for x in p.entries()):
+        return [fmpq(0)] * size, 0
+    identity = fmpq_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
+    cover = fmpq_mat(size, 1, [-1] * size)
+    # Columns: w, z, z0, right-hand side; row by row I w - M z - z0 = p.
+    table = beside(identity, -1 * M, cover, p).tolist()
+    basis, z0, right = list(range(size)), 2 * size, 2 * size + 1
+    row = min(range(size), key=lambda i: [table[i][right], *table[i][:size]])
+    entering = z0
+    for count in range(1, max_pivots + 1):
+        leaving = basis[row]
+        _pivot(table, row, entering)
+        basis[row] = entering
+        if leaving == z0:
+            values = {variable: table[i][right] for i, variable in enumerate(basis)}
+            return [values.get(size + i, fmpq(0)) for i in range(size)], count
+        entering = leaving + size if leaving < size else leaving - size
+        rows = [i for i in range(size) if table[i][entering] > 0]
+        if not rows:
+            raise NoSolution("a secondary ray")
+        row = _lexicographic_row(table, rows, entering, basis, z0)
+    raise Undecided(f"{max_pivots} pivots")
+
+
+def _lexicographic_row(table: list[list[fmpq]], rows: list[int], entering: int, basis: list[int], z0: int) -> int:
+    size = len(table)
+    ratios = {i: table[i][2 * size + 1] / table[i][entering] for i in rows}
+    least = min(ratios.values())
+    tied = [i for i in rows if ratios[i] == least]
+    for i in tied:
+        if basis[i] == z0:
+            return i
+    if len(tied) == 1:
+        return tied[0]
+    return min(tied, key=lambda i: [table[i][j] / table[i][entering] for j in range(size)])
+
+
+def _pivot(table: list[list[fmpq]], row: int, column_: int) -> None:
+    pivot = table[row][column_]
+    lead = table[row] = [x / pivot for x in table[row]]
+    for i, other in enumerate(table):
+        factor = other[column_]
+        if i != row and factor != 0:
+            table[i] = [x - factor * y if y != 0 else x for x, y in zip(other, lead, strict=True)]
+
+
+# Lemke's method takes about as many pivots as there are conditions.
+MOST_PIVOTS = 2000
+
+Range = tuple[Fraction | None, Fraction | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Directions are independent columns."""
+
+    start: fmpq_mat  # (n, 1)
+    directions: fmpq_mat  # (n, r)
+    room: fmpq_mat  # (p, 1) v
+    slope: fmpq_mat  # (p, r) G
+
+    def least(self) -> fmpq_mat:
+        """c (r, 1) of the x of least Euclidean norm:
+
+            N'(start + N c) = G's,    w = v + G c >= 0,  s >= 0,  w's = 0.
+
+        Raises
+        ------
+        NoSolution
+            Proven: no member meets the conditions.
+        """
+        across = self.directions.transpose()
+        square = across * self.directions
+        free = -1 * square.solve(across * self.start)
+        room = self.room + self.slope * free
+        if all(x >= 0 for x in room.entries()):
+            return free
+        pull = square.solve(self.slope.transpose())
+        push, _ = lemke(self.slope * pull, room, MOST_PIVOTS)
+        return free + pull * fmpq_mat(len(push), 1, push)
+
+    def ranges(self, entries: Iterable[int]) -> list[Range]:
+        """The least and the largest value of each entry of x, None where it is unbounded; a member exists."""
+        slopes = [[fraction(x) for x in row] for row in self.slope.tolist()]
+        rooms = [fraction(x) for x in self.room.entries()]
+        # A condition that no direction changes is met or there is no member.
+        kept = [i for i, slope in enumerate(slopes) if any(slope)]
+        region = Polyhedron([rooms[i] for i in kept], [slopes[i] for i in kept], int(self.directions.ncols()))
+        found: list[Range] = []
+        for entry in entries:
+            row, at = [fraction(x) for x in self.directions.tolist()[entry]], fraction(self.start[entry, 0])
+            low, high = region.range(row) if any(row) else ([Fraction(0)] * len(row), [Fraction(0)] * len(row))
+            ends = [
+                None if end is None else at + sum((x * y for x, y in zip(row, end, strict=True)), Fraction(0))
+                for end in (low, high)
+            ]
+            found.append((ends[0], ends[1]))
+        return found
+
+
+def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
+    """Columns that share no row with others, so that each block can be ranged over by itself."""
+    group = list(range(int(directions.ncols())))
+    for row in [*directions.tolist(), *slope.tolist()]:
+        touched = [j for j, x in enumerate(row) if x != 0]
+        for j in touched[1:]:
+            old, new = group[j], group[touched[0]]
+            group = [new if g == old else g for g in group]
+    return [[j for j, g in enumerate(group) if g == name] for name in dict.fromkeys(group)]
+
+
+def block_of(family: Family, columns: list[int]) -> Family:
+    """The family in which only these directions move, with the conditions that they change."""
+    slope = take_columns(family.slope, columns)
+    rows = [i for i, row in enumerate(slope.tolist()) if any(x != 0 for x in row)]
+    return Family(family.start, take_columns(family.directions, columns), take(family.room, rows), take(slope, rows))
 
 
 @dataclass(frozen=True, eq=False)

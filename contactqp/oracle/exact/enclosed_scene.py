@@ -3,14 +3,17 @@
 The scene is assembled anew with balls in place of irrational numbers, the linear system of the combination that floats
 propose is solved in balls (which proves that it is regular), and every sign that the problem asks for is proven to be
 strictly right. What lies on the edge, a contact that just touches, cannot be told from one that does not.
+
+Real numbers known to lie in balls mid +- radius (flint's arb), which compute with Fractions in formulas.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Rational
 from typing import TYPE_CHECKING, Any
 
 import flint
@@ -20,13 +23,107 @@ from flint import arb, arb_mat
 from contactqp.elements.exact import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
 from contactqp.model.solution import Solution
-from contactqp.oracle.exact.ball import midpoint, radius, root, to_arb
-from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts
+from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts, rounded_up
+from contactqp.oracle.exact.rational import fraction, from_fraction
 from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
 
 if TYPE_CHECKING:
     from contactqp.scene.scene import Scene
+
+
+class Ball:
+    """A number of a scene, and everything that rounding may have done to it; the precision is flint's at the time.
+
+    >>> two = root(Fraction(2)) ** 2
+    >>> two > Fraction(1), two > 2, 2 > two, two.value.contains(2)
+    (True, False, False, True)
+    """
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: arb) -> None:
+        self.value = value
+
+    def __add__(self, other: Any) -> Any:
+        return _made(other, lambda x: self.value + x)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return _made(other, lambda x: self.value - x)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _made(other, lambda x: x - self.value)
+
+    def __mul__(self, other: Any) -> Any:
+        return _made(other, lambda x: self.value * x)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return _made(other, lambda x: self.value / x)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _made(other, lambda x: x / self.value)
+
+    def __pow__(self, exponent: int) -> Ball:
+        return Ball(self.value**exponent)
+
+    def __neg__(self) -> Ball:
+        return Ball(-self.value)
+
+    def __abs__(self) -> Ball:
+        return Ball(abs(self.value))
+
+    def __gt__(self, other: Any) -> bool:
+        """Proven; what cannot be decided is not."""
+        return bool(self.value > to_arb(other))
+
+    def __lt__(self, other: Any) -> bool:
+        return bool(self.value < to_arb(other))
+
+    def __bool__(self) -> bool:
+        """False if it is known to be zero."""
+        return not self.value.is_zero()
+
+
+def root(square: Any) -> Ball:
+    """The square root of a number that is not negative."""
+    return Ball(to_arb(square).sqrt())
+
+
+def to_arb(value: Any) -> arb:
+    """The ball of a number."""
+    found = _arb_of(value)
+    if found is None:
+        raise TypeError(f"expected a number that a ball computes with, got {type(value).__name__}")
+    return found
+
+
+def _arb_of(value: Any) -> arb | None:
+    if isinstance(value, Ball):
+        return value.value
+    if isinstance(value, Rational):
+        return arb(from_fraction(Fraction(value)))
+    return None  # a float may be rounded: nothing rigorous can be said of it
+
+
+def _made(other: Any, operation: Callable[[arb], arb]) -> Any:
+    found = _arb_of(other)
+    return NotImplemented if found is None else Ball(operation(found))
+
+
+def midpoint(value: arb) -> Fraction:
+    """The midpoint, a dyadic number, as it stands."""
+    return fraction(value.mid().fmpq())
+
+
+def radius(value: arb) -> float:
+    """The radius, rounded up to a double."""
+    exact = fraction(value.rad().fmpq())
+    return rounded_up(exact)
+
 
 # Bits; the second where signs are not decided, or cancellation has eaten the first.
 PRECISIONS = (256, 1024, 4096)
@@ -159,7 +256,7 @@ def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
 
 
 def _solved(balls: Balls, states: tuple[str, ...], rubs: list[float]) -> Enclosed:
-    """The system of `contactqp.oracle.exact.combination` in balls."""
+    """The system of `contactqp.oracle.exact.closed_set` in balls."""
     n, m = len(balls.f), len(balls.g)
     closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
     stuck = [i for i in closed if states[i] == "stick"]

@@ -1,23 +1,41 @@
-"""exact(): the equilibrium in rational numbers, or enclosed, proven."""
+"""exact(): the equilibrium in rational numbers, or enclosed, proven.
+
+What an exact answer is asked of on the command line: a case file, or a problem of another code.
+"""
 
 from __future__ import annotations
 
 import importlib
 import time
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.exchange.problem_files import read_problem
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution
+from contactqp.scene.loading import load_scene
+from contactqp.scene.scene import Scene
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
     from contactqp.scene.building import NodeModel
-    from contactqp.scene.scene import Scene
+
+
+def read_case(path: str) -> Any:
+    """A Scene of a TOML file; whatever `contactqp.read_problem` reads of anything else."""
+    return load_scene(path) if Path(path).suffix.lower() == ".toml" else read_problem(path)
+
+
+def tie_names(case: Any, ties: int) -> tuple[str, ...]:
+    """The names of a scene's ties, or their numbers."""
+    named = tuple(str(tie.name) for tie in case.ties) if isinstance(case, Scene) else ()
+    return named if len(named) == ties else tuple(f"tie {i}" for i in range(ties))
+
 
 FLOATS = "the problem's floats as they stand"
 CASE = "the case's own numbers"
@@ -38,8 +56,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     proves that there is none.
 
     Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
-    that is proven to hold the exact one (`contactqp.oracle.exact.enclosure`, `contactqp.oracle.exact.enclosed_scene`).
-    Bodies that float freely are then held where floats rest them (`contactqp.oracle.exact.free_motions`); a note says
+    that is proven to hold the exact one (`contactqp.oracle.exact.enclosed_answer`, `contactqp.oracle.exact.enclosed_scene`).
+    Bodies that float freely are then held where floats rest them (`contactqp.oracle.exact.enclosed_answer`); a note says
     where, and what the holding carries.
 
     Parameters
@@ -54,7 +72,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     enclose : bool, optional
         Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
         300 unknowns and contacts. What just touches an enclosure cannot decide: then fractions of small denominators
-        are looked for and proven (`contactqp.oracle.exact.reconstruction`), at last in rational numbers up to 700.
+        are looked for and proven (`contactqp.oracle.exact.reconstructed_answer`), at last in rational numbers up to 700.
     **options
         Of `contactqp.solve`.
 

@@ -1,11 +1,17 @@
-"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has."""
+"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has.
+
+Rational numbers as doubles and as decimals.
+
+Exact answers as tables, as text and as data for any language.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +19,84 @@ from numpy.typing import NDArray
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import FreeMotion
-from contactqp.oracle.exact.decimals import ROUNDING_UP, SHOWN_DIGITS, cut, decimal, nearest, ratio, widened
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+# Digits of a midpoint in data and in tables; radii are widened by what is cut off.
+DIGITS, SHOWN_DIGITS = 50, 20
+
+# Two digits of a radius, shown this much larger, are not less than it.
+ROUNDING_UP = 1.06
+
+# Longer fractions are cut out of tables, not out of data.
+WIDEST = 44
+
+
+def nearest(x: Fraction) -> float:
+    """The nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
+    try:
+        return x.numerator / x.denominator
+    except OverflowError:
+        return math.inf if x > 0 else -math.inf
+
+
+def rounded_up(x: Fraction) -> float:
+    """The least double that is not smaller."""
+    near = nearest(x)
+    return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
+
+
+def ratio(x: Fraction) -> str:
+    """ "p/q", of any length; Python alone refuses to print more than 4300 digits.
+
+    >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
+    ('-7/3', '4')
+    """
+    from contactqp.oracle.exact.rational import from_fraction
+
+    return str(from_fraction(x))
+
+
+def decimal(x: Fraction, digits: int = DIGITS) -> str:
+    """A number rounded to so many significant digits.
+
+    >>> decimal(Fraction(2, 3), 5), decimal(Fraction(-1, 800), 5), decimal(Fraction(99999, 10000), 3)
+    ('6.6667e-1', '-1.2500e-3', '1.00e1')
+    """
+    if not x:
+        return "0"
+    size = abs(x)
+    exponent = round((size.numerator.bit_length() - size.denominator.bit_length()) * 0.30103)
+    while size >= Fraction(10) ** (exponent + 1):
+        exponent += 1
+    while size < Fraction(10) ** exponent:
+        exponent -= 1
+    shown = str(round(size * Fraction(10) ** (digits - 1 - exponent)))
+    if len(shown) > digits:
+        exponent += 1
+    return f"{'-' if x < 0 else ''}{shown[0]}.{shown[1:digits]}e{exponent}"
+
+
+def widened(x: Fraction, radius: float, digits: int) -> float:
+    """The radius around the number as it is printed, rounded up."""
+    exact = Fraction(radius) + abs(x) * Fraction(1, 10 ** (digits - 1))
+    return rounded_up(exact)
+
+
+def number_data(x: Fraction, radius: float | None) -> dict[str, Any]:
+    """{"exact", "double"} of a rational number, {"mid", "radius", "double"} of an interval."""
+    double = nearest(x)
+    known: dict[str, Any] = {"double": double if math.isfinite(double) else None}
+    if radius is None:
+        return {"exact": ratio(x)} | known
+    return {"mid": decimal(x), "radius": widened(x, radius, DIGITS)} | known
+
+
+def cut(shown: str) -> str:
+    """Return a fraction as tables show it: its beginning alone where it is long."""
+    return shown if len(shown) <= WIDEST else f"{shown[:12]}... ({len(shown)} digits)"
+
 
 # Object arrays of Fractions.
 Fractions = NDArray[Any]
@@ -132,3 +215,122 @@ def shown_at(answer: ExactSolution, name: str, *place: int) -> str:
         return cut(ratio(x))
     off = widened(x, float(getattr(answer.radius, name)[place]), SHOWN_DIGITS)
     return f"{decimal(x, SHOWN_DIGITS)} +- {ROUNDING_UP * off:.1e}" if off else "0"
+
+
+# A table of more unknowns is read by nobody.
+MOST_SHOWN = 200
+SIGNS = (
+    "K u + E_N'l_N + E_T'l_T + A'nu = f; normal_force l_N is positive in compression; gap = g - E_N u is positive when "
+    "open; slip = E_T u - slip_origin, and friction_force l_T is what the body does to the obstacle, along its slip; "
+    "tie_force is nu"
+)
+
+
+def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> dict[str, Any]:
+    """All of it, for JSON; numbers that are exact are text "p/q", doubles are the nearest to them."""
+    problem, radius = answer.problem, answer.radius
+
+    def entry(name: str, *place: int) -> dict[str, Any]:
+        off = None if radius is None else float(getattr(radius, name)[place])
+        return number_data(getattr(answer, name)[place], off)
+
+    def entries(name: str, i: int) -> list[dict[str, Any]] | None:
+        values: Fractions | None = getattr(answer, name)
+        return None if values is None else [entry(name, i, axis) for axis in range(values.shape[1])]
+
+    return {
+        "format": "contactqp exact answer",
+        "version": 1,
+        "title": title,
+        "rational": answer.rational,
+        "signs": SIGNS,
+        "units": {"length": problem.units.length, "force": problem.units.force},
+        "unknowns": [
+            {"name": problem.dof_name(j), "displacement": entry("displacement", j)} for j in range(problem.dimension)
+        ],
+        "contacts": [
+            {
+                "name": problem.contact_name(i),
+                "status": answer.contact_status[i],
+                "normal_force": entry("normal_force", i),
+                "force_range": None if radius else [None if x is None else ratio(x) for x in answer.force_range[i]],
+                "friction_force": entries("friction_force", i),
+                "gap": entry("gap", i),
+                "slip": entries("slip", i),
+            }
+            for i in range(problem.contacts)
+        ],
+        "ties": [{"name": name, "tie_force": entry("tie_force", k)} for k, name in enumerate(ties)],
+        "unique_forces": answer.unique_forces,
+        "energy": None if answer.energy is None else number_data(answer.energy, None),
+        "equilibria": answer.equilibria,
+        "uniqueness": list(answer.uniqueness),
+        "free_motions": [str(motion) for motion in answer.free_motions],
+        "events": [
+            {"kind": event.kind, "contact": event.name, "time": number_data(event.time, None)}
+            for event in answer.events
+        ],
+        "data": answer.data,
+        "way": answer.way,
+        "proof": list(answer.proof),
+        "notes": list(answer.notes),
+        "method": answer.method,
+        "seconds": answer.seconds,
+    }
+
+
+def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], title: str) -> None:
+    """Tables of unknowns, contacts, ties and events."""
+    from rich.table import Table
+
+    problem, length, force = answer.problem, answer.problem.units.length, answer.problem.units.force
+    console.print(f"{title}: {'exact' if answer.rational else 'enclosed'}, of {answer.data}", markup=False)
+
+    def show(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        if rows:
+            table = Table(*heads, box=None, pad_edge=True)
+            for row in rows:
+                table.add_row(*row)
+            console.print(table, markup=False)
+
+    number = "exact" if answer.rational else "mid +- radius"
+    if problem.dimension <= MOST_SHOWN:
+        show(
+            ["unknown", f"displacement{_in(length)}", number],
+            [[problem.dof_name(j), *_pair(answer, "displacement", j)] for j in range(problem.dimension)],
+        )
+    else:
+        console.print(f"{problem.dimension} displacements are not shown; --json has them", markup=False)
+    rubs = answer.friction_force is not None
+    heads = ["contact", "status", f"normal force{_in(force)}", number, f"gap{_in(length)}"]
+    heads += [f"friction force{_in(force)}"] if rubs else []
+    heads += [] if answer.unique_forces else ["range"]
+    rows = []
+    for i, word in enumerate(answer.contact_status):
+        row = [problem.contact_name(i), word, *_pair(answer, "normal_force", i), shown_at(answer, "gap", i)]
+        if answer.friction_force is not None:
+            row.append(
+                ", ".join(shown_at(answer, "friction_force", i, w) for w in range(answer.friction_force.shape[1]))
+            )
+        if not answer.unique_forces:
+            row.append(" to ".join("unbounded" if x is None else cut(ratio(x)) for x in answer.force_range[i]))
+        rows.append(row)
+    show(heads, rows)
+    show(
+        ["tie", f"force{_in(force)}", number],
+        [[name, *_pair(answer, "tie_force", k)] for k, name in enumerate(ties)],
+    )
+    show(["event", "contact", "time"], [[event.kind, event.name, cut(ratio(event.time))] for event in answer.events])
+    for line in answer.proof:
+        console.print(f"proven: {line}", markup=False)
+    for line in remarks(answer):
+        console.print(line, markup=False)
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _pair(answer: ExactSolution, name: str, *place: int) -> tuple[str, str]:
+    x: Fraction = getattr(answer, name)[place]
+    return f"{nearest(x):.17g}", shown_at(answer, name, *place)

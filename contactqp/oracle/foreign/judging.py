@@ -1,13 +1,24 @@
-"""A given answer, completed and certified; of two ways to complete it the one that passes."""
+"""A given answer, completed and certified; of two ways to complete it the one that passes.
+
+The right answer to set beside a wrong one; of several equilibria the one nearest to what was given.
+"""
 
 from __future__ import annotations
 
+from contextlib import suppress
+
+import numpy as np
+
 from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
+from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Certificate
+from contactqp.model.solution import Answer, Candidate, Certificate, Solution
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.recovery import Recovery, recoveries
+from contactqp.solving.equilibria import equilibria
+from contactqp.solving.solve import begin, solve
 
 
 def judge(
@@ -34,3 +45,33 @@ def judge(
         first = first or (found, tried)
     assert first is not None  # there is always a plain way
     return first
+
+
+# Contacts of which all combinations of open, stick and slip are tried.
+FEW = 6
+
+
+def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
+    """A certified solution.
+
+    Raises
+    ------
+    ContactQPError
+        There is none, or none was found.
+    """
+    found = solve(problem)
+    others = found.certificate.uniqueness
+    plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
+    if not (SEVERAL in others or POSSIBLE in others) or not answer.finite():
+        return found
+    known = [found]
+    with suppress(ContactQPError):
+        known += equilibria(problem) if plane and problem.contacts <= FEW else [_from(problem, answer)]
+    weight = np.sqrt(np.maximum(problem.diagonal, 0.0))
+    return min(known, key=lambda one: float(np.linalg.norm(weight * (one.displacement - answer.displacement))))
+
+
+def _from(problem: ContactProblem, answer: Answer) -> Solution:
+    """What Newton's method finds from the answer."""
+    start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
+    return begin(problem, start=start).finish()

@@ -14,12 +14,21 @@ Both ways multiply rounding: the forces of a stiff body are not known from the d
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
 way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
 and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is.
+
+Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
+
+Forces of dependent frictional contacts that obey Coulomb's law, from a displacement.
+
+A touching contact that slips pushes and rubs along one direction, l_N (1, mu s/|s|); one that sticks along any
+combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
+equilibrium over such combinations with no negative part are forces within the law, where such forces exist.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,15 +38,132 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import condense, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.measures import lengths_that_meet
+from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.oracle.foreign.balancing_forces import balancing_forces
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
-from contactqp.oracle.foreign.lawful_share import lawful_share
+from contactqp.oracle.foreign.judged_contacts import slips
+
+# Rows of unit length that are closer to dependent than this are dependent.
+DEPENDENT = 1e-12
+# Groups of more rows than this are solved for iteratively.
+DENSE_ROWS = 1500
+# Forces without tension may explain this much less of the residual than any forces would.
+NEARLY_AS_WELL = 1e-9
+
+
+def balancing_forces(
+    rows: Any, residual: Vector, pushing_only: NDArray[np.bool_], scale: Vector
+) -> tuple[Vector, bool]:
+    """Forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
+
+    Unknowns are scaled by `scale` (n,), 1/sqrt(K_jj). Where rows are independent the forces are what they are; where
+    they are not, those that only push share the resultant without tension if that explains it as well.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    count = rows.shape[0]
+    force, shared = np.zeros(count), False
+    if not count:
+        return force, shared
+    scaled = sp.csr_matrix(rows @ sp.diags(scale))
+    length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1))).ravel()
+    scaled = sp.csr_matrix(sp.diags(1 / length) @ scaled)
+    target = residual * scale
+    _, label = connected_components(abs(scaled) @ abs(scaled).T, directed=False)
+    order = np.argsort(label, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
+        part = scaled[members]
+        touched = np.unique(part.indices)
+        B, r = part[:, touched], target[touched]
+        if len(members) > DENSE_ROWS:
+            force[members] = _iteratively(B, r)
+            continue
+        force[members], dependent = _densely(B.toarray(), r, pushing_only[members])
+        shared |= dependent
+    return force / length, shared
+
+
+def _densely(B: Array, r: Vector, pushing_only: NDArray[np.bool_]) -> tuple[Vector, bool]:
+    if len(B) == 1:
+        return B @ r, False
+    force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT)
+    if rank == len(B):
+        return np.asarray(force), False
+    from scipy.optimize import nnls
+
+    size = float(np.linalg.norm(r))
+    if size == 0:
+        return np.zeros(len(B)), True
+    columns = np.vstack([B, -B[~pushing_only]]).T
+    try:
+        share, left = nnls(columns, r / size, maxiter=30 * columns.shape[1])
+    except RuntimeError:  # SciPy's word for too many steps
+        return np.asarray(force), True
+    if left > np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL:
+        return np.asarray(force), True
+    without_tension = share[: len(B)].copy()
+    without_tension[~pushing_only] -= share[len(B) :]
+    return np.asarray(size * without_tension), True
+
+
+def _iteratively(B: Any, r: Vector) -> Vector:
+    from scipy.sparse.linalg import lsqr
+
+    return np.asarray(lsqr(B.T, r, atol=1e-15, btol=1e-15, conlim=0.0, iter_lim=20 * B.shape[0])[0])
+
+
+# A gap or a slip of this part of its lengths is none.
+NOTHING = 1e-9
+# Sides of the polygon that stands for the cone of a sticking contact in space.
+SIDES = 32
+
+
+def lawful_share(problem: ContactProblem, known: Answer, residual: Vector, tied: bool) -> Answer | None:
+    """The known displacement with contact forces, and tie forces if `tied`, that obey the law; None without friction.
+
+    `residual` (n,) is f - K u less the tie forces that are known [force].
+    """
+    slip = slips(problem, known.displacement)
+    if slip is None or problem.tangent is None or problem.friction is None:
+        return None
+    m, width = slip.shape
+    gap = problem.gap - problem.normal @ known.displacement
+    length = lengths_that_meet(problem, problem.normal, problem.gap, known.displacement)
+    touching = gap <= NOTHING * length
+    moving = lengths(slip) > NOTHING * tangential_lengths(problem, known.displacement)
+    contacts, ways = _edges(touching, moving, directions(slip))
+    rubs = problem.friction[contacts, None] * ways
+    columns = (width * contacts[:, None] + np.arange(width)).ravel()
+    places = np.repeat(np.arange(len(contacts)), width)
+    spread = sp.csr_matrix((rubs.ravel(), (places, columns)), shape=(len(contacts), m * width))
+    edges = sp.csr_matrix(problem.normal[contacts]) + spread @ sp.csr_matrix(problem.tangent)
+    rows = sp.csr_matrix(sp.vstack([edges, sp.csr_matrix(problem.tie)]) if tied else edges)
+    pushing_only = np.arange(rows.shape[0]) < len(contacts)
+    share, _ = balancing_forces(rows, residual, pushing_only, unknown_scale(problem))
+    normal, friction = np.zeros(m), np.zeros(slip.shape)
+    np.add.at(normal, contacts, share[: len(contacts)])
+    np.add.at(friction, contacts, share[: len(contacts), None] * rubs)
+    return Answer(known.displacement, normal, friction, share[len(contacts) :] if tied else known.tie_force)
+
+
+def _edges(
+    touching: NDArray[np.bool_], moving: NDArray[np.bool_], along: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """The contact (q,) and the direction (q, d-1) of each edge that forces may lie along."""
+    slipping, sticking = np.flatnonzero(touching & moving), np.flatnonzero(touching & ~moving)
+    if along.shape[1] == 1:
+        every = np.array([[1.0], [-1.0]])
+    else:
+        angle = 2 * np.pi * np.arange(SIDES) / SIDES
+        every = np.column_stack([np.cos(angle), np.sin(angle)])
+    contacts = np.concatenate([slipping, np.repeat(sticking, len(every))])
+    return contacts, np.concatenate([along[slipping], np.tile(every, (len(sticking), 1))])
+
 
 # A gap of this part of its lengths is none, and a force of this part of the largest, in what somebody gives.
 TOUCHING, PUSHING = 1e-6, 1e-12

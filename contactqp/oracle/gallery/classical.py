@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from contactqp.oracle.gallery.problem import Contents
-from contactqp.oracle.gallery.statement import stated
+from contactqp.oracle.gallery.problem import Contents, stated
 
 KLARBRING = (
     "A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact problems with "

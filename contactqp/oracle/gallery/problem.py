@@ -1,4 +1,9 @@
-"""A problem whose exact answer is known, in rational numbers, and the same in doubles."""
+"""A problem whose exact answer is known, in rational numbers, and the same in doubles.
+
+Whether the exact answer of a problem is the only one, by exact ranks: "no" here means "not proven".
+
+Stating a gallery problem of few unknowns as dense rows of integers, fractions and strings.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,21 @@ from numpy.typing import NDArray
 
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.oracle.gallery.algebra import ZERO, Numbers, Rows, times
+from contactqp.oracle.gallery.algebra import (
+    ZERO,
+    Given,
+    Numbers,
+    Rows,
+    columns_are_independent,
+    dominance,
+    largest_row_sum,
+    numbers,
+    rank,
+    rows_of,
+    times,
+    transposed,
+)
+from contactqp.solving.friction.exact_algebra import Polyhedron, solutions
 
 # Up to this size a stiffness is a dense array.
 DENSE = 128
@@ -242,3 +261,145 @@ def _matrix(rows: Rows, n: int) -> Any:
     entries = [(i, j, float(x)) for i, row in enumerate(rows) for j, x in row.items() if x != ZERO]
     i, j, values = zip(*entries, strict=True) if entries else ((), (), ())
     return sp.csr_matrix((np.array(values, dtype=float), (i, j)), shape=(len(rows), n))
+
+
+def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
+    """Whether the displacement is proven to be the only one.
+
+    Without friction the answers form a convex set on which K u, the ties and the gaps of contacts that carry force
+    are the same: one point where K, A and these rows of E_N have no common null vector. With friction see
+    `below_critical_friction`.
+    """
+    if any(data.friction) and not below_critical_friction(data):
+        return False
+    if dominance(data.stiffness) > 0:
+        return True
+    carrying = tuple(row for row, force in zip(data.normal, answer.normal_force, strict=True) if force > 0)
+    return columns_are_independent((*data.stiffness, *data.tie, *carrying), data.unknowns)
+
+
+def below_critical_friction(data: ExactProblem) -> bool:
+    """Whether friction is small enough for one answer: mu < least / largest eigenvalue of K, bounded by Gershgorin.
+
+    Let the rows of all contacts, each contact's divided by its length, be orthonormal, x be what they see of the
+    difference of two answers, and H = (E K^-1 E')^-1. Signorini's and Coulomb's law give x'Hx <= mu |(Hx)_N| |x_T|
+    <= mu |H| |x|^2, while x'Hx >= |x|^2 times the least eigenvalue of H; those of H lie between those of K.
+    """
+    if not _orthogonal_frames(data) or data.tie:
+        return False
+    least = dominance(data.stiffness)
+    return least > 0 and max(data.friction) < least / largest_row_sum(data.stiffness)
+
+
+def _orthogonal_frames(data: ExactProblem) -> bool:
+    """Whether all rows are orthogonal, those of one contact of one length."""
+    width = data.directions
+    rows = [row for i, normal in enumerate(data.normal) for row in (normal, *data.tangent[i * width : (i + 1) * width])]
+    lengths = [sum((x * x for x in row.values()), ZERO) for row in rows]
+    if any(lengths[i] != lengths[i - i % (width + 1)] for i in range(len(rows))):
+        return False
+    meeting = [[i for i, _ in enumerate(rows) if j in rows[i]] for j in range(data.unknowns)]
+    pairs = {(a, b) for rows_here in meeting for a in rows_here for b in rows_here if a < b}
+    return all(sum((x * rows[b].get(j, ZERO) for j, x in rows[a].items()), ZERO) == 0 for a, b in pairs)
+
+
+def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique: bool) -> bool:
+    """Whether the forces are proven to be the only ones.
+
+    The forces of a displacement are unique where the rows of closed contacts, their directions of slip where they have
+    friction, and the ties are independent. Where only contacts that carry nothing make them dependent, without
+    friction, they may still be: no other forces are compressive (a linear program in rational numbers).
+    """
+    width = data.directions
+    if any(data.friction) and not displacement_is_unique:
+        return False
+    closed = [i for i, gap in enumerate(answer.gap) if gap == 0]
+    slipping = tuple(data.tangent[i * width + k] for i in closed for k in range(width) if data.friction[i] > 0)
+    rows = (*(data.normal[i] for i in closed), *slipping, *data.tie)
+    if rank(rows) == len(rows):
+        return True
+    carrying = [i for i in closed if answer.normal_force[i] > 0]
+    strong = (*(data.normal[i] for i in carrying), *data.tie)
+    if slipping or rank(strong) < len(strong):
+        return False
+    weak = tuple(data.normal[i] for i in closed if answer.normal_force[i] == 0)
+    return not _other_compressions((*weak, *strong), len(weak), data.unknowns)
+
+
+def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
+    """Whether some combination of the rows is zero with nothing negative for the first ones, `weak` in number."""
+    found = solutions([[row.get(j, ZERO) for j in range(len(rows))] + [ZERO] for row in transposed(rows, n)], len(rows))
+    free = found.free if found is not None else []
+    slopes = [[direction[i] for direction in free] for i in range(weak)]
+    growth = [sum(column, ZERO) for column in zip(*slopes, strict=True)]
+    return Polyhedron([ZERO] * weak, slopes, len(free)).range(growth)[1] is None
+
+
+Dense = Sequence[Sequence[Given]]
+
+
+def stated(
+    *,
+    stiffness: Dense,
+    load: Sequence[Given],
+    normal: Dense = (),
+    gap: Sequence[Given] = (),
+    displacement: Sequence[Given],
+    normal_force: Sequence[Given] = (),
+    tangent: Dense = (),
+    friction: Given = 0,
+    friction_force: Dense = (),
+    tie: Dense = (),
+    tie_value: Sequence[Given] | None = None,
+    tie_force: Sequence[Given] = (),
+    description: str,
+    source: str,
+    formula: str,
+    units: tuple[str, str] = ("", ""),
+    unknowns: Sequence[str] | None = None,
+    contacts: Sequence[str] | None = None,
+    one_displacement: bool | None = None,
+    one_forces: bool | None = None,
+    rounding: Fraction = Fraction(0),
+) -> Contents:
+    """A problem and its answer; `units` are those of length and force, one coefficient of friction holds for all.
+
+    `one_displacement` and `one_forces` are said where a proof is known that `gallery_uniqueness` does not find.
+    """
+    rough = bool(tangent)
+    data = ExactProblem(
+        stiffness=rows_of(stiffness),
+        load=numbers(load),
+        normal=rows_of(normal),
+        gap=numbers(gap),
+        tangent=rows_of(tangent),
+        friction=(Fraction(friction),) * len(normal) if rough else (),
+        slip_origin=(Fraction(0),) * len(tangent),
+        tie=rows_of(tie),
+        tie_value=numbers([0] * len(tie) if tie_value is None else tie_value),
+    )
+    rubbing: list[Numbers] = [numbers(row) for row in friction_force]
+    answer = exact_answer(data, numbers(displacement), numbers(normal_force), rubbing, numbers(tie_force))
+    names: dict[str, Any] = dict(
+        units=dict(zip(("length", "force"), units, strict=True)),
+        dof_names=None if unknowns is None else tuple(unknowns),
+        contact_names=None if contacts is None else tuple(contacts),
+    )
+    return with_uniqueness(data, answer, description, source, formula, names, one_displacement, one_forces, rounding)
+
+
+def with_uniqueness(
+    data: ExactProblem,
+    answer: ExactAnswer,
+    description: str,
+    source: str,
+    formula: str,
+    names: dict[str, Any],
+    one_displacement: bool | None = None,
+    one_forces: bool | None = None,
+    rounding: Fraction = Fraction(0),
+) -> Contents:
+    """Contents, with what exact ranks prove of the uniqueness of the answer where nothing else is known."""
+    displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
+    forces = only_forces(data, answer, displacement) if one_forces is None else one_forces
+    return Contents(data, answer, description, source, formula, displacement, forces, rounding, names)

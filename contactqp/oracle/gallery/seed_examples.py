@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from contactqp.oracle.gallery.problem import Contents
-from contactqp.oracle.gallery.statement import stated
+from contactqp.oracle.gallery.problem import Contents, stated
 
 CHAPTER = "course chapter, contact mechanics in 1D elastostatics problems"
 # EA = 315 MN, 2 m and 1 m long.
