@@ -1,4 +1,18 @@
-"""The certificate of an answer that no rank has whole: `contactqp.certify` by reductions."""
+"""The certificate of an answer that no rank has whole: `contactqp.certify` by reductions.
+
+The least of a sum of sizes, h(a) = sum_j |b_j'a| over a with w'a = 1, from few sums: Kelley's cutting planes (1960).
+
+The sums s = sum_j sign(b_j'a) b_j for some a tell that h(a) = s'a, and h(c) >= |s'c| for every other c. The least t
+with t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound, and its c is asked next. With
+six unknowns and a hundred thousand summands a hundred questions bring the bounds together.
+
+Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.figures` by
+reductions.
+
+A body's motions, at most six, are judged at its home (`contactqp.distributed.problem`): it is sent the triangular
+factors R of w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that
+the search for the worst motion asks for.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +21,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes, not_finite, status_words
@@ -23,18 +38,205 @@ from contactqp.certificate.failures import (
     said_of_law,
     said_of_part,
 )
-from contactqp.certificate.figures import IMPLIED
+from contactqp.certificate.figures import IMPLIED, NO_RESULTANT, Resultants, resultants
 from contactqp.certificate.uniqueness import UNKNOWN
-from contactqp.distributed.answer import DistributedAnswer
-from contactqp.distributed.balance import balance
-from contactqp.distributed.bodies import Bodies
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.violations import coulomb_residual, row_sizes, violations
-from contactqp.distributed.worst import said_of_first, said_of_worst, worst
-from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Vector
+from contactqp.distributed.floating import floating_bodies
+from contactqp.distributed.problem import (
+    Bodies,
+    DistributedAnswer,
+    DistributedProblem,
+    said_of_first,
+    said_of_worst,
+    worst,
+)
+from contactqp.distributed.violations import coulomb_residual, outer_forces, outer_resultant, row_sizes, violations
+from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import FIGURES, Certificate, Violations
+
+# How near to each other the bounds end: figures are read with a few digits.
+NEAR = 1e-9
+MOST_QUESTIONS = 1000
+# The linear program's own, beneath NEAR.
+LP_TOLERANCE = 1e-10
+
+
+class CuttingPlanes:
+    """The search for one minimum.
+
+    Parameters
+    ----------
+    weight : (p,) array
+        w, not zero. h is the norm of some basis, its parts h(e_i) of about one size.
+
+    Attributes
+    ----------
+    question : (p,) array
+        The a whose sums are wanted next.
+    best : (p,) array
+        The a with the least h(a) / |w'a| so far.
+    done : bool
+        Whether that is the least.
+    """
+
+    def __init__(self, weight: Vector) -> None:
+        self._weight = weight / np.max(abs(weight))
+        self._least = np.inf
+        self._cuts: list[Vector] = []
+        self.best, self.done = self._weight, False
+        self._questions = [self._weight, *np.eye(len(weight))]  # these bound the program
+
+    @property
+    def question(self) -> Vector:
+        return np.asarray(self._questions[0])
+
+    def tell(self, sums: Vector) -> None:
+        """Take the sums of the question, and ask the next.
+
+        Raises
+        ------
+        NotConverged
+            The bounds did not come together.
+        """
+        asked = self._questions.pop(0)
+        along = abs(float(self._weight @ asked))
+        value = float(sums @ asked) / along if along > 0 else np.inf
+        if value < self._least:
+            self._least, self.best = value, asked
+        self._cuts.append(sums)
+        if self._questions:
+            return
+        following, lower = _program(np.array(self._cuts), self._weight)
+        self._questions = [following]
+        self.done = self._least - lower <= NEAR * self._least
+        if not self.done and len(self._cuts) >= MOST_QUESTIONS:
+            raise NotConverged(f"the balance of forces could not be judged: {MOST_QUESTIONS} motions were too few")
+
+
+def _program(cuts: Vector, weight: Vector) -> tuple[Vector, float]:
+    """argmin and least t >= |s'c| over c with w'c = 1."""
+    from scipy.optimize import linprog
+
+    count, width = cuts.shape
+    one = np.ones((count, 1))
+    found = linprog(
+        np.append(np.zeros(width), 1.0),
+        A_ub=np.block([[cuts, -one], [-cuts, -one]]),
+        b_ub=np.zeros(2 * count),
+        A_eq=np.append(weight, 0.0)[None],
+        b_eq=[1.0],
+        bounds=[(None, None)] * width + [(0, None)],
+        method="highs",
+        options={"primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE},
+    )
+    if found.x is None:
+        raise NotConverged(f"the balance of forces could not be judged: {found.message}")
+    return np.asarray(found.x[:width]), float(found.x[width])
+
+
+def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:
+    """The worst |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
+
+    Bodies float as far as `soft_motions` tell; one that floats in another way is taken for held.
+
+    Raises
+    ------
+    NotConverged
+        The worst motion of a body was not found.
+    """
+    floating = floating_bodies(problem, bodies)
+    if not problem.ranks.any(floating.floats):
+        return 0.0
+    Z, u = floating.motions, abs(answer.displacement)
+    outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
+    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
+    parts = _Parts(bodies, floating.floats, Z * size[:, None])
+    spectra, work, stray = parts.singular(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
+    at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0]  # no force acts on the others
+    searches = {i: _Search(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
+    parts.mix({i: search.found.weight for i, search in searches.items()})
+    forces, hidden = bodies.totals(abs(parts.basis)), 1.0 if problem.frictional else 0.0
+    for i, search in searches.items():
+        search.begin(forces[i], hidden)
+    while problem.ranks.any([search.planes is not None for search in searches.values()]):
+        sums = parts.asked({i: search.direction() for i, search in searches.items()})
+        with problem.ranks.together():
+            for i, search in searches.items():
+                search.tell(sums[i])
+    return float(problem.ranks.max(max((search.worst for search in searches.values()), default=0.0)))
+
+
+class _Parts:
+    """What this rank has of the columns w (n_here, r) of bodies; all methods are collective."""
+
+    def __init__(self, bodies: Bodies, floats: NDArray[np.bool_], columns: Array) -> None:
+        self._bodies, self._floats, self._columns = bodies, floats, columns
+        self.basis = np.zeros_like(columns)
+
+    def singular(self) -> list[tuple[Vector, Array]]:
+        """The singular values and right vectors of w of each body at home here."""
+        width = self._columns.shape[1]
+        factors = np.zeros((len(self._floats), width, width))
+        for place in np.flatnonzero(self._floats):
+            factor = np.linalg.qr(self._columns[self._bodies.members(int(place))])[1]
+            factors[place, : len(factor)] = factor
+        came, body = self._bodies.parts(factors)
+        stacked = (came[body == i].reshape(-1, width) for i in range(self._bodies.count))
+        return [np.linalg.svd(rows, full_matrices=False)[1:] for rows in stacked]
+
+    def mix(self, weights: dict[int, Array]) -> None:
+        """Make the basis w weight' of the bodies at home here with weights (p, r), p <= r."""
+        width = self._columns.shape[1]
+        told = np.zeros((self._bodies.count, width, width))
+        for i, weight in weights.items():
+            told[i, :, : len(weight)] = weight.T
+        self.basis = self._bodies.combined(self._columns, self._bodies.told(told))
+
+    def asked(self, directions: dict[int, Vector]) -> Array:
+        """The sums (count, r) of sign(basis a) basis for a direction (p,) of each body at home here."""
+        told = np.zeros((self._bodies.count, self.basis.shape[1]))
+        for i, direction in directions.items():
+            told[i, : len(direction)] = direction
+        along = self._bodies.combined(self.basis, self._bodies.told(told)[:, :, None])
+        return self._bodies.totals(np.sign(along) * self.basis)
+
+
+class _Search:
+    """The worst motion of one body, at its home; `planes` while it is not found."""
+
+    def __init__(self, found: Resultants) -> None:
+        self.found, self.worst = found, 0.0
+        self.planes: CuttingPlanes | None = None
+        self._seen = np.zeros(0, dtype=np.intp)
+
+    def begin(self, forces: Vector, hidden: float) -> None:
+        """`forces` (r,) are the sums of the sizes of the coordinates."""
+        forces = forces[: len(self.found.work)]
+        if self.found.unseen(forces, hidden):
+            self.worst = hidden
+            return
+        self.worst, self._seen = self.found.worst(forces), np.flatnonzero(self.found.seen(forces))
+        if len(self._seen) > 1 and self.worst > NO_RESULTANT:
+            self.planes = CuttingPlanes(self.found.work[self._seen])
+
+    def direction(self) -> Vector:
+        """(p,) the coordinates of the motion that is asked about; zero where nothing is."""
+        asked = np.zeros(len(self.found.work))
+        if self.planes is not None:
+            asked[self._seen] = self.planes.question
+        return asked
+
+    def tell(self, sums: Vector) -> None:
+        """Take the answer (r,)."""
+        if self.planes is None:
+            return
+        asked = self.direction()
+        self.worst = max(self.worst, self.found.net(asked) / float(sums[: len(asked)] @ asked))
+        self.planes.tell(sums[self._seen])
+        self.planes = None if self.planes.done else self.planes
+
 
 NOT_ASKED = "no solver was given that could bound it"
 NOT_COMPARED = "the verdict rests on the figures alone: bodies that are dealt out to ranks have no system of one state"

@@ -17,8 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.answer import DistributedAnswer
-from contactqp.distributed.problem import DistributedProblem, Numbers
+from contactqp.distributed.problem import DistributedAnswer, DistributedProblem, Numbers
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.whole_file import write_whole

@@ -10,15 +10,13 @@ import numpy as np
 
 from contactqp.certificate.bounds import Bounds, iterated_bounds
 from contactqp.distributed import bounded
-from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
+from contactqp.distributed.environment import destroy_dropped
 from contactqp.distributed.friction import solve_friction
 from contactqp.distributed.friction_rows import FrictionRows
 from contactqp.distributed.iteration import DistributedIteration
-from contactqp.distributed.memory import destroy_dropped
 from contactqp.distributed.preconditioner import AUTO, SOLVERS, chosen_solver
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.solution import DistributedSolution
+from contactqp.distributed.problem import DistributedAnswer, DistributedProblem, DistributedSolution
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.model.solution import Candidate, Work
 from contactqp.solving.methods import Settings, find, refuse_arguments

@@ -19,12 +19,9 @@ from contactqp.certificate.figures import (
     rounded_slips,
     tangential_force,
 )
-from contactqp.distributed.answer import DistributedAnswer
-from contactqp.distributed.bodies import Bodies
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.rigid_motions import without_rigid_part
+from contactqp.distributed.floating import without_rigid_part
+from contactqp.distributed.problem import Bodies, DistributedAnswer, DistributedProblem, stiffness_sizes
 from contactqp.distributed.rows import Rows
-from contactqp.distributed.stiffness_sizes import stiffness_sizes
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,

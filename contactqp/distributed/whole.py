@@ -1,25 +1,27 @@
-"""A problem that every rank was given whole, solved by all of them, and its answer given whole to each."""
+"""A problem that every rank was given whole, solved by all of them, and its answer given whole to each.
+
+An answer for the rank that prints it: whole on the first, of no rows on the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.problem import DistributedProblem, Numbers
+from contactqp.distributed.problem import DistributedAnswer, DistributedProblem, DistributedSolution, Numbers
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.existence import describe_motion
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Certificate, FreeMotion, Nothing, Solution, Violations
+from contactqp.model.solution import Certificate, FreeMotion, Nothing, Solution, Violations, Work
 
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
@@ -145,3 +147,46 @@ def _violations_of(
         tie=whole(none.tie, part.tie_number),
     )
     return Violations(**gathered, intrinsic_size=found.intrinsic_size, nothing=nothing)
+
+
+@dataclass(frozen=True, eq=False)
+class CollectedSolution:
+    """What is told of an answer in the numbers of one process; arrays have their rows on the first rank alone."""
+
+    displacement: Vector = field(repr=False)  # (n,)
+    normal_force: Vector = field(repr=False)  # (m,)
+    friction_force: NDArray[np.float64] | None = field(repr=False)  # (m, d-1)
+    tie_force: Vector = field(repr=False)  # (k,)
+    contact_status: NDArray[np.str_] = field(repr=False)  # (m,)
+    certificate: Certificate  # its figures and its verdict are those of all ranks
+    method: str
+    seconds: float
+    work: Work
+
+
+def collected(solution: DistributedSolution) -> CollectedSolution:
+    """An answer of all ranks. Collective."""
+    part, answer = solution.problem, solution.answer
+
+    def whole(values: NDArray[Any], numbers: Numbers) -> NDArray[Any]:
+        return _on_first(part.ranks, values, numbers)
+
+    friction = answer.friction_force
+    return CollectedSolution(
+        displacement=whole(answer.displacement, part.dof_number),
+        normal_force=whole(answer.normal_force, part.contact_number),
+        friction_force=None if friction is None else whole(friction, part.contact_number),
+        tie_force=whole(answer.tie_force, part.tie_number),
+        contact_status=whole(solution.status, part.contact_number),
+        certificate=certificate_of(solution, whole),
+        method=solution.method,
+        seconds=solution.seconds,
+        work=solution.work,
+    )
+
+
+def _on_first(ranks: Ranks, values: NDArray[Any], numbers: Numbers) -> NDArray[Any]:
+    """Values of all ranks in the order of their numbers, negative ones left out, on the first rank. Collective."""
+    kept = np.flatnonzero(numbers >= 0)
+    every, order = ranks.exchanged(np.zeros(len(kept), dtype=np.intp), values[kept], numbers[kept])
+    return np.asarray(every[np.argsort(order)])

@@ -53,7 +53,8 @@ def truss_stiffness(modulus: Number, area: Number, start: Numbers, end: Numbers)
     Course chapter, Example 2.10. L^2 is kept exact, so an irrational length is rounded once.
 
     >>> from fractions import Fraction
-    >>> K = truss_stiffness(Fraction(315000), Fraction(1), np.array([Fraction(0)] * 2), np.array([Fraction(-3), Fraction(4)]))
+    >>> end = np.array([Fraction(-3), Fraction(4)])
+    >>> K = truss_stiffness(Fraction(315000), Fraction(1), np.array([Fraction(0)] * 2), end)
     >>> K[0, 0], K[0, 1]
     (Fraction(22680, 1), Fraction(-30240, 1))
     """

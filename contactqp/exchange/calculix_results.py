@@ -360,8 +360,8 @@ def _last(path: Path, fields: list[NodalField], what: str, ledger: Ledger) -> No
     if len({field.components for field in now}) > 1:
         raise wrong(path, what, "the same components at all nodes", "different ones")
     values: dict[int, Values] = {}
-    for field in now:
-        values.update(zip(field.nodes.tolist(), field.values, strict=True))
+    for each in now:
+        values.update(zip(each.nodes.tolist(), each.values, strict=True))
     ledger.read.append(f"{what} of {len(values)} nodes at time {time:g}")
     width = len(now[0].components)
     nodes = np.array(list(values), dtype=np.int64)

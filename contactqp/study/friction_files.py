@@ -26,13 +26,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.distributed.collecting import CollectedSolution, collected
-from contactqp.distributed.distributing import part_of, share_of_first
-from contactqp.distributed.portion import Portion, whole_portion
+from contactqp.distributed.distributing import Portion, part_of, share_of_first, whole_portion
+from contactqp.distributed.problem import DistributedSolution
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.solution import DistributedSolution
 from contactqp.distributed.solving import refuse_method, solve_distributed
-from contactqp.distributed.whole import options_on_ranks
+from contactqp.distributed.whole import CollectedSolution, collected, options_on_ranks
 from contactqp.errors import (
     BackendFailed,
     InvalidProblem,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contactqp.certificate.figures import _worst_direction
-from contactqp.distributed.cutting_planes import CuttingPlanes
+from contactqp.distributed.certificate import CuttingPlanes
 from contactqp.errors import NotConverged
 
 
@@ -36,7 +36,7 @@ def test_the_worst_motion_is_that_of_the_whole_program(count: int, width: int) -
 
 
 def test_a_search_that_gets_no_nearer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("contactqp.distributed.cutting_planes.MOST_QUESTIONS", 8)
+    monkeypatch.setattr("contactqp.distributed.certificate.MOST_QUESTIONS", 8)
     basis = np.linalg.qr(np.random.default_rng(0).standard_normal((2000, 6)))[0]
     with pytest.raises(NotConverged, match="balance of forces"):
         _found(basis, np.arange(1.0, 7.0))

@@ -1,18 +1,33 @@
-"""The nodes of one rank's pieces: who owns each, and its numbers in the whole structure and in PETSc's order."""
+"""The nodes of one rank's pieces: who owns each, and its numbers in the whole structure and in PETSc's order.
+
+The bodies of K: parts of it that no entry connects, on whatever ranks they are.
+
+The surfaces that may touch, which all ranks have whole: few nodes beside those of the bodies.
+
+K of all pieces as one matrix over the ranks: elements go in batch by batch, so that little is held beside K.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
-from contactqp.distributed.asking import asked
-from contactqp.distributed.pieces.dealing import DealtMesh
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.environment import block_type, petsc
+from contactqp.distributed.pieces.partition_mesh import DealtMesh
+from contactqp.distributed.ranks import Ranks, asked
+from contactqp.elements.facet import Surface
+from contactqp.elements.geometry import Block, batches
+from contactqp.elements.pairing import Pairing
+from contactqp.elements.solid import Body, pattern
+from contactqp.elements.structure import Part, Structure
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index
 
 
@@ -82,3 +97,228 @@ def number_nodes(ranks: Ranks, meshes: Sequence[DealtMesh]) -> Nodes:
         ranks, owners[ghosts], numbers[ghosts], lambda came, _: (first + np.searchsorted(mine, came),)
     )[0]
     return Nodes(ranks, numbers, owners, place, first)
+
+
+def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Index:
+    """(own nodes,) the number of the part that each node is in, by the least node of each; 0 where held. Collective.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    meeting : sparse matrix
+        (nodes, elements) of this rank: which nodes its elements have.
+    free : (nodes,) array of bool
+        Nodes that supports do not hold altogether; the others connect nothing.
+    """
+    ranks = nodes.ranks
+    some = sp.csr_matrix(meeting)[np.flatnonzero(free)]
+    graph = sp.bmat([[None, some], [some.T, None]], format="csr")
+    count, label = connected_components(graph, directed=False) if some.nnz else (0, np.zeros(some.shape[0], int))
+    _, label = np.unique(label[: some.shape[0]], return_inverse=True)
+    first = ranks.first(count)
+    mine = np.full(len(nodes.numbers), -1)
+    mine[free] = first + label
+    theirs = nodes.spread(mine[nodes.own])
+    joined = np.unique(np.stack([mine, theirs])[:, mine >= 0], axis=1)
+    joined = ranks.gathered(joined.T)
+    total = int(ranks.sum(count))
+    edges = sp.coo_matrix((np.ones(len(joined)), tuple(joined.T)), shape=(total, total))
+    parts, part = connected_components(edges, directed=False)
+    least = np.full(parts, np.iinfo(np.int64).max)
+    np.minimum.at(least, part[mine[free]], nodes.numbers[free])
+    order = np.argsort(-ranks.max(-least))
+    rank_of = np.empty_like(order)
+    rank_of[order] = np.arange(parts)
+    own = mine[nodes.own]
+    return np.where(own >= 0, rank_of[part[np.maximum(own, 0)]] if parts else 0, 0).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Nodes of surfaces, t of them, in the order of their numbers; d t unknowns, node by node. The same on all ranks.
+
+    Attributes
+    ----------
+    structure : Structure
+        Of this rank's pieces.
+    firsts : (bodies + 1,) array of int
+        The number of each body's first node in the whole structure.
+    numbers, place, owners : (t,) arrays of int
+        Of the nodes: in the whole structure, in PETSc's order, and the ranks that own them.
+    points : (t, d) array [length]
+    facets : mapping of (body, side) to (p, k) array of int
+        Places in `numbers`.
+    """
+
+    structure: Structure
+    firsts: Index
+    numbers: Index
+    place: Index
+    owners: Index
+    points: Array
+    facets: dict[tuple[str, str], Index]
+
+    @property
+    def size(self) -> int:
+        """d t."""
+        return int(self.points.size)
+
+    def body(self, name: str) -> Any:
+        """This rank's piece of a body."""
+        return self.structure.body(name)
+
+    def surface(self, body: str, side: str) -> Surface:
+        """A side of a body, numbered in the unknowns of these nodes."""
+        part = self.structure.solid(body)
+        unknowns = np.arange(self.size).reshape(self.points.shape)
+        revolved = part.model == "axisymmetric"
+        return Surface(self.points, self.facets[body, side], unknowns, f"{body}.{side}", part.thickness, revolved)
+
+    def in_body(self, body: str, nodes: Index) -> Index:
+        """The numbers in a body of nodes of its surfaces."""
+        return np.asarray(self.numbers[nodes] - self.first(body))
+
+    def first(self, body: str) -> int:
+        """The number of a body's first node in the whole structure."""
+        return int(self.firsts[[part.name for part in self.structure.bodies].index(body)])
+
+    def of_body(self, body: str) -> NDArray[np.bool_]:
+        """Which nodes a body has, (t,)."""
+        first = self.first(body)
+        total = self.structure.body(body).mesh.total
+        mask: NDArray[np.bool_] = (self.numbers >= first) & (self.numbers < first + total)
+        return mask
+
+    def named(self, body: str, pairing: Pairing) -> Pairing:
+        """The pairing with its nodes as the body numbers them."""
+        return replace(pairing, nodes=self.in_body(body, pairing.nodes), unpaired=self.in_body(body, pairing.unpaired))
+
+    def gathered(self, nodes: Nodes, values: NDArray[Any]) -> NDArray[Any]:
+        """What the owners know of these nodes, (t, ...), on every rank, from (own nodes, ...). Collective."""
+        mine = self.owners == nodes.ranks.rank
+        found = nodes.ranks.gathered(values[self.place[mine] - nodes.first])
+        where = nodes.ranks.gathered(np.flatnonzero(mine))
+        every = np.empty_like(found)
+        every[where] = found
+        return every
+
+
+def touching(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]]) -> Touching:
+    """Gathers the sides of bodies. Collective.
+
+    Raises
+    ------
+    InvalidProblem
+        No such side, a side without faces, a side of several kinds of facet.
+    """
+    ranks = nodes.ranks
+    firsts = np.cumsum([0, *[body.mesh.total for body in structure.bodies]])
+    facets = {side: _gathered(ranks, structure, nodes, *side) for side in dict.fromkeys(sides)}
+    numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *[part.ravel() for part in facets.values()]]))
+    own = nodes.numbers[nodes.own]
+    place = np.searchsorted(own, numbers)
+    mine = np.flatnonzero((place < len(own)) & (own[np.minimum(place, len(own) - 1)] == numbers) if len(own) else [])
+    points = np.concatenate([body.mesh.points for body in structure.bodies])[nodes.own[place[mine]]]
+    order = np.argsort(ranks.gathered(mine))
+    return Touching(
+        structure,
+        firsts,
+        numbers,
+        ranks.gathered(nodes.first + place[mine])[order],
+        ranks.gathered(np.full(len(mine), ranks.rank))[order],
+        ranks.gathered(points)[order],
+        {side: np.searchsorted(numbers, part) for side, part in facets.items()},
+    )
+
+
+def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side: str) -> Index:
+    """The facets of a side of all ranks by the numbers of their nodes, in an order that no partition changes."""
+    body = structure.solid(name)
+    first = structure.first(name) // body.dimension
+    found = body.mesh.side(side)
+    kinds = sorted({kind for some in ranks.comm.allgather([block.kind.name for block in found]) for kind in some})
+    if len(kinds) > 1:
+        raise InvalidProblem(
+            f"{name}: side {side!r} has facets of several kinds ({', '.join(kinds)}); expected one kind"
+        )
+    width = ranks.max(max((block.nodes.shape[1] for block in found), default=0))
+    mine = [nodes.numbers[first + block.nodes] for block in found]
+    every = ranks.gathered(np.concatenate([np.zeros((0, width), dtype=np.int64), *mine]))
+    return np.asarray(every[np.lexsort(every.T[::-1])])
+
+
+def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:
+    """K of all unknowns, free or not, with blocks of one node each. Collective.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        This rank's pieces, in the order of `nodes`.
+    nodes : Nodes
+    """
+    PETSc = petsc()
+    d = bodies[0].dimension
+    size = (d * len(nodes.own), None)
+    K = PETSc.Mat().create(comm=nodes.ranks.comm)
+    K.setSizes((size, size), bsize=d)
+    K.setType(block_type(d))
+    here, elsewhere = _row_lengths(bodies, nodes)
+    blocks = [count.astype(PETSc.IntType) for count in (here, elsewhere)]
+    K.setPreallocationNNZ((blocks[0], blocks[1]) if nodes.ranks.size > 1 else blocks[0])
+    K.setUp()
+    first = 0
+    for body in bodies:
+        place = nodes.place[first : first + len(body.mesh.points)].astype(PETSc.IntType)
+        first += len(place)
+        for block in body.mesh.blocks:
+            for part in batches(block, (block.nodes.shape[1] * d) ** 2):
+                _add(K, body, part, place)
+    K.assemble()
+    K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    return K
+
+
+def _add(K: Any, body: Body, part: Block, place: NDArray[Any]) -> None:
+    PETSc = petsc()
+    used, numbers = np.unique(part.nodes, return_inverse=True)
+    where = pattern([numbers.reshape(part.nodes.shape)], len(used))
+    blocks = body.node_blocks([part], where)
+    indptr = where.indptr.astype(PETSc.IntType)
+    K.setValuesBlockedIJV(indptr, place[used[where.indices]], blocks, addv=True, rowmap=place[used])
+
+
+def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
+    """How many nodes of this rank and of others each own node meets in elements of any rank."""
+    ranks, first, count = nodes.ranks, nodes.first, len(nodes.own)
+    has = incidence(bodies)
+    meeting = sp.csr_matrix(has @ has.T)
+    row = np.repeat(np.arange(len(nodes.numbers)), np.diff(meeting.indptr))
+    place, other = nodes.place[row], nodes.place[meeting.indices]
+    foreign = nodes.owners[row] != ranks.rank
+    told = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
+    touched = np.zeros(count, dtype=bool)
+    touched[told[0] - first] = True
+    # Only rows that other ranks have a part in may get columns twice.
+    mine = ~foreign
+    mine[mine] = touched[place[mine] - first]
+    pairs = np.stack([np.concatenate([told[0], place[mine]]), np.concatenate([told[1], other[mine]])])
+    pairs = np.unique(pairs, axis=1)
+    alone = ~foreign & ~mine
+    rows = np.concatenate([place[alone], pairs[0]]) - first
+    columns = np.concatenate([other[alone], pairs[1]]) - first
+    here = (columns >= 0) & (columns < count)
+    return np.bincount(rows[here], minlength=count), np.bincount(rows[~here], minlength=count)
+
+
+def incidence(bodies: Sequence[Part]) -> Any:
+    """Which nodes the elements of this rank have: (nodes, elements) CSR of ones."""
+    element, node, first, elements = [], [], 0, 0
+    for body in bodies:
+        for block in body.mesh.blocks:
+            element.append(np.repeat(np.arange(elements, elements + len(block)), block.nodes.shape[1]))
+            node.append(first + block.nodes.ravel())
+            elements += len(block)
+        first += len(body.mesh.points)
+    none = np.zeros(0, dtype=np.int64)
+    rows, columns = np.concatenate([none, *node]), np.concatenate([none, *element])
+    return sp.csr_matrix((np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(first, elements))

@@ -9,8 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.distributed.asking import asked
-from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.ranks import Ranks, asked
 from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import REFERENCES, Reference

@@ -11,16 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.distributed.asking import asked
 from contactqp.distributed.environment import petsc
-from contactqp.distributed.pieces.components import connected_parts
-from contactqp.distributed.pieces.nodes import Nodes
-from contactqp.distributed.pieces.stiffness import assemble_stiffness, incidence
-from contactqp.distributed.pieces.touching import Touching
+from contactqp.distributed.pieces.nodes import Nodes, Touching, assemble_stiffness, connected_parts, incidence
 from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.rows import Rows
-from contactqp.distributed.stored_rows import chosen_rows
+from contactqp.distributed.ranks import Ranks, asked
+from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.elements.loads import Load
 from contactqp.elements.structure import EVERYTHING_HELD, FreeContacts, Structure, Support
 from contactqp.errors import InvalidProblem

@@ -1,20 +1,29 @@
-"""A scene of elastic bodies of which each rank has a piece, and what its claims ask of an answer."""
+"""A scene of elastic bodies of which each rank has a piece, and what its claims ask of an answer.
+
+From a scene of elastic bodies to a contact problem of which each rank has its part.
+
+Solutions of bodies of which each rank has a piece, as tables and claims ask for them. All of it is collective.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from itertools import chain, pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.distributed.pieces.mesh_piece import MeshPiece
-from contactqp.distributed.pieces.system import PieceSystem
-from contactqp.distributed.pieces.touching import Touching
-from contactqp.distributed.problem import DistributedProblem
+from contactqp.analysis.history import Energies, History
+from contactqp.distributed.pieces.nodes import Touching, number_nodes, touching
+from contactqp.distributed.pieces.partition_mesh import MeshPiece, deal
+from contactqp.distributed.pieces.sources import FileSource, LatticeSource, Source
+from contactqp.distributed.pieces.system import PieceSystem, prescribed_of
+from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
 from contactqp.elements.geometry import Block
 from contactqp.elements.loads import node_numbers
@@ -26,14 +35,15 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
-from contactqp.scene.bodies import sum_of
+from contactqp.scene.bodies import paired_contact, sides_of, solid_body, sum_of
+from contactqp.scene.body_loads import at_key, loads_of, supports_of
 from contactqp.scene.contact_entries import ContactEntries
-from contactqp.scene.corners import factors_at, has_corners
-from contactqp.scene.meshing import near_enough, nearest_to
+from contactqp.scene.corners import end_time, factors_at, has_corners
+from contactqp.scene.meshing import lattice_of_shape, mesh_of_file, near_enough, nearest_to
 
 if TYPE_CHECKING:
-    from contactqp.distributed.solution import DistributedSolution
     from contactqp.scene.schema import SceneData
+    from contactqp.scene.schema_bodies import Body
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,3 +215,165 @@ def node_numbers_of(body: Part) -> NDArray[np.int64]:
     """The number in the whole mesh of each node of a piece."""
     assert isinstance(body.mesh, MeshPiece)  # what has ranks is made of pieces
     return body.mesh.numbers
+
+
+def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
+    """Pieces of meshes, supports, loads and pairs of a scene of bodies. Collective.
+
+    Shapes are made slab by slab. A mesh file is read by rank 0, which for that time has all of it.
+
+    Raises
+    ------
+    SceneError
+        What is no good, its key first; the same on all ranks.
+    Unsupported
+        Membranes, motions, large deformations, a scene without bodies.
+    """
+    others = ("membranes", scene.membranes), ("motions", scene.motion), ("large motions", scene.large)
+    for what, there in (*others, ("a scene without bodies", not scene.bodies)):
+        if there:
+            raise Unsupported(
+                f"{what}: expected elastic bodies at rest for pieces on many ranks; engine='serial' takes them"
+            )
+    with stage(BUILD):
+        return _model(scene, ranks)
+
+
+def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
+    sources: list[Source] = []
+    for i, body in enumerate(scene.bodies):
+        with at_key(f"bodies[{i}] ({body.name!r})"):
+            sources.append(_source(scene, ranks, body))
+    with at_key("bodies"):
+        dealt = deal(ranks, sources)
+        nodes = number_nodes(ranks, dealt)
+    pieces: list[Part] = []
+    for i, (body, part) in enumerate(zip(scene.bodies, dealt, strict=True)):
+        with at_key(f"bodies[{i}] ({body.name!r})"), ranks.together():
+            pieces.append(solid_body(scene, body, part.mesh))
+    with at_key("bodies"):
+        structure = Structure(pieces)
+    at = partial(node_at, ranks)
+    acting = list(loads_of(scene, structure, at))
+    supports = tuple(supports_of(scene, structure, at))
+    with at_key("supports"):
+        system = PieceSystem(structure, nodes, prescribed_of(structure, nodes, supports))
+    names = dict.fromkeys(name for name, _ in acting)
+    by_name = {name: system.forces([load for other, load in acting if other == name]) for name in names}
+    load = sum((part for part in by_name.values()), np.zeros(len(system.prescribed)))
+    if has_corners(scene):
+        load = sum_of(by_name, factors_at(scene, end_time(scene)), len(load))
+    sides = []
+    for i, contact in enumerate(scene.contacts):
+        with at_key(f"contacts[{i}] ({contact.name!r})"):
+            for body_name, side in sides_of(contact):
+                structure.solid(body_name).mesh.side(side)
+                sides.append((body_name, side))
+    with at_key("contacts"):
+        surfaces = touching(structure, nodes, sides)
+    contacts = []
+    for i, contact in enumerate(scene.contacts):
+        with at_key(f"contacts[{i}] ({contact.name!r})"):
+            found = paired_contact(scene, surfaces, contact)
+            contacts.append(replace(found, pairing=surfaces.named(found.body, found.pairing)))
+    return DistributedBodyModel(
+        tuple(contacts), scene, ranks, system, surfaces, supports, load, by_name if has_corners(scene) else {}
+    )
+
+
+def _source(scene: SceneData, ranks: Ranks, body: Body) -> Source:
+    if body.shape is not None:
+        return LatticeSource(ranks, lattice_of_shape(scene, body.shape))
+    assert body.mesh is not None  # a body has one of both
+    return FileSource(ranks, partial(mesh_of_file, scene, body.mesh))
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemInPieces:
+    """What is said of the problem of a solution; names are those of one process, on every rank."""
+
+    part: DistributedProblem = field(repr=False)
+    contact_names: tuple[str, ...] = field(repr=False)
+    frictional: bool
+
+    def contact_name(self, i: int) -> str:
+        """Of a contact by its number in one process."""
+        return self.contact_names[i]
+
+    def dof_name(self, j: int) -> str:
+        """Of an unknown by its number in one process."""
+        return self.dof_names[j]
+
+    @property
+    def units(self) -> Units:
+        """Of the scene."""
+        return self.part.units
+
+    @property
+    def contacts(self) -> int:
+        """m, on all ranks."""
+        return len(self.contact_names)
+
+    @property
+    def tangent(self) -> None:
+        """Pictures of paths ask for it, and these are without friction."""
+        return None
+
+    @cached_property
+    def normal(self) -> Any:
+        """E_N (m, n) in the numbers of one process, gathered on every rank."""
+        part, rows = self.part, self.part.normal.entries.tocoo()
+        column = part.normal.near(part.dof_number.astype(float)).astype(np.int64)[rows.col]
+        free, gathered = column >= 0, part.ranks.gathered
+        places = gathered(part.contact_number[rows.row][free]), gathered(column[free])
+        return sp.csr_matrix((gathered(rows.data[free]), places), shape=(self.contacts, part.dimension))
+
+    @cached_property
+    def load(self) -> NDArray[np.float64]:
+        """(n,) gathered on every rank [force]."""
+        return self.part.whole(self.part.load, self.part.dof_number)
+
+    @cached_property
+    def dof_names(self) -> tuple[str, ...]:
+        """(n,) gathered on every rank: for those who ask for every number."""
+        here = np.array([self.part.dof_name(i) for i in range(len(self.part.dof_number))], dtype=np.str_)
+        return tuple(map(str, self.part.whole(here, self.part.dof_number)))
+
+
+@dataclass(frozen=True, eq=False)
+class SolutionInPieces:
+    """As `contactqp.Solution`; displacements are gathered when they are asked for, contacts are few."""
+
+    found: DistributedSolution
+    problem: ProblemInPieces
+
+    def __getattr__(self, name: str) -> Any:
+        """All else is the distributed solution's."""
+        return getattr(self.found, name)
+
+
+def in_pieces(model: DistributedBodyModel, solutions: Sequence[DistributedSolution]) -> list[SolutionInPieces]:
+    """The solutions with the names of the scene."""
+    names, frictional = np.array(model.row_names, dtype=np.str_)[model.kept], model.problem.frictional
+    told = tuple(map(str, names))
+    return [SolutionInPieces(one, ProblemInPieces(one.problem, told, frictional)) for one in solutions]
+
+
+def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
+    """Of a path without friction: what the loads have done and what is elastic, as `History.energies` has it."""
+    work = 0.0
+    for before, now in pairwise(chain(solutions[:1], solutions)):
+        u, dot = now.answer.displacement, now.problem.ranks.dot
+        work += dot(before.problem.load + now.problem.load, u - before.answer.displacement) / 2
+        yield Energies(dot(u, now.problem.product(u)) / 2, kinetic=0.0, work=work, dissipated=0.0)
+
+
+def gather(history: History) -> None:
+    """Have every rank hold what pictures and files take of a history, so that one of them can write them."""
+    for solution in history:
+        for name in ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status", "energy"):
+            getattr(solution, name)
+        for name in ("load", "dof_names", "normal"):
+            getattr(solution.problem, name)
+    for name in ("events", "energies"):
+        getattr(history, name)

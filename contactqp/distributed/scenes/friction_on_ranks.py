@@ -15,8 +15,7 @@ import numpy as np
 
 from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, kinds, step_to
 from contactqp.analysis.history import Energies, Event
-from contactqp.distributed.problem import DistributedProblem
-from contactqp.distributed.solution import DistributedSolution
+from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.distributed.violations import row_sizes
 from contactqp.errors import NoEquilibrium, NotConverged

@@ -1,4 +1,7 @@
-"""A scene's load, or its load path in steps, on the ranks of MPI."""
+"""A scene's load, or its load path in steps, on the ranks of MPI.
+
+One load after another on the ranks of MPI, each solved for from the answer before.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,22 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from contactqp.analysis.history import Event, History
 from contactqp.analysis.load_path import DEFAULT_STEPS, changes
 from contactqp.distributed.checkpoint import Checkpoint
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.path import follow_distributed, instants
-from contactqp.distributed.problem import DistributedProblem
+from contactqp.distributed.preconditioner import AUTO
+from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel
+from contactqp.distributed.scenes.distributed_bodies import DistributedBodyModel, distributed_model, energies, in_pieces
 from contactqp.distributed.scenes.friction_on_ranks import changes_of_rubbing, energies_of_rubbing, follow_rubbing
-from contactqp.distributed.scenes.pieces import distributed_model
-from contactqp.distributed.scenes.solutions_in_pieces import energies, in_pieces
-from contactqp.distributed.solution import DistributedSolution
-from contactqp.distributed.solving import solve_distributed
+from contactqp.distributed.solving import judged, solve_distributed
 from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole, whole_in_errors
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Vector
@@ -34,6 +37,48 @@ if TYPE_CHECKING:
     from contactqp.scene.models import Model
 
     ModelOnRanks = Model | DistributedBodyModel
+
+
+def follow_distributed(
+    problem: DistributedProblem,
+    loads: Iterable[Vector],
+    method: str,
+    checkpoint: Checkpoint | None = None,
+    **options: Any,
+) -> Iterator[DistributedSolution]:
+    """The solution under each load, started from the one before. Collective.
+
+    Parameters
+    ----------
+    problem : DistributedProblem
+        Its load is not used.
+    loads : iterable of (n_here,) arrays [force]
+    checkpoint : Checkpoint, optional
+        Answers that it has are judged again and not solved for; every other one is kept there.
+    method, **options
+        Of `solve_distributed`.
+    """
+    before: DistributedSolution | None = None
+    for step, load in enumerate(loads):
+        at = replace(problem, load=load)
+        if checkpoint is not None and step < checkpoint.steps:
+            before = judged(at, checkpoint.read(step, at), method, options.get("solver", AUTO))
+        else:
+            start = None if before is None else before.answer
+            before = solve_distributed(at, method, warm_start=start, **options)
+            if checkpoint is not None:
+                checkpoint.write(step, at, before.answer)
+        yield before
+
+
+def instants(corners: Sequence[Vector], steps: int) -> Iterator[tuple[float, Vector]]:
+    """Pseudo-time and load of the start, without a load, and of so many equal steps from corner to corner."""
+    rest = np.zeros_like(corners[0])
+    yield 0.0, rest
+    for leg, (start, end) in enumerate(pairwise([rest, *corners])):
+        for i in range(1, steps + 1):
+            yield leg + i / steps, end if i == steps else start + i / steps * (end - start)
+
 
 # What a scene says that changes no answer of it.
 _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")

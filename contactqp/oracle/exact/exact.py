@@ -18,8 +18,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution
-from contactqp.scene.loading import load_scene
-from contactqp.scene.scene import Scene
+from contactqp.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
@@ -56,8 +55,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     proves that there is none.
 
     Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
-    that is proven to hold the exact one (`contactqp.oracle.exact.enclosed_answer`, `contactqp.oracle.exact.enclosed_scene`).
-    Bodies that float freely are then held where floats rest them (`contactqp.oracle.exact.enclosed_answer`); a note says
+    that is proven to hold the exact one (`contactqp.oracle.exact.enclosed_answer`,
+    `contactqp.oracle.exact.enclosed_scene`). Bodies that float freely are then held where floats rest them; a note says
     where, and what the holding carries.
 
     Parameters
@@ -72,7 +71,8 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     enclose : bool, optional
         Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
         300 unknowns and contacts. What just touches an enclosure cannot decide: then fractions of small denominators
-        are looked for and proven (`contactqp.oracle.exact.reconstructed_answer`), at last in rational numbers up to 700.
+        are looked for and proven (`contactqp.oracle.exact.reconstructed_answer`), at last in rational numbers up to
+        700.
     **options
         Of `contactqp.solve`.
 
@@ -178,8 +178,8 @@ def _of_scene(
     for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
         if there:
             raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
-    from contactqp.scene.corners import end_time
     from contactqp.scene.models import build
+    from contactqp.scene.corners import end_time
 
     model = build(scene)
     walked = scene.path is not None and model.problem.frictional

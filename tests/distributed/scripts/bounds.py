@@ -9,9 +9,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.bounds import Bounds
-from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed
 from contactqp.distributed.distributing import distribute
+from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
 from contactqp.scene.models import build

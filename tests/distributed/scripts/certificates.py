@@ -11,9 +11,9 @@ import numpy as np
 
 import contactqp as cq
 from contactqp.certificate.certificate import contact_status as status_of_one
-from contactqp.distributed.answer import DistributedAnswer
 from contactqp.distributed.certificate import certify_distributed, contact_status
 from contactqp.distributed.distributing import distribute
+from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.model.solution import FIGURES, Answer
 from contactqp.scene.models import build

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 
 import contactqp as cq
-from contactqp.distributed.answer import DistributedAnswer
+from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.pieces import distributed_model
+from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.scene.answers_of_bodies import BodyAnswer
 from contactqp.scene.corners import end_time
 from contactqp.scene.instant import Instant

@@ -8,12 +8,11 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.distributed.bound_unknowns import bound_unknowns
-from contactqp.distributed.bounded import METHODS, SOLVERS
+from contactqp.distributed.bounded import METHODS, SOLVERS, bound_unknowns
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.environment import petsc
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.scenes.pieces import distributed_model
+from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
 from contactqp.scene.models import build

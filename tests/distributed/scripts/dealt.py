@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 import contactqp as cq
-from contactqp.distributed.collecting import collected
-from contactqp.distributed.distributing import distribute, part_of, share_of_first
-from contactqp.distributed.portion import whole_portion
+from contactqp.distributed.distributing import distribute, part_of, share_of_first, whole_portion
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
+from contactqp.distributed.whole import collected
 from contactqp.linalg.measures import bodies
 
 ranks = Ranks()

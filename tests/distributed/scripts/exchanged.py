@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from contactqp.distributed import messages
+from contactqp.distributed import ranks as of_ranks
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
 
@@ -77,7 +77,7 @@ def said_of_refusal():
 
 
 check_all()
-messages.MOST_BYTES = 40  # a row or two of the wider ones: many rounds
+of_ranks.MOST_BYTES = 40  # a row or two of the wider ones: many rounds
 check_all()
 assert said_of_refusal() == "a file: no good"
 assert ranks.by_first(lambda: 3) == (3 if ranks.rank == 0 else None)

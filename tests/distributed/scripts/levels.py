@@ -7,17 +7,16 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from contactqp.distributed import aggregates as aggregates_module
-from contactqp.distributed import smoothed_aggregation, v_cycle
-from contactqp.distributed import stored_rows as stored_rows_module
-from contactqp.distributed.aggregates import Aggregates
+from contactqp.distributed import preconditioner, smoothed_aggregation
+from contactqp.distributed import rows as stored_rows_module
+from contactqp.distributed import smoothed_aggregation as aggregates_module
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.formats import held_in_rows
+from contactqp.distributed.environment import held_in_rows
+from contactqp.distributed.problem import stiffness_sizes
 from contactqp.distributed.ranks import Ranks
-from contactqp.distributed.smoothed_aggregation import smoothed_level
+from contactqp.distributed.rows import chosen_rows, stored_rows
+from contactqp.distributed.smoothed_aggregation import Aggregates, smoothed_level
 from contactqp.distributed.solving import iteration_of
-from contactqp.distributed.stiffness_sizes import stiffness_sizes
-from contactqp.distributed.stored_rows import chosen_rows, stored_rows
 from contactqp.errors import Unsupported
 from contactqp.linalg.multigrid import JACOBI
 from tests.blocks_in_space import layered, on_paraboloid, on_sphere, stacked
@@ -138,7 +137,7 @@ def a_failure_leaves_the_stiffness_of_bodies_that_float_as_it_was() -> None:
     many = distribute(on_paraboloid((3, 3, 2), sides=False), ranks)
     before = np.array(many.stiffness.getDiagonal().array)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(v_cycle, "LARGEST_DENSE", 1)
+        patch.setattr(preconditioner, "LARGEST_DENSE", 1)
         with pytest.raises(Unsupported, match="use hypre or mumps"):
             iteration_of(many, "gamg")
     assert np.array_equal(many.stiffness.getDiagonal().array, before)

@@ -12,11 +12,11 @@ import signal
 import sys
 
 import contactqp as cq
-from contactqp.distributed import path
 from contactqp.distributed.ranks import Ranks
+from contactqp.distributed.scenes import running_on_ranks
 
 case, folder, *killed_at = sys.argv[1:]
-ranks, solve, solved = Ranks(), path.solve_distributed, []
+ranks, solve, solved = Ranks(), running_on_ranks.solve_distributed, []
 
 
 def counted(*arguments, **options):
@@ -27,7 +27,7 @@ def counted(*arguments, **options):
     return solve(*arguments, **options)
 
 
-path.solve_distributed = counted
+running_on_ranks.solve_distributed = counted
 history = cq.run(cq.load_scene(case), engine="petsc", checkpoint=folder)
 assert all(solution.certificate.passed for solution in history)
 if ranks.rank == 0:

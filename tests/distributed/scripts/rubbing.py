@@ -14,7 +14,7 @@ from rubbing_bodies import BODIES
 
 import contactqp as cq
 from contactqp.distributed.distributing import distribute
-from contactqp.distributed.friction_newton import FrictionNewton
+from contactqp.distributed.friction import FrictionNewton
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
 from contactqp.scene.models import build
