@@ -4,46 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from contactqp.analysis.large.deformation import LargeSolution
 from contactqp.elements import bar, spring
-from contactqp.elements.exact import Number
 from contactqp.scene import elimination
 from contactqp.scene.answers_of_large import OF_LARGE
 from contactqp.scene.answers_of_motions import OF_MOTIONS
 from contactqp.scene.answers_of_nodes import Answer
-from contactqp.scene.building import NodeModel, spring_direction
+from contactqp.scene.building import spring_direction
 from contactqp.scene.claims import Claim
-from contactqp.scene.corners import end_time
 from contactqp.scene.exact_numbers import point
 from contactqp.scene.friction_axes import friction_along_axes
-from contactqp.scene.instant import Instant
 from contactqp.scene.quantities import uniqueness_in_words
-
-if TYPE_CHECKING:
-    from contactqp.scene.answers_of_bodies import BodyAnswer
-    from contactqp.scene.bodies import BodyModel
-
-
-def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
-    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
-    instant = instant or Instant(end_time(model.scene))
-    if isinstance(model, NodeModel):
-        return Answer(model, solution, instant)
-    from contactqp.scene.answers_of_bodies import BodyAnswer
-
-    return BodyAnswer(model.scene, model, solution, instant)
-
-
-def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
-    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
-    value = _READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
-    if isinstance(value, str):
-        return value
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
 def _contact(claim: Claim, answer: Answer) -> int:
@@ -130,7 +105,7 @@ def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
     return claim.unknowns or answer.exact.unknowns.free
 
 
-_READERS: dict[str, Callable[[Claim, Answer], Any]] = {
+READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "displacement": lambda claim, answer: answer.displacement(str(claim.at)),
     "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),
     "total normal force": lambda _, answer: float(answer.solution.normal_force.sum()),

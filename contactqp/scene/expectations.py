@@ -6,18 +6,40 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from contactqp.elements.exact import Number
-from contactqp.scene.answers import value_of
+from contactqp.scene.answers import READERS
 from contactqp.scene.answers_of_nodes import Answer
+from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import Claim, Expectation, Published
+from contactqp.scene.corners import end_time
+from contactqp.scene.instant import Instant
 from contactqp.scene.units import Quantity, UnitSystem
 
 if TYPE_CHECKING:
     from contactqp.scene.answers_of_bodies import BodyAnswer
+    from contactqp.scene.bodies import BodyModel
 
 Shown = float | str | tuple[float, ...]
+
+
+def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
+    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
+    instant = instant or Instant(end_time(model.scene))
+    if isinstance(model, NodeModel):
+        return Answer(model, solution, instant)
+    from contactqp.scene.answers_of_bodies import BodyAnswer
+
+    return BodyAnswer(model.scene, model, solution, instant)
+
+
+def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
+    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
+    value = READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
+    if isinstance(value, str):
+        return value
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
 @dataclass(frozen=True)

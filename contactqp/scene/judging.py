@@ -24,11 +24,10 @@ from contactqp.errors import (
 )
 from contactqp.model.engines import SERIAL, engine_named
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import answer_of
 from contactqp.scene.answers_of_nodes import Answer
 from contactqp.scene.claims import KNOBS, Claim
 from contactqp.scene.corners import end_time, has_corners
-from contactqp.scene.expectations import Comparison, compare_expectation, compare_published
+from contactqp.scene.expectations import Comparison, answer_of, compare_expectation, compare_published
 from contactqp.scene.instant import Instant
 from contactqp.scene.running import built, run_model
 from contactqp.scene.schema import SceneData

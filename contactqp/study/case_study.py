@@ -13,9 +13,8 @@ import numpy as np
 from contactqp.errors import ContactQPError, SceneError
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import answer_of
 from contactqp.scene.claims import Expectation
-from contactqp.scene.expectations import compare_expectation
+from contactqp.scene.expectations import answer_of, compare_expectation
 from contactqp.scene.explanation import report_methods, report_note
 from contactqp.scene.loading import load_scene
 from contactqp.scene.models import build

@@ -109,9 +109,10 @@ def test_the_knobs_of_a_case_are_tried():
 
 
 def test_every_quantity_has_a_meaning_and_a_reader():
-    from contactqp.scene import answers, answers_of_bodies
+    from contactqp.scene.answers import READERS
+    from contactqp.scene.answers_of_bodies import _READERS
 
-    for of, readers in (("nodes", answers._READERS), ("bodies", answers_of_bodies._READERS)):
+    for of, readers in (("nodes", READERS), ("bodies", _READERS)):
         assert set(readers) == {name for name, measure in QUANTITIES.items() if measure.of in (of, "both")}
     assert all(measure.meaning for measure in QUANTITIES.values())
 

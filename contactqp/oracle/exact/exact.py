@@ -178,8 +178,8 @@ def _of_scene(
     for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
         if there:
             raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
-    from contactqp.scene.models import build
     from contactqp.scene.corners import end_time
+    from contactqp.scene.models import build
 
     model = build(scene)
     walked = scene.path is not None and model.problem.frictional
