@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 from contactqp.scene.scene import Scene
 from contactqp.solving.solve import solve
 

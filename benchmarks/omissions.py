@@ -223,7 +223,7 @@ IMPORTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (
         "finite elements",
         "meshes and elastic bodies of this package",
-        ("contactqp.scene.bodies", "contactqp.elements.mortar"),
+        ("contactqp.scene.body_model", "contactqp.elements.mortar"),
     ),
     ("finite-element library", "scikit-fem and meshlane", ("skfem", "meshlane")),
     (

@@ -85,9 +85,9 @@ if TYPE_CHECKING:
     from contactqp.oracle.judged_answer import JudgedAnswer as JudgedAnswer
     from contactqp.oracle.judged_answer import certify as certify
     from contactqp.pictures.history_drawing import draw_history as draw_history
-    from contactqp.scene.loading import load_scene as load_scene
-    from contactqp.scene.running import run as run
     from contactqp.scene.scene import Scene as Scene
+    from contactqp.scene.scene import load_scene as load_scene
+    from contactqp.scene.scene import run as run
     from contactqp.solving.equilibria import AssociatedDifference as AssociatedDifference
     from contactqp.solving.equilibria import associated_difference as associated_difference
     from contactqp.solving.equilibria import equilibria as equilibria
@@ -167,7 +167,7 @@ _HOME = {
     "follow_path": "analysis.load_path",
     "impact": "analysis.impact",
     "large_deformation": "analysis.large_deformation",
-    "load_scene": "scene.loading",
+    "load_scene": "scene.scene",
     "local_form_of": "exchange.local_form",
     "methods": "solving.methods",
     "pair": "elements.pairing",
@@ -180,7 +180,7 @@ _HOME = {
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos",
     "redistributed_mass": "analysis.motion.mass",
-    "run": "scene.running",
+    "run": "scene.scene",
     "siconos_global_error": "certificate.local_certificate",
     "siconos_local_error": "certificate.local_certificate",
     "solve": "solving.solve",

@@ -76,11 +76,11 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
     from dataclasses import asdict
 
     from contactqp.scene.explaining import explain
-    from contactqp.scene.loading import load_scene
+    from contactqp.scene.scene import load_scene
 
     explanation = explain(load_scene(case))
     if not as_json:
-        from contactqp.scene.printing_explanation import print_explanation
+        from contactqp.scene.explaining import print_explanation
 
         print_explanation(console(), explanation)
     footprint = None

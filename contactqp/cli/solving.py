@@ -64,7 +64,7 @@ def run_command(
     With --engine petsc, `mpiexec -n 4 python -m contactqp run CASE --engine petsc` solves on four ranks, by active-set;
     the first one prints and writes the files.
     """
-    from contactqp.scene.arguments import read_knobs
+    from contactqp.scene.judging import read_knobs
 
     speakers.start(engine)
     named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
@@ -99,7 +99,7 @@ def run_command(
 
 def _split(cases: Sequence[str]) -> tuple[list[str], list[str]]:
     """Case files (and folders of them), and problems in files of other codes."""
-    from contactqp.scene.arguments import are_case_files
+    from contactqp.scene.judging import are_case_files
 
     if are_case_files(cases):
         return list(cases), []
@@ -112,8 +112,8 @@ def _read(
     named: Sequence[str], plot: str | None, vtu: str | None, *, every_method: bool
 ) -> tuple[list[Scene], AnswerFiles | None]:
     """The scenes, and where answers are drawn to."""
-    from contactqp.scene.arguments import case_files
-    from contactqp.scene.loading import load_scene
+    from contactqp.scene.judging import case_files
+    from contactqp.scene.scene import load_scene
 
     scenes = [load_scene(file) for file in case_files(named)]
     if plot is None and vtu is None:
@@ -134,8 +134,7 @@ def _tell(found: Sequence[Judgement | Failure], files: AnswerFiles | None, as_js
     On several ranks all of them do so, who have pieces of the answer, and one is heard.
     """
     from contactqp.scene.judging import Failure, Judgement
-    from contactqp.scene.printing import judgement_data, print_judgements
-    from contactqp.scene.printing_paths import print_failure
+    from contactqp.scene.printing import judgement_data, print_failure, print_judgements
 
     terminal = console(heard=speakers.speaks)
     for failure in (outcome for outcome in found if isinstance(outcome, Failure)):

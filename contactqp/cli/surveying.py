@@ -40,7 +40,7 @@ TIME_LIMIT = 600.0
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def methods_command(as_json: bool) -> None:
     """List every method: what it can do, and whether it is installed or how to install it."""
-    from contactqp.scene.printing_methods import method_data, print_methods
+    from contactqp.scene.tables import method_data, print_methods
     from contactqp.solving.methods import methods
 
     if as_json:

@@ -18,7 +18,7 @@ class Engine:
     """What solves elsewhere than in this process: each of its functions as ``module:function``."""
 
     solve: str  # (problem, method, *, warm_start, **options) -> Solution
-    build: str  # (scene) -> a model that answers what `contactqp.scene.bodies.BodyModel` does
+    build: str  # (scene) -> a model that answers what `contactqp.scene.body_model.BodyModel` does
     run: str  # (model, method, checkpoint, **options) -> History
     answer_at: str  # (model, pseudo-time of a load path, method, **options) -> its solution
 

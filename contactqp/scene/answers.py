@@ -1,24 +1,241 @@
-"""The quantities of quantities.QUANTITIES, read off a scene and its answer."""
+"""The quantities of quantities.QUANTITIES, read off a scene and its answer.
+
+The quantities of large deformations: loads where the path is, limit points and snaps.
+
+The quantities of motions that nodes and bodies have alike: energies and momenta.
+
+Where on the load path or in the motion of its scene an answer stands.
+
+What the quantities of a scene of nodes, bars and springs are read off.
+
+Friction forces along the axes of a scene.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contactqp.analysis.large.deformation import LargeSolution
+from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
+from contactqp.analysis.motion.history import is_motion
 from contactqp.elements import bar, spring
-from contactqp.scene import elimination
-from contactqp.scene.answers_of_large import OF_LARGE
-from contactqp.scene.answers_of_motions import OF_MOTIONS
-from contactqp.scene.answers_of_nodes import Answer
-from contactqp.scene.building import spring_direction
-from contactqp.scene.claims import Claim
-from contactqp.scene.exact_numbers import point
-from contactqp.scene.friction_axes import friction_along_axes
-from contactqp.scene.quantities import uniqueness_in_words
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.errors import SceneError
+from contactqp.model.solution import Solution
+from contactqp.scene import building
+from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
+from contactqp.scene.claims import Claim, uniqueness_in_words
+from contactqp.scene.geometry import obstacle
+from contactqp.scene.schema import SceneData
+from contactqp.scene.unknowns import of_node, point
+
+if TYPE_CHECKING:
+    from contactqp.analysis.motion.history import MotionHistory
+
+Point = TypeVar("Point", LimitPoint, Snap)
+
+
+def _history(answer: Answer) -> LargeHistory:
+    history = answer.instant.history
+    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
+    return history
+
+
+def _solution(answer: Answer) -> LargeSolution:
+    assert isinstance(answer.solution, LargeSolution)
+    return answer.solution
+
+
+def _load(claim: Claim, answer: Answer, load_factor: float) -> float:
+    return float(answer.model.exact_load_at(Fraction(load_factor)).get(str(claim.at), 0))
+
+
+def _limit(claim: Claim, answer: Answer) -> LimitPoint:
+    points = _history(answer).limit_points
+    return _numbered(claim, points, "limit points", [f"{p.kind} at {p.load_factor:.6g}" for p in points])
+
+
+def _snap(claim: Claim, answer: Answer) -> Snap:
+    snaps = _history(answer).snaps
+    return _numbered(claim, snaps, "snap-throughs", [f"one at {snap.high:.6g}" for snap in snaps])
+
+
+def _numbered(claim: Claim, points: Sequence[Point], what: str, known: Sequence[str]) -> Point:
+    """Counted from 1, or from the end.
+
+    Raises
+    ------
+    SceneError
+        The path has fewer.
+    """
+    if len(points) < abs(claim.occurrence):
+        raise SceneError(
+            f"{claim}: expected {abs(claim.occurrence)} {what} or more on the path, got {', '.join(known) or 'none'}"
+        )
+    return points[claim.occurrence - (claim.occurrence > 0)]
+
+
+def _limit_displacement(claim: Claim, answer: Answer) -> float:
+    place = answer.exact.unknowns.free.index(str(claim.at))
+    return float(_limit(claim, answer).displacement[place])
+
+
+OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
+    "load factor": lambda _, answer: _solution(answer).load_factor,
+    "load": lambda claim, answer: _load(claim, answer, _solution(answer).load_factor),
+    "limit load factor": lambda claim, answer: _limit(claim, answer).load_factor,
+    "limit load": lambda claim, answer: _load(claim, answer, _limit(claim, answer).load_factor),
+    "limit displacement": _limit_displacement,
+    "limit points": lambda _, answer: len(_history(answer).limit_points),
+    "snap-through load factor": lambda claim, answer: _snap(claim, answer).high,
+    "snap-through load": lambda claim, answer: _load(claim, answer, _snap(claim, answer).high),
+    "snap-throughs": lambda _, answer: len(_history(answer).snaps),
+}
+
+
+def _momentum(claim: Claim, answer: Any) -> float:
+    from contactqp.scene.moving import momentum
+
+    instant = answer.instant
+    return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
+
+
+OF_MOTIONS: Mapping[str, Callable[[Claim, Any], float]] = {
+    "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
+    "total energy": lambda claim, answer: answer.instant.energies(claim).total,
+    "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
+    "energy drift": lambda claim, answer: answer.instant.energies(claim).drift,
+    "total momentum": _momentum,
+    "momentum": _momentum,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """A pseudo-time; without a path, the factor on all loads. `step` is its place in the history, if it is in it.
+
+    In a motion, whose loads are constant, `time` is 1, and `step` says when.
+    """
+
+    time: Fraction = Fraction(1)
+    history: History | None = None
+    step: int | None = None
+
+    @property
+    def events(self) -> Sequence[Event]:
+        """All changes of contact along the path."""
+        return () if self.history is None else self.history.events
+
+    def energies(self, claim: Claim) -> Energies:
+        """Since the path set out.
+
+        Raises
+        ------
+        SceneError
+            The path has no step here.
+        """
+        if self.history is None or self.step is None:
+            raise SceneError(f"{claim}: expected a step of the load path")
+        return self.history.energies[self.step]
+
+    def event(self, claim: Claim, contacts: Sequence[int]) -> Event:
+        """The event that the claim speaks of, of the problem's contacts that are one contact of the scene.
+
+        Raises
+        ------
+        SceneError
+            The path or motion has fewer; several contacts of a side slip or stick one by one.
+        """
+        if len(contacts) > 1 and claim.event in ("stick", "slip"):
+            raise SceneError(f"{claim}: expected 'closed' or 'opened': the nodes of a side slip and stick one by one")
+        known = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
+        found = [event for event in known if event.kind == claim.event]
+        number = abs(claim.occurrence)
+        if len(found) < number:
+            what = {"closed": "close", "opened": "open", "stick": "stick", "slip": "slip"}[str(claim.event)]
+            times = "" if number == 1 else f" {number} times"
+            way = "in the motion" if is_motion(self.history) else "on the load path"
+            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in known) or "none"
+            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {way}; its events: {seen}")
+        return found[claim.occurrence - (claim.occurrence > 0)]
+
+    def _of_one(self, contacts: Sequence[int]) -> list[Event]:
+        return [event for event in self.events if event.contact in contacts]
+
+    def impulses(self) -> NDArray[np.float64]:
+        """(m,) what each normal force has given since the motion set out [force time]."""
+        motion = self.motion
+        force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
+        acting = weight * force[1:] + (1 - weight) * force[:-1]
+        return np.asarray(motion.motion.scheme.body.step * acting.sum(axis=0))
+
+    @property
+    def motion(self) -> MotionHistory:
+        history = self.history
+        assert is_motion(history)  # claims of motions are asked in motions only
+        return history
+
+    @property
+    def velocity(self) -> Any:
+        """(n,) of the free unknowns [length / time]."""
+        return self.motion.motion.states[self.step or 0].velocity
+
+
+def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Event]:
+    """When the first of several contacts closes and the last opens."""
+    members, closed = set(map(int, contacts)), set[int]()
+    for time, together in groupby(events, lambda event: event.time):
+        was = bool(closed)
+        for event in together:
+            if event.contact in members and event.kind in ("closed", "opened"):
+                (closed.add if event.kind == "closed" else closed.discard)(event.contact)
+        if bool(closed) != was:
+            yield Event("closed" if closed else "opened", contacts[0], time)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A scene's solution at one instant, and its load path if it has one."""
+
+    model: NodeModel
+    solution: Solution
+    instant: Instant
+
+    @property
+    def scene(self) -> SceneData:
+        return self.model.scene
+
+    @property
+    def exact(self) -> ExactProblem:
+        return self.model.exact
+
+    def displacement(self, unknown: str) -> float:
+        """Of any unknown, fixed ones included."""
+        if unknown in self.exact.unknowns.fixed:
+            return 0.0
+        return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
+
+    def of_node(self, node: str) -> np.ndarray[Any, Any]:
+        return np.array([self.displacement(name) for name in of_node(self.scene, node)])
+
+
+def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:
+    """lambda_T of each contact along the axes, (m, d), with tangents that at large deformations are those of now."""
+    force = solution.friction_force
+    if not isinstance(solution, LargeSolution) or force is None or solution.position is None:
+        return model.along_axes(force)
+    vectors = np.zeros(solution.position.shape)
+    for i, contact in enumerate(model.scene.contacts):
+        normals = obstacle(model.scene, str(contact.obstacle)).normals(solution.position[i : i + 1])
+        vectors[i] = force[i] @ tangent_frames(np.asarray(normals, dtype=float))[0]
+    return vectors
 
 
 def _contact(claim: Claim, answer: Answer) -> int:
@@ -135,8 +352,8 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "event load": _event_load,
     "events": _events,
     "stiffness": lambda claim, answer: answer.exact.stiffness.get((str(claim.at), str(claim.along)), Fraction(0)),
-    "tie matrix": lambda claim, answer: elimination.tie_matrix(answer.exact, _columns(claim, answer)),
-    "tie rank": lambda _, answer: elimination.rank(answer.exact),
-    "reduced stiffness": lambda claim, answer: elimination.reduced_stiffness(answer.exact, _columns(claim, answer)),
-    "reduced load": lambda claim, answer: elimination.reduced_load(answer.exact, _columns(claim, answer)),
+    "tie matrix": lambda claim, answer: building.tie_matrix(answer.exact, _columns(claim, answer)),
+    "tie rank": lambda _, answer: building.rank(answer.exact),
+    "reduced stiffness": lambda claim, answer: building.reduced_stiffness(answer.exact, _columns(claim, answer)),
+    "reduced load": lambda claim, answer: building.reduced_load(answer.exact, _columns(claim, answer)),
 }

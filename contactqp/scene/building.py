@@ -1,4 +1,16 @@
-"""From a Scene to the numbers of its contact problem: first exact, then the ContactProblem."""
+"""From a Scene to the numbers of its contact problem: first exact, then the ContactProblem.
+
+The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers.
+
+Ties as matrices, in exact numbers: A, its rank, and the problem that is left on the masters.
+
+    A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
+    K^ = T'K T,    f^ = T'(f - K c)
+
+(course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
+
+From a scene to what it is computed with.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +27,77 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import bar, beam, obstacle, spring, string
-from contactqp.elements.exact import Number, Numbers
+from contactqp.elements import bar, beam, obstacle, point_mass, spring, string
+from contactqp.elements.exact import Number, Numbers, square_root, squared_length
 from contactqp.elements.obstacle import Plane
+from contactqp.errors import SceneError
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.scene.corners import end_time, factors_at
-from contactqp.scene.exact_loads import Row, exact_loads, sum_of
-from contactqp.scene.exact_numbers import displacements, ends, point, value
-from contactqp.scene.obstacles import obstacle as obstacle_named
+from contactqp.scene.geometry import obstacle as obstacle_named
 from contactqp.scene.units import KINDS, read_unit
-from contactqp.scene.unknowns import ROTATION, Unknowns, of_node, of_scene
+from contactqp.scene.unknowns import (
+    GRAVITY,
+    ROTATION,
+    Factors,
+    Unknowns,
+    displacements,
+    end_time,
+    ends,
+    factors_at,
+    of_node,
+    of_scene,
+    point,
+    value,
+)
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import Bar, Beam, SceneData, Spring
-    from contactqp.scene.schema_contacts import Contact
+    from contactqp.scene.body_model import BodyModel
+    from contactqp.scene.schema import Bar, Beam, Contact, SceneData, Spring
+
+# A linear form of the unknowns by their names; what is zero is left out.
+Row = Mapping[str, Number]
+
+
+def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
+    """The loads at their full values by their names; what has mass weighs by the name of gravity."""
+    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
+    for load in scene.loads:
+        total[load.name][load.unknown] += value(scene, load.value)
+    for line_load in scene.line_loads:
+        per_length = np.array([value(scene, b) for b in line_load.value])
+        for segment in scene.string(line_load.string).segments:
+            forces = string.uniform_load(per_length, *ends(scene, segment))
+            for name, force in zip(displacements(scene, segment), forces, strict=True):
+                total[line_load.name][name] += force
+    for name, force in _weights(scene):
+        total[GRAVITY][name] += force
+    return {name: dict(row) for name, row in total.items()}
+
+
+def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
+    """What weighs at each unknown; half of a bar at each end, which is M g of either mass matrix."""
+    if scene.gravity is None:
+        return
+    gravity = np.array([value(scene, g) for g in scene.gravity])
+    at_nodes: list[tuple[str, Number]] = [(mass.node, value(scene, mass.mass)) for mass in scene.masses]
+    for rod in scene.bars:
+        if rod.density is not None:
+            per_length = value(scene, rod.density) * value(scene, rod.area)
+            for segment in rod.segments:
+                start, end = ends(scene, segment)
+                half = per_length * square_root(squared_length(end - start)) / 2
+                at_nodes += [(node, half) for node in segment]
+    for node, mass in at_nodes:
+        yield from zip(of_node(scene, node), point_mass.weight(mass, gravity), strict=True)
+
+
+def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for name, row in loads.items():
+        for unknown, force in row.items():
+            total[unknown] += factors.of(name) * force
+    return dict(total)
+
 
 # By the unknowns' names; what is zero is left out.
 Stiffness = Mapping[tuple[str, str], Number]
@@ -260,3 +328,98 @@ def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRow
         plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
         return obstacle.against_plane(where, plane)
     return obstacle.against_surface(where, obstacle_named(scene, name))
+
+
+Rows = list[list[Fraction]]
+
+
+def tie_matrix(exact: ExactProblem, columns: Sequence[str]) -> list[Number]:
+    """A on the given unknowns, row by row."""
+    return [tie.row.get(name, Fraction(0)) for tie in exact.ties for name in columns]
+
+
+def rank(exact: ExactProblem) -> int:
+    """The number of independent ties."""
+    free = exact.unknowns.free
+    return len(_eliminate([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
+
+
+def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
+    """K^ = T'KT, row by row in the order of the masters."""
+    T, _ = _transformation(exact, masters)
+    K = exact.stiffness
+    return [
+        sum((T[i][a] * Fraction(k) * T[j][b] for (i, j), k in K.items() if i in T and j in T), Fraction(0))
+        for a in range(len(masters))
+        for b in range(len(masters))
+    ]
+
+
+def reduced_load(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
+    """f^ = T'(f - K c)."""
+    T, c = _transformation(exact, masters)
+    residual = {name: Fraction(exact.load.get(name, 0)) for name in T}
+    for (i, j), k in exact.stiffness.items():
+        if i in T and j in T:
+            residual[i] -= Fraction(k) * c[j]
+    return [sum((T[name][a] * residual[name] for name in T), Fraction(0)) for a in range(len(masters))]
+
+
+def _transformation(
+    exact: ExactProblem, masters: Sequence[str]
+) -> tuple[dict[str, list[Fraction]], dict[str, Fraction]]:
+    """T and c of u = T u_m + c, by the names of the unknowns."""
+    slaves = [name for name in exact.unknowns.free if name not in masters]
+    order = [*slaves, *masters]
+    rows = [[Fraction(tie.row.get(name, 0)) for name in order] + [Fraction(tie.value)] for tie in exact.ties]
+    reduced, pivots = _eliminate(rows, len(slaves))
+    if len(pivots) != len(slaves):
+        raise SceneError(
+            f"unknowns: expected masters that decide the {len(slaves)} others by the ties, got {list(masters)}"
+        )
+    T = {name: [Fraction(name == master) for master in masters] for name in masters}
+    c = dict.fromkeys(masters, Fraction(0))
+    for name, row in zip(slaves, reduced, strict=False):
+        T[name] = [-entry for entry in row[len(slaves) : -1]]
+        c[name] = row[-1]
+    return T, c
+
+
+def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
+    """Gauss-Jordan on the first columns, exactly; the rows with pivots come first."""
+    rows = [list(row) for row in rows]
+    pivots: list[int] = []
+    for column in range(columns):
+        top = len(pivots)
+        found = next((i for i in range(top, len(rows)) if rows[i][column]), None)
+        if found is None:
+            continue
+        rows[top], rows[found] = rows[found], rows[top]
+        rows[top] = [entry / rows[top][column] for entry in rows[top]]
+        for i, row in enumerate(rows):
+            if i != top and row[column]:
+                rows[i] = [entry - row[column] * above for entry, above in zip(row, rows[top], strict=True)]
+        pivots.append(column)
+    return rows, pivots
+
+
+if TYPE_CHECKING:
+    Model = NodeModel | BodyModel
+
+
+def build(scene: SceneData) -> Model:
+    """Nodes with bars and springs in exact numbers, or elastic bodies and membranes in floats.
+
+    Raises
+    ------
+    SceneError
+        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
+    BackendMissing
+        A mesh file that needs meshlane, which is not installed.
+    """
+    with stage(BUILD):
+        if scene.meshed:
+            from contactqp.scene.body_model import body_model
+
+            return body_model(scene)
+        return NodeModel(scene, exact_problem(scene))

@@ -7,14 +7,18 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from contactqp.errors import SceneError
-from contactqp.scene.checking_bodies import check_bodies, check_no_bodies
+from contactqp.scene.checking_bodies import (
+    check_bodies,
+    check_no_bodies,
+    control_fits,
+    large_fits,
+    motion_fits,
+    path_fits,
+)
 from contactqp.scene.checking_claims import claims_fit
-from contactqp.scene.checking_large import control_fits, large_fits
-from contactqp.scene.checking_motion import motion_fits
-from contactqp.scene.checking_path import path_fits
+from contactqp.scene.fields import unknown
 from contactqp.scene.units import KINDS, Dimension
 from contactqp.scene.unknowns import ROTATION, Unknowns, is_rotation, of_node, of_scene
-from contactqp.scene.wording import unknown
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, Tie

@@ -7,13 +7,10 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
-from contactqp.scene.checking_large import large_claim_fits
-from contactqp.scene.checking_motion import motion_claim_fits
-from contactqp.scene.checking_path import time_fits
-from contactqp.scene.claims import Claim
-from contactqp.scene.quantities import QUANTITIES
+from contactqp.scene.checking_bodies import large_claim_fits, motion_claim_fits, time_fits
+from contactqp.scene.claims import QUANTITIES, Claim
+from contactqp.scene.fields import unknown
 from contactqp.scene.unknowns import Unknowns
-from contactqp.scene.wording import unknown
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:

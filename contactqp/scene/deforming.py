@@ -20,10 +20,8 @@ from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
 from contactqp.scene.building import NodeModel
-from contactqp.scene.corners import end_time
-from contactqp.scene.exact_numbers import point
-from contactqp.scene.obstacles import obstacle
-from contactqp.scene.unknowns import of_node
+from contactqp.scene.geometry import obstacle
+from contactqp.scene.unknowns import end_time, of_node, point
 
 # Steps of a path that states none.
 DEFAULT_STEPS = 10

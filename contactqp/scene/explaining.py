@@ -1,27 +1,156 @@
-"""What a scene is made into: its unknowns and constraints, the blocks it got and those it did not, and why."""
+"""What a scene is made into: its unknowns and constraints, the blocks it got and those it did not, and why.
+
+What an explanation consists of, and the parts that scenes of nodes and of bodies share.
+
+A scene of elastic bodies in words.
+
+An explanation on a screen.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
 
 from contactqp.elements.exact import Number
+from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.scene.building import ExactProblem, NodeModel
-from contactqp.scene.exact_loads import Row
-from contactqp.scene.explanation import (
-    BuildingBlock,
-    Explanation,
-    counted,
-    friction_block,
-    motion_blocks,
-    newton_block,
-    path_block,
-    report_blocks,
-)
-from contactqp.scene.models import build
-from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import is_rotation
+from contactqp.scene.body_model import BodyModel, PairedContact
+from contactqp.scene.building import ExactProblem, NodeModel, Row, build
+from contactqp.scene.schema import Contact, SceneData
+from contactqp.scene.tables import MOST_ROWS, print_table
+from contactqp.scene.unknowns import is_rotation, load_names
+
+if TYPE_CHECKING:
+    from contactqp.scene.schema import LoadPath
+
+
+@dataclass(frozen=True)
+class BuildingBlock:
+    """One part that a contact problem can have."""
+
+    name: str
+    included: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A scene in words."""
+
+    title: str
+    units: str
+    unknowns: tuple[str, ...]
+    fixed: tuple[str, ...]
+    contacts: tuple[str, ...]
+    ties: tuple[str, ...]
+    blocks: tuple[BuildingBlock, ...]
+
+
+def path_block(scene: SceneData) -> BuildingBlock:
+    """Whether loads grow, and how changes are found."""
+    if scene.path is None:
+        constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
+        return BuildingBlock("load path", False, constant)
+    if scene.large:
+        return BuildingBlock("load path", True, _large_path(scene.path))
+    from contactqp.analysis.load_path import DEFAULT_STEPS
+
+    exactly = scene.path.events is not None
+    steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
+    steps = f"{scene.path.steps} steps" if scene.path.steps else steps
+    found = "every change of contact is found exactly" if exactly else "a change is seen at the next step"
+    if scene.path.corners is None:
+        return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
+    names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
+    corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
+    return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
+
+
+def _large_path(path: LoadPath) -> str:
+    from contactqp.scene.deforming import DEFAULT_STEPS
+
+    control = path.control or "load"
+    steps = f"{path.steps or DEFAULT_STEPS} steps"
+    if control == "load":
+        grown = f"{len(path.corners)} corners" if path.corners else "the full loads"
+        return f"load control: from nothing to {grown}, {steps} a leg; a jump is told with its load"
+    way = f"{path.controlled} goes to {path.target}" if control == "displacement" else "along the path"
+    return f"{control} control: {way} in {steps}; the load factor follows, through limit points"
+
+
+def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
+    """Whether tangents change, and with what; `kinds` are the elements of the scene."""
+    if not scene.large:
+        return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
+    laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
+    return BuildingBlock(
+        "Newton loop",
+        True,
+        f"large displacements: tangents, gaps and normals are updated in every step, one contact problem each; bars by "
+        f"the law {laws}",
+    )
+
+
+def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
+    """The mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
+    motion = scene.motion
+    if motion is None:
+        yield BuildingBlock("mass matrix", False, f"statics: {masses}")
+        yield BuildingBlock("time stepping", False, "statics: nothing moves in time")
+        return
+    yield BuildingBlock("mass matrix", True, f"{motion.mass}, {masses}")
+    steps = f"{motion.steps} steps of {float(motion.time_step.si):.6g} s from {float(motion.start.si):.6g} s"
+    yield BuildingBlock("time stepping", True, f"{motion.scheme}, {steps}; one small contact problem each")
+
+
+def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
+    """Tangential rows, which all contacts get where one has friction; `coefficients` of all of them."""
+    name, rubbing = "tangential rows E_T, friction", sum(map(bool, coefficients))
+    if not rubbing:
+        return BuildingBlock(name, False, "no contact has friction")
+    each = "one row" if axes == 2 else "two rows"
+    some = f"{rubbing} contact{'s' * (rubbing > 1)} with friction"
+    others = "" if rubbing == len(coefficients) else f" of {len(coefficients)}"
+    return BuildingBlock(name, True, f"{some}{others}, {each} each; what sticks or slips depends on the load's way")
+
+
+def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
+    """Which methods a report tries on the case, where not all of them."""
+    if report_note(scene):
+        yield BuildingBlock("all methods in a report", False, report_note(scene))
+
+
+def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
+    """The methods that a report is limited to, and why; None where it tries all."""
+    if scene.report is not None:
+        return scene.report.methods, scene.report.why
+    if scene.large:
+        return ("active-set",), "methods differ only in Newton's steps, and the convex ones refuse unstable tangents"
+    if scene.motion is not None:
+        return ("active-set",), "a motion solves one small contact problem a step, and methods differ in no more"
+    frictional = any(contact.friction for contact in scene.contacts)
+    if frictional and scene.path is not None and scene.path.events is not None:
+        return ("active-set",), "from one exact event to the next all is linear, and no exact method has a part in it"
+    return None
+
+
+def report_note(scene: SceneData) -> str:
+    """The same in words; empty where all are tried."""
+    limit = report_methods(scene)
+    return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
+
+
+def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
+    """A block that is included where there is one of them or more."""
+    return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
+
 
 MOST_NAMES = 12
 _EXACT = "exact rational numbers"
@@ -53,8 +182,6 @@ def explain(scene: SceneData) -> Explanation:
 def _explained(scene: SceneData) -> Explanation:
     model = build(scene)
     if not isinstance(model, NodeModel):
-        from contactqp.scene.explaining_bodies import explain_bodies
-
         return explain_bodies(model)
     exact = model.exact
     names, start = exact.unknowns, ", at the start" if scene.large else ""
@@ -147,3 +274,77 @@ def shortened(names: Sequence[str]) -> str:
     """The first of many names."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f", and {more} more" if more > 0 else "")
+
+
+def explain_bodies(model: BodyModel) -> Explanation:
+    """Read off the meshes and the pairs; nothing is solved."""
+    scene, names, system = model.scene, model.structure.unknown_names(), model.system
+    held = np.flatnonzero(~np.isnan(system.prescribed))
+    return Explanation(
+        title=scene.title,
+        units=f"{scene.units.length}, {scene.units.force}",
+        unknowns=tuple(names[j] for j in system.free),
+        fixed=tuple(names[j] for j in held),
+        contacts=tuple(
+            _paired_contact(contact, paired, scene.units.length)
+            for contact, paired in zip(scene.contacts, model.contacts, strict=True)
+        ),
+        ties=(),
+        blocks=tuple(_body_blocks(model)),
+    )
+
+
+def _paired_contact(contact: Contact, paired: PairedContact, length: str) -> str:
+    sides = contact.touching_sides or (str(contact.membrane),)
+    other = f"the obstacle {contact.obstacle!r}" if contact.obstacle else f"{sides[1]} by {contact.pairing}"
+    gaps = paired.pairing.gap
+    left_out = len(paired.pairing.unpaired)
+    return (
+        f"{contact.name}: {sides[0]} against {other}, {len(gaps)} nodes, "
+        f"gaps from {gaps.min(initial=np.inf):.6g} to {gaps.max(initial=-np.inf):.6g} {length}"
+        + (f", {left_out} nodes without a partner" if left_out else "")
+    )
+
+
+def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
+    scene = model.scene
+    for body in model.structure.bodies:
+        kinds = ", ".join(block.kind.name for block in body.mesh.blocks)
+        kind = body.model if isinstance(body, Body) else "membrane"
+        size = f"{body.mesh.elements} elements ({kinds}), {len(body.mesh.points)} nodes, {kind}"
+        yield BuildingBlock(f"body {body.name}", True, size)
+    yield BuildingBlock("bars, springs, beams, strings, point masses", False, "none in a scene of bodies")
+    held = int(np.sum(~np.isnan(model.system.prescribed)))
+    yield counted("supports", held, "held unknown", "nothing is held")
+    for key, what in (("tractions", "traction"), ("pressures", "pressure"), ("point_loads", "point load")):
+        yield counted(key.replace("_", " "), len(getattr(scene, key)), what, "none in the scene")
+    weighs = scene.gravity is not None and any(body.density is not None and body.density.si for body in scene.bodies)
+    yield BuildingBlock("gravity", weighs, "bodies weigh by their density" if weighs else "nothing weighs")
+    rows = len(model.problem.gap)
+    yield counted("contact rows E_N u <= g", rows, "row", "nothing can touch anything")
+    yield friction_block([contact.friction for contact in model.contacts], len(scene.axes))
+    problem = model.problem
+    tangent = [] if problem.tangent is None else [problem.tangent.indices]
+    touched = len(np.unique(np.concatenate([problem.normal.indices, *tangent])))
+    some = f"contacts touch {touched} of {len(model.system.free)} unknowns"
+    yield BuildingBlock("condensation onto the contact unknowns", 0 < touched < len(model.system.free), some)
+    yield path_block(scene)
+    masses = "a density only weighs" if scene.motion is None else "of all bodies"
+    yield from motion_blocks(scene, masses)
+    yield BuildingBlock("Newton loop", False, "linear kinematics: gaps are taken where the bodies start")
+    yield BuildingBlock("exact rational numbers", False, "bodies are integrated in floats")
+    yield from report_blocks(scene)
+
+
+def print_explanation(console: Console, explanation: Explanation) -> None:
+    """Unknowns, constraints, blocks."""
+    console.print(f"[bold]{escape(explanation.title)}[/bold] (in {escape(explanation.units)})")
+    console.print(escape(f"unknowns: {len(explanation.unknowns)}: {shortened(explanation.unknowns)}"))
+    if explanation.fixed:
+        console.print(escape(f"fixed: {len(explanation.fixed)}: {shortened(explanation.fixed)}"))
+    for heading, rows in (("contacts", explanation.contacts), ("ties", explanation.ties)):
+        console.print(f"{heading}: {len(rows)}")
+        for row in rows[:MOST_ROWS]:
+            console.print(escape(f"  {row}"))
+    blocks = [[block.name, "included" if block.included else "left out", block.reason] for block in explanation.blocks]
+    print_table(console, ["block", "", "why"], blocks)

@@ -1,16 +1,24 @@
-"""A case judged: which methods it is solved by, and what it says of each answer."""
+"""A case judged: which methods it is solved by, and what it says of each answer.
+
+A case's claims held against an answer, number by number.
+
+What stands on a command line, read: case files, and the knobs of a method.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactqp.analysis.history import History
+from contactqp.elements.exact import Number
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -24,20 +32,125 @@ from contactqp.errors import (
 )
 from contactqp.model.engines import SERIAL, engine_named
 from contactqp.model.solution import Solution
-from contactqp.scene.answers_of_nodes import Answer
-from contactqp.scene.claims import KNOBS, Claim
-from contactqp.scene.corners import end_time, has_corners
-from contactqp.scene.expectations import Comparison, answer_of, compare_expectation, compare_published
-from contactqp.scene.instant import Instant
-from contactqp.scene.running import built, run_model
+from contactqp.scene.answers import READERS, Answer, Instant
+from contactqp.scene.building import NodeModel
+from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
+from contactqp.scene.scene import built, run_model
 from contactqp.scene.schema import SceneData
-from contactqp.scene.units import Quantity
+from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
+from contactqp.scene.unknowns import end_time, has_corners
 from contactqp.solving.methods import find
 from contactqp.solving.solve import solve
 
 if TYPE_CHECKING:
-    from contactqp.scene.answers_of_bodies import BodyAnswer
-    from contactqp.scene.models import Model
+    from contactqp.scene.body_answers import BodyAnswer
+    from contactqp.scene.body_model import BodyModel
+    from contactqp.scene.building import Model
+
+Shown = float | str | tuple[float, ...]
+
+
+def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
+    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
+    instant = instant or Instant(end_time(model.scene))
+    if isinstance(model, NodeModel):
+        return Answer(model, solution, instant)
+    from contactqp.scene.body_answers import BodyAnswer
+
+    return BodyAnswer(model.scene, model, solution, instant)
+
+
+def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
+    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
+    value = READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
+    if isinstance(value, str):
+        return value
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One row: a quantity, what it should be, what the answer says, and whether that is close enough."""
+
+    quantity: str
+    expected: Shown
+    got: Shown
+    unit: str
+    error: float  # relative to the largest expected number, or in `unit` if the tolerance is
+    tolerance: float
+    relative: bool
+    ok: bool
+    reason: str  # the derivation, or why the printed number is right or wrong
+    verdict: str | None = None  # on a printed number
+    erratum: str | None = None  # its number in the list of errata
+
+
+def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
+    """The exact value against the answer's."""
+    got = value_of(expectation, answer)
+    if isinstance(got, str):
+        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
+        return Comparison(
+            str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
+        )
+    system, targets, tolerance = answer.scene.system, expectation.targets, expectation.tolerance
+    exact = [system.value(target) for target in targets]
+    relative = tolerance.dimension != targets[0].dimension or not any(tolerance.dimension)
+    scale = max(map(abs, exact)) if relative else Fraction(1)
+    allowed = system.value(tolerance)
+    error = _distance(got, exact) / float(scale) if scale else _distance(got, exact)
+    return Comparison(
+        quantity=str(expectation),
+        expected=_shown(exact),
+        got=_shown(got),
+        unit=_unit(expectation, targets, system),
+        error=error,
+        tolerance=float(allowed),
+        relative=relative,
+        ok=len(got) == len(exact) and error <= float(allowed),
+        reason=expectation.derivation,
+    )
+
+
+def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
+    """A printed number against the answer: a right one agrees to half a unit of its last digit, a wrong one not."""
+    got = value_of(published, answer)
+    system, target = answer.scene.system, published.target
+    printed, half_digit = system.value(target), system.value(published.half_digit)
+    error = math.inf if isinstance(got, str) else _distance(got, [printed])
+    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
+    agrees = error <= float(half_digit) * (1 + 1e-9)
+    return Comparison(
+        quantity=str(published),
+        expected=_shown([printed]),
+        got=got if isinstance(got, str) else _shown(got),
+        unit=_unit(published, [target], system),
+        error=error,
+        tolerance=float(half_digit),
+        relative=False,
+        ok=agrees == (published.verdict == "right"),
+        reason=f"{published.where}: {published.why}",
+        verdict=published.verdict,
+        erratum=published.erratum,
+    )
+
+
+def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
+    """The largest difference, formed exactly; infinite where a number is not finite."""
+    if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
+        return math.inf
+    return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
+
+
+def _shown(numbers: Sequence[Number]) -> Shown:
+    floats = tuple(float(number) for number in numbers)
+    return floats[0] if len(floats) == 1 else floats
+
+
+def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
+    """Of a matrix of ties every column has its own."""
+    return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
+
 
 Knob = Quantity | str | float | int | bool
 # A step of a motion is over at a time if it is so up to this part of a step.
@@ -291,3 +404,53 @@ class _Answers:
             )
         problem = self._model.problem.replace(load=self._model.load_at(time))
         return answer_of(self._model, solve(problem, trial.method, **options), Instant(time, self._history))
+
+
+def are_case_files(arguments: Iterable[str]) -> bool:
+    """Whether all that is named is case files by their suffix."""
+    return all(Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir() for argument in arguments)
+
+
+def case_files(arguments: Iterable[str]) -> list[str]:
+    """The files that are named, and all case files of the folders that are."""
+    files: list[str] = []
+    for argument in arguments:
+        if not Path(argument).is_dir():
+            files.append(argument)
+            continue
+        found = sorted(str(file) for file in Path(argument).glob("*.toml"))
+        if not found:
+            raise SceneError(f"{argument}: expected case files (*.toml) in this folder, got none")
+        files += found
+    return files
+
+
+def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[str]) -> dict[str, Knob]:
+    """Stiffnesses with their units, and any other ``key=value``."""
+    knobs: dict[str, Knob] = {}
+    for name, text in (("penalty", penalty), ("perturbation", perturbation)):
+        if text is not None:
+            try:
+                knobs[name] = read_quantity(text, [KINDS["stiffness"]])
+            except NotANumber as error:
+                raise SceneError(f"--{name}: {error}") from None
+    for option in options:
+        name, sign, text = option.partition("=")
+        if not sign or not name:
+            raise SceneError(f"--option: expected key=value, got {option!r}")
+        if name in ("penalty", "perturbation"):
+            raise SceneError(f"--option: expected --{name} with its unit, got {option!r}")
+        knobs[name] = _value(text)
+    return knobs
+
+
+def _value(text: str) -> Knob:
+    """A truth value, a whole number, a number or a word."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

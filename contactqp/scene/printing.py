@@ -1,10 +1,15 @@
-"""Judgements as tables, with pictures in letters, and as plain data for JSON."""
+"""Judgements as tables, with pictures in letters, and as plain data for JSON.
+
+What happened on a load path or in a motion: events, limit points and notes, of one that was cut short too.
+
+The course of contact forces over a path or a motion, and of pressures along a side, each in one line.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,19 +18,175 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.analysis.motion.history import is_moving
 from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
+from contactqp.scene.answers import friction_along_axes
+from contactqp.scene.body_answers import motions_in_words, summaries, summary_data
 from contactqp.scene.building import NodeModel
-from contactqp.scene.expectations import Comparison
-from contactqp.scene.friction_axes import friction_along_axes
-from contactqp.scene.in_text import ROUNDING, bars
-from contactqp.scene.judging import Failure, Judgement
-from contactqp.scene.printing_courses import print_courses
-from contactqp.scene.printing_paths import large_data, print_notes, print_way, when
-from contactqp.scene.summaries import motions_in_words, summaries, summary_data
-from contactqp.scene.tables import Drawn, print_table, shown, written
-from contactqp.scene.unknowns import is_rotation
+from contactqp.scene.judging import Comparison, Failure, Judgement
+from contactqp.scene.schema import SceneData
+from contactqp.scene.tables import ROUNDING, Drawn, Letters, bars, course, print_table, shown, written
+from contactqp.scene.units import KINDS
+from contactqp.scene.unknowns import has_corners, is_rotation
+
+
+def print_failure(console: Console, failure: Failure) -> None:
+    """How far a path or a motion came that was cut short; the message itself is not printed."""
+    history = failure.history
+    if history is None or len(history) == 0:
+        return
+    what = when(failure.scene)
+    console.print(escape(f"{failure.scene.title}: {len(history)} instants so far, to {what} {history.times[-1]:.12g}"))
+    print_way(console, history, what)
+    print_notes(console, history)
+
+
+def print_way(console: Console, history: History, when: str) -> None:
+    """Events and limit points."""
+    names = history[-1].problem.contact_name
+    rows = [[event.kind, event.name or names(event.contact), written(event.time)] for event in history.events]
+    print_table(console, ["event", "contact", when], rows)
+    if isinstance(history, LargeHistory):
+        points = [[point.kind, written(point.load_factor), _shape(point.smooth)] for point in history.limit_points]
+        print_table(console, ["limit point", "load factor", "form"], points)
+
+
+def _shape(smooth: bool) -> str:
+    return "smooth" if smooth else "corner: a contact closes or opens"
+
+
+def print_notes(console: Console, history: History) -> None:
+    for note in history.notes:
+        console.print(f"[yellow]{escape(note)}[/yellow]")
+
+
+def when(scene: SceneData) -> str:
+    """What the time of an event is."""
+    if scene.motion is not None:
+        return "time [s]"
+    return "time" if has_corners(scene) else "load factor"
+
+
+def large_data(history: History) -> dict[str, Any]:
+    """Load factors, limit points and snaps of a large deformation."""
+    if not isinstance(history, LargeHistory):
+        return {}
+    return {
+        "load_factors": [float(t) for t in history.times],
+        "stable": [bool(stable) for stable in history.stable],
+        "limit_points": [
+            {"kind": point.kind, "load_factor": point.load_factor, "after": point.after, "smooth": point.smooth}
+            for point in history.limit_points
+        ],
+        "snap_throughs": [{"above": snap.low, "load_factor": snap.high} for snap in history.snaps],
+    }
+
+
+# Contacts beyond which their sum is drawn.
+MOST_CONTACTS = 6
+# Nodes beside those that press which are drawn with them.
+BESIDE = 2
+# Instants that a course has at least.
+EVEN = 48
+# Nodes that are apart by less than this part of their side lie above each other.
+SAME_PLACE = 1e-9
+
+
+@dataclass(frozen=True)
+class Course:
+    """Values in their order, drawn in one line."""
+
+    contact: str
+    what: str
+    unit: str
+    over: str  # along or over what, and from where to where
+    values: NDArray[np.float64]
+
+    @property
+    def said(self) -> list[str]:
+        """Contact, what is drawn and its largest value, over what."""
+        largest = f"at most {np.max(self.values):.4g} {self.unit}".rstrip()
+        return [self.contact, f"{self.what}, {largest}", self.over]
+
+
+def print_courses(console: Console, judgement: Judgement) -> None:
+    """One table of them, where there is a course of anything."""
+    courses = [*_pressures(judgement), *_histories(judgement)]
+
+    def draw(width: int, letters: Letters) -> list[str]:
+        return [course(each.values, width, letters) for each in courses]
+
+    print_table(console, ["contact", "course of", "over"], [each.said for each in courses], [Drawn(1, draw)])
+
+
+def _pressures(judgement: Judgement) -> Iterator[Course]:
+    """Of elastic bodies, along the axis along which a side is longest; across it the largest pressure counts."""
+    model, solution = judgement.model, judgement.solution
+    if isinstance(model, NodeModel):
+        return
+    system = model.scene.system
+    for contact in model.contacts:
+        points, pressures = contact.pairing.points, np.nan_to_num(model.pressures(contact.name, solution))
+        if len(points) < 2 or not np.any(pressures > 0):
+            continue
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        place, largest = _across(points[:, axis], pressures)
+        pressing = np.flatnonzero(largest > 0)
+        near = slice(max(int(pressing[0]) - BESIDE, 0), int(pressing[-1]) + BESIDE + 1)
+        unit = system.label(KINDS["pressure"].dimension)
+        over = _range(model.scene.axes[axis], place[near], system.length)
+        yield Course(contact.name, "pressure", unit, over, largest[near])
+
+
+def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The places in their order, each once, and the largest value at each."""
+    order = np.argsort(place, kind="stable")
+    first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
+    starts = np.flatnonzero(first)
+    return place[order][starts], np.maximum.reduceat(values[order], starts)
+
+
+def _histories(judgement: Judgement) -> Iterator[Course]:
+    """Of a path or a motion: the normal force of each contact, of many their sum, and a load factor that turns."""
+    history, scene = judgement.history, judgement.scene
+    if len(history) < 2:
+        return
+    name, times = when(scene), history.times
+    if isinstance(history, LargeHistory):
+        over = f"{len(history)} equilibria"
+        if not bool(np.all(np.diff(times) > 0)):
+            yield Course("", "load factor", "", over, times)
+    else:
+        over = _range(name.removesuffix(" [s]"), times, "s" if name.endswith("[s]") else "")
+    for contact, force in _forces(judgement, history):
+        yield Course(contact, "normal force", scene.units.force, over, _even(times, force))
+
+
+def _even(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values at even times, where few of them stand at uneven ones: at the events of a path."""
+    if len(times) >= EVEN or not np.all(np.diff(times) > 0):
+        return values
+    return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
+
+
+def _forces(judgement: Judgement, history: History) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    forces = np.asarray(history.normal_forces).reshape(len(history), -1)
+    model = judgement.model
+    if not isinstance(model, NodeModel):
+        for contact in model.contacts:
+            yield contact.name, np.array([model.of_entry(contact.name, row, 0.0).sum() for row in forces])
+    elif 0 < forces.shape[1] <= MOST_CONTACTS:
+        yield from zip(judgement.solution.problem.contact_names or (), forces.T, strict=True)
+    elif forces.shape[1]:
+        yield "all together", forces.sum(axis=1)
+
+
+def _range(name: str, values: ArrayLike, unit: str) -> str:
+    ends = np.asarray(values, dtype=float)
+    return f"{name} {ends[0]:.4g} to {ends[-1]:.4g} {unit}".rstrip()
+
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}

@@ -1,10 +1,19 @@
-"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``."""
+"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``.
+
+The keys of obstacles and contacts.
+
+The keys of a load path.
+
+The keys of a motion: how long, in which steps, by which scheme, and how it starts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
+from math import ceil
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -12,12 +21,250 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from contactqp.scene import fields
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
-from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames
+from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames, unknown
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
-from contactqp.scene.schema_contacts import Contact, Obstacle
-from contactqp.scene.schema_motion import Motion
-from contactqp.scene.schema_path import LoadPath
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
+
+# What each kind of obstacle must state, and what it may.
+OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "plane": (("point", "normal"), ()),
+    "circle": (("centre", "radius"), ("inside",)),
+    "sphere": (("centre", "radius"), ("inside",)),
+    "cylinder": (("point", "axis", "radius"), ("inside",)),
+    "paraboloid": (("apex", "axis", "radius"), ("inside", "measure")),
+}
+
+
+_TOUCHING = ("node", "nodes", "side", "sides", "membrane")
+
+
+class Obstacle(Block):
+    """A rigid obstacle; bodies are outside of it, or in the hole that it leaves if `inside`.
+
+    plane: through `point`; `normal`, of any length, points out of it, to where the body is.
+    circle (2D), sphere (3D): around `centre`. cylinder (3D): infinite, about the `axis` through `point`.
+    paraboloid (2D or 3D): `radius` is that of curvature at its `apex`; `axis` points out of it. Its gap is measured
+    along the axis, as Hertz's theory does, or with ``measure = "normal"`` as the distance.
+    """
+
+    name: Name
+    kind: Literal["plane", "circle", "sphere", "cylinder", "paraboloid"] = "plane"
+    point: fields.Point | None = None
+    normal: fields.Vector | None = None
+    centre: fields.Point | None = None
+    apex: fields.Point | None = None
+    axis: fields.Vector | None = None
+    radius: fields.PositiveLength | None = None
+    inside: bool | None = None
+    measure: Literal["axis", "normal"] | None = None
+
+    @model_validator(mode="after")
+    def _own_keys(self) -> Self:
+        required, optional = OBSTACLES[self.kind]
+        for key in required:
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: expected for a {self.kind}, and missing")
+        for key in type(self).model_fields:
+            own = ("name", "kind", *required, *optional)
+            if key not in own and getattr(self, key) is not None:
+                raise ValueError(f"{key}: a {self.kind} has no such key; its own: {', '.join(own)}")
+        return self
+
+
+class Contact(Block):
+    """Who may touch whom: one of five.
+
+    `node` and `obstacle`; two `nodes`, along `direction` or else along the line from the first to the second; a `side`
+    of a body (``"block.bottom"``) and `obstacle`; two `sides`, the slave's first, by the `pairing` ``"mortar"`` or
+    ``"node-to-segment"``. Parts of two sides further apart than `reach` have no partner, and at the start a side may
+    be inside of what it touches by `overlap`; the defaults of both follow the size of the facets. A `membrane` and
+    `obstacle`: it stays above.
+
+    `friction` is Coulomb's coefficient; between nodes, or a node and an obstacle, slip is counted from `slip_origin`,
+    the displacement along the axes (of the first node against the second) that stood when they touched. A load path
+    finds that itself.
+    """
+
+    name: Name
+    node: Name | None = None
+    nodes: TwoNames | None = None
+    side: Name | None = None
+    sides: TwoNames | None = None
+    membrane: Name | None = None
+    obstacle: Name | None = None
+    direction: fields.Vector | None = None
+    pairing: Literal["mortar", "node-to-segment"] | None = None
+    reach: fields.PositiveLength | None = None
+    overlap: fields.NotNegativeLength | None = None
+    friction: fields.FrictionCoefficient | None = None
+    slip_origin: fields.Point | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        stated = [key for key in _TOUCHING if getattr(self, key) is not None]
+        if not stated:
+            raise ValueError("expected 'node', 'nodes', 'side', 'sides' or 'membrane', got none")
+        if len(stated) > 1:
+            raise ValueError(f"expected one of {', '.join(_TOUCHING)}, got both {stated[0]!r} and {stated[1]!r}")
+        key = stated[0]
+        if key not in ("nodes", "sides") and self.obstacle is None:
+            raise ValueError(f"expected 'obstacle', what the {key} may touch, and it is missing")
+        if key in ("nodes", "sides") and self.obstacle is not None:
+            raise ValueError(f"expected {key!r} or 'obstacle', got both")
+        if key != "nodes" and self.direction is not None:
+            raise ValueError("direction: expected none, the obstacle or the surface has its normal")
+        if key == "sides" and self.pairing is None:
+            raise ValueError("pairing: expected 'mortar' or 'node-to-segment' for two sides, and missing")
+        for option in ("pairing", "reach", "overlap"):
+            own = ("side", "sides") if option == "overlap" else ("sides",)
+            if key not in own and getattr(self, option) is not None:
+                raise ValueError(f"{option}: expected none with {key!r}")
+        if key == "membrane" and self.friction:
+            raise ValueError("friction: expected none, a membrane does not slide")
+        if self.slip_origin is not None and (key not in ("node", "nodes") or not self.friction):
+            raise ValueError("slip_origin: expected with friction between nodes, or a node and an obstacle, only")
+        for side in self.touching_sides:
+            body, _, name = side.partition(".")
+            if not body or not name:
+                raise ValueError(f'{key}: expected sides of bodies such as "block.bottom", got {side!r}')
+        return self
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The one node, or the two."""
+        return self.nodes or ((self.node,) if self.node else ())
+
+    @property
+    def touching_sides(self) -> tuple[str, ...]:
+        """The one side, or the slave's and the master's."""
+        return self.sides or ((self.side,) if self.side else ())
+
+
+# How the points of a path at large deformations are picked, and the keys that each way has of its own.
+CONTROLS: dict[str, tuple[str, ...]] = {
+    "load": (),
+    "displacement": ("controlled", "target"),
+    "arc-length": ("arc_length",),
+}
+
+# What loads are multiplied by, by their names.
+Corner = dict[Name, Number]
+
+
+class LoadPath(Block):
+    """How the loads come: all together from nothing to their values, or from corner to corner.
+
+    A corner says what the loads are multiplied by there; a load that it does not name is zero there. Loads are called
+    by their `name`, those of one name together, and ``gravity`` is what masses and bodies weigh::
+
+        corners = [{ gravity = 1 }, { gravity = 1, push = 1 }, { gravity = 1, push = -0.5 }]
+
+    In between each factor is linear in the pseudo-time, which is 0 where nothing is loaded, 1 at the first corner, 2 at
+    the second. Each way from corner to corner has `steps` equal steps. With ``events = "exact"`` every change of
+    contact is found exactly, in steps between its events and the corners, and `steps` are only for drawing curves.
+
+    With ``deformation = "large"`` there are 10 `steps` if none are stated, and `control` says how they are taken. By
+    ``"load"``, the default, the load factor grows. By ``"displacement"`` the unknown `controlled` goes to `target` in
+    equal steps, and by ``"arc-length"`` each step is `arc_length` long; then the load factor follows, and the path goes
+    through limit points.
+    """
+
+    steps: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] | None = None
+    events: Literal["exact"] | None = None
+    corners: Annotated[tuple[Corner, ...], Field(min_length=1, max_length=1000)] | None = None
+    control: Literal["load", "displacement", "arc-length"] | None = None
+    controlled: Name | None = None
+    target: fields.Length | None = None
+    arc_length: fields.PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _own_keys(self) -> Self:
+        control = self.control or "load"
+        for owner, keys in CONTROLS.items():
+            for key in keys:
+                if owner != control and getattr(self, key) is not None:
+                    raise ValueError(f"{key}: expected with control = {owner!r} only, got it with {control!r}")
+        for key in CONTROLS["displacement"] if control == "displacement" else ():
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: expected with control = 'displacement', and missing")
+        return self
+
+
+MOST_STEPS = 1_000_000
+
+
+def _known_scheme(value: str) -> str:
+    from contactqp.analysis.motion.schemes import SCHEMES
+
+    if value not in SCHEMES:
+        raise ValueError(unknown(value, SCHEMES, "scheme"))
+    return value
+
+
+class _Start(Block):
+    """What a part of the scene starts with: a body, a bar, a node, or one unknown ``node.axis``."""
+
+    of: Name
+
+
+class StartVelocity(_Start):
+    """A velocity along the axes, of an unknown one number; of a bar `to` that of its second node, linear between."""
+
+    value: fields.Velocities
+    to: fields.Velocities | None = None
+
+
+class StartDisplacement(_Start):
+    """A displacement, with the keys of a velocity."""
+
+    value: fields.Point
+    to: fields.Point | None = None
+
+
+class Motion(Block):
+    """The scene moves: from `start` on for `duration`, in equal steps, all loads constant.
+
+    `scheme` is one of `contactqp.impact`, `theta`, `restitution` and `penalty` are its knobs. `mass` is ``consistent``
+    or ``lumped``. What `displacements` and `velocities` do not name starts where it stands, at rest.
+    """
+
+    start: Annotated[fields.Time, Field(validate_default=True)] = "0 s"  # type: ignore[assignment]
+    duration: fields.PositiveTime
+    time_step: fields.PositiveTime
+    scheme: Annotated[Name, AfterValidator(_known_scheme)] = "moreau-jean"
+    theta: Number | None = None
+    restitution: Number | None = None
+    penalty: fields.Stiffness | None = None
+    mass: Literal["consistent", "lumped"] = "consistent"
+    displacements: tuple[StartDisplacement, ...] = ()
+    velocities: tuple[StartVelocity, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits_the_scheme(self) -> Self:
+        from contactqp.analysis.motion.schemes import SCHEMES
+
+        for name, low in (("theta", Fraction(1, 2)), ("restitution", Fraction(0))):
+            value = getattr(self, name)
+            if value is not None and not low <= value <= 1:
+                raise ValueError(f"{name}: expected a number from {float(low):g} to 1, got {float(value):g}")
+        for name in ("theta", "restitution", "penalty"):
+            if getattr(self, name) is not None and name not in SCHEMES[self.scheme].knobs:
+                takers = ", ".join(other for other, kind in SCHEMES.items() if name in kind.knobs)
+                raise ValueError(f"{name}: the scheme {self.scheme!r} has none; {takers} take one")
+        if self.scheme == "penalty" and self.penalty is None:
+            raise ValueError("penalty: expected for the scheme 'penalty', and missing")
+        if self.steps > MOST_STEPS:
+            raise ValueError(f"time_step: expected at most {MOST_STEPS} steps, got {self.steps} of {self.time_step}")
+        return self
+
+    @property
+    def steps(self) -> int:
+        return ceil(self.duration.si / self.time_step.si)
+
+    @property
+    def end(self) -> Fraction:
+        """When the last step ends [s]."""
+        return self.start.si + self.duration.si
 
 
 class UnitNames(Block):

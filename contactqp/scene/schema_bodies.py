@@ -9,9 +9,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from contactqp.elements.reference import KINDS as ELEMENTS
 from contactqp.scene import fields
-from contactqp.scene.fields import Block, BodyName, Name
+from contactqp.scene.fields import Block, BodyName, Name, unknown
 from contactqp.scene.units import KINDS, read_unit
-from contactqp.scene.wording import unknown
 
 Axis = Literal["x", "y", "z"]
 Divisions = Annotated[int, Field(strict=True, ge=1, le=100_000)]

@@ -1,17 +1,108 @@
-"""Tables on a screen, with pictures in letters where they fit."""
+"""Tables on a screen, with pictures in letters where they fit.
+
+Numbers drawn with letters: a bar for each of them, or the course of many in one line.
+
+The list of methods as a table and as plain data for JSON.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from contactqp.scene.in_text import ASCII, BLOCKS, Letters
+from contactqp.solving.methods import Method
+
+# Of the largest value; what is smaller is drawn as zero.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Letters:
+    """What bars and lines are made of."""
+
+    full: str
+    starts: str  # growing parts of a letter, from the left
+    ends: str  # growing parts of a letter, from the right
+    heights: str  # growing from the bottom
+    zero: str
+    axis: str
+
+
+BLOCKS = Letters("█", "▏▎▍▌▋▊▉", "▐", "▁▂▃▄▅▆▇█", "·", "│")
+# Where the output's encoding has no blocks.
+ASCII = Letters("#", "", "", ".:-=+*#@", "0", "|")
+
+
+def bars(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> list[str]:
+    """A horizontal bar for each value, the largest as long as `width`; what is more than rounding has a trace of one.
+
+    With negative values among them, bars go to both sides of an axis, and `width` is that of each side.
+    """
+    sizes = np.asarray(values, dtype=float)
+    finite = np.abs(sizes[np.isfinite(sizes)])
+    largest = float(np.max(finite, initial=0.0))
+    both_sides = bool(np.any(sizes[np.isfinite(sizes)] < 0))
+    return [_bar(value, largest, width, both_sides, letters) for value in sizes.tolist()]
+
+
+def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Letters) -> str:
+    if not math.isfinite(value):
+        return ""
+    if abs(value) <= ROUNDING * largest:
+        return f"{'':{width}}{letters.axis}" if both_sides else letters.zero
+    # Divided first: the width times the largest double is none.
+    length = abs(value) / largest * width
+    if not both_sides:
+        return _filled(length, letters.full, letters.starts)
+    if value > 0:
+        return f"{'':{width}}{letters.axis}{_filled(length, letters.full, letters.starts)}"
+    return f"{_filled(length, letters.full, letters.ends)[::-1]:>{width}}{letters.axis}"
+
+
+def _filled(length: float, full: str, parts: str) -> str:
+    """So many letters, the last one in part; at least the smallest part."""
+    steps = len(parts) + 1
+    whole, part = divmod(max(round(length * steps), 1), steps)
+    return full * whole + (parts[part - 1] if part else "")
+
+
+def course(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> str:
+    """The course of values in one line of at most `width` letters, from the least of them, or zero, to the largest.
+
+    Of values that share a letter the one furthest from zero is drawn; zero has a letter of its own.
+    """
+    numbers = np.asarray(values, dtype=float)
+    finite = numbers[np.isfinite(numbers)]
+    low, high = float(np.min(finite, initial=0.0)), float(np.max(finite, initial=0.0))
+    return "".join(_height(value, low, high, letters) for value in _furthest(numbers, width))
+
+
+def _furthest(numbers: np.ndarray, width: int) -> Sequence[float]:
+    parts = np.array_split(numbers, min(width, len(numbers))) if len(numbers) else []
+    return [float(part[np.argmax(np.abs(part))]) for part in parts]
+
+
+def _height(value: float, low: float, high: float, letters: Letters) -> str:
+    if not math.isfinite(value):
+        return "?"
+    if high <= low or abs(value) <= ROUNDING * max(high, -low):
+        return letters.zero
+    steps = len(letters.heights)
+    # Halved where need be: the difference of the largest doubles of both signs is none, half of the smallest is zero.
+    half = 1.0 if math.isfinite(high - low) else 0.5
+    part = (half * value - half * low) / (half * high - half * low)
+    return letters.heights[min(int(part * steps), steps - 1)]
+
 
 # Rows of a table on a screen; --json has all.
 MOST_ROWS = 60
@@ -74,3 +165,48 @@ def _table(
     for row in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     return table
+
+
+def print_methods(console: Console, methods: Iterable[Method]) -> None:
+    """Every method, installed or how to install it, and what it can do."""
+    rows = [
+        [
+            m.name,
+            m.kind,
+            "yes" if m.installed else m.install,
+            "exact" if m.exact else "approximate",
+            _abilities(m),
+            m.note,
+        ]
+        for m in methods
+    ]
+    print_table(console, ["method", "kind", "installed", "answer", "can do", "note"], rows)
+
+
+def _abilities(method: Method) -> str:
+    yes = [
+        "floating bodies" if method.semidefinite else "",
+        "sparse" if method.sparse else "",
+        f"friction: {method.friction}" if method.friction else "",
+        f"knob: {method.knob}" if method.knob else "",
+    ]
+    return ", ".join(text for text in yes if text)
+
+
+def method_data(method: Method) -> dict[str, Any]:
+    """One method for JSON."""
+    keys = (
+        "name",
+        "kind",
+        "installed",
+        "install",
+        "exact",
+        "semidefinite",
+        "sparse",
+        "friction",
+        "options",
+        "required",
+        "knob",
+        "note",
+    )
+    return {key: getattr(method, key) for key in keys}

@@ -31,8 +31,8 @@ from contactqp.pictures.membrane_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.building import exact_problem
+from contactqp.scene.geometry import obstacle
 from contactqp.scene.judging import Failure, Judgement, Trial
-from contactqp.scene.obstacles import obstacle
 from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import ROTATION, of_node
 
@@ -79,7 +79,7 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
 
 def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
     """The fields of a scene of membranes, which have no stresses; contacts at supported nodes are "held"."""
-    from contactqp.scene.bodies import body_model
+    from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
     structure, pairings = model.structure, [contact.pairing for contact in model.contacts]
@@ -99,7 +99,7 @@ def fields_of_membranes(scene: SceneData, solution: Solution) -> MembraneFields:
 
 
 def _fields_of_bodies(scene: SceneData, solution: Solution) -> ContactFields:
-    from contactqp.scene.bodies import body_model
+    from contactqp.scene.body_model import body_model
 
     model = body_model(scene)
     pairings, names = [c.pairing for c in model.contacts], [c.name for c in model.contacts]

@@ -13,13 +13,11 @@ import numpy as np
 from contactqp.errors import ContactQPError, SceneError
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+from contactqp.scene.building import build
 from contactqp.scene.claims import Expectation
-from contactqp.scene.expectations import answer_of, compare_expectation
-from contactqp.scene.explanation import report_methods, report_note
-from contactqp.scene.loading import load_scene
-from contactqp.scene.models import build
-from contactqp.scene.running import walk
-from contactqp.scene.scene import Scene
+from contactqp.scene.explaining import report_methods, report_note
+from contactqp.scene.judging import answer_of, compare_expectation
+from contactqp.scene.scene import Scene, load_scene, walk
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
 from contactqp.study.attempt import (

@@ -33,8 +33,8 @@ from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
-from contactqp.scene.loading import load_scene
-from contactqp.scene.models import build
+from contactqp.scene.building import build
+from contactqp.scene.scene import load_scene
 from contactqp.solving.solve import solve
 from contactqp.study.friction_files import MOST_CONTACTS, figures, finite, vector_text
 from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, finite_list, read_areas, read_order

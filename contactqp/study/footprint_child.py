@@ -22,7 +22,7 @@ from contactqp.study.footprint import IMPORT, OPTIONAL, ContactCount, Footprint,
 
 if TYPE_CHECKING:
     from contactqp.analysis.history import History
-    from contactqp.scene.models import Model
+    from contactqp.scene.building import Model
 
 
 class ImportMeter:
@@ -88,9 +88,8 @@ def main(case: str, method: str) -> None:
     model: Model | None = None
     history: History | None = None
     with timed() as clock, ImportMeter(clock).watching() as imports:
-        from contactqp.scene.loading import load_scene
-        from contactqp.scene.models import build
-        from contactqp.scene.running import run_model
+        from contactqp.scene.building import build
+        from contactqp.scene.scene import load_scene, run_model
 
         try:
             model = build(load_scene(case))

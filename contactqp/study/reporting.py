@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.errors import SceneError
-from contactqp.scene.arguments import case_files
+from contactqp.scene.judging import case_files
 from contactqp.study.attempt import ENOUGH, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.charts.comparison import overview_charts

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from io import StringIO
 
 from contactqp.analysis.motion.schemes import SCHEMES
+from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import Block
-from contactqp.scene.quantities import QUANTITIES
 from contactqp.scene.scene import Scene
+from contactqp.scene.schema import OBSTACLES
 from contactqp.scene.schema_bodies import SHAPES
-from contactqp.scene.schema_contacts import OBSTACLES
 from contactqp.scene.units import KINDS
 from docs.generating.tables import table
 

@@ -197,7 +197,7 @@ def test_interruption_is_quiet(capsys, monkeypatch):
     def interrupt(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("contactqp.scene.loading.load_scene", interrupt)
+    monkeypatch.setattr("contactqp.scene.scene.load_scene", interrupt)
     code, _, err = run(capsys, "run", WALL)
     assert code == 130
     assert err.strip() == "contactqp: interrupted"

@@ -33,7 +33,7 @@ def stopped(capsys, *arguments):
 @pytest.mark.parametrize(
     ("place", "arguments"),
     [
-        ("contactqp.scene.loading.Scene", ["run", WALL]),
+        ("contactqp.scene.scene.Scene", ["run", WALL]),
         ("contactqp.linalg.condensation.eliminate", ["run", WALL]),
         ("contactqp.solving.runs.compute_certificate", ["run", WALL, "--json"]),
         ("contactqp.study.footprint.subprocess.run", ["explain", WALL]),
@@ -86,7 +86,7 @@ def test_ctrl_c_where_python_lets_nothing_through_comes_again(monkeypatch, capsy
         raise AssertionError("nothing was interrupted")
 
     monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
-    monkeypatch.setattr("contactqp.scene.loading.load_scene", load)
+    monkeypatch.setattr("contactqp.scene.scene.load_scene", load)
     stopped(capsys, "run", WALL)
 
 

@@ -9,7 +9,7 @@ import click
 import pytest
 
 from contactqp.cli import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET, command
-from contactqp.scene.quantities import QUANTITIES
+from contactqp.scene.claims import QUANTITIES
 from docs.generating.case_keys import blocks
 from docs.generating.errata import held, listed
 from docs.generating.parts import DOCS, PARTS, with_part

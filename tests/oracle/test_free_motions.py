@@ -13,7 +13,7 @@ import contactqp as cq
 from contactqp.cli import main
 from contactqp.oracle.exact.enclosed_answer import carried, enclose, hold
 from contactqp.oracle.exact.refinement import fixed, refine
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from contactqp.scene.in_text import ASCII, BLOCKS, bars, course
+from contactqp.scene.tables import ASCII, BLOCKS, bars, course
 
 
 def test_bars_are_in_proportion_to_the_eighth_of_a_letter():

@@ -11,9 +11,9 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
-from contactqp.scene.models import build
 from contactqp.scene.scene import Scene
 
 BLOCK = dict(

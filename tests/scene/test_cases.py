@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.scene.explanation import report_methods
+from contactqp.scene.explaining import report_methods
 from contactqp.scene.judging import Judgement, Trial, judge, judge_all, trials
-from contactqp.scene.schema_path import LoadPath
+from contactqp.scene.schema import LoadPath
 from tests import shipped_cases
 
 SCENES = {f"{name}.toml": scene for name, scene in shipped_cases.SCENES.items()}
@@ -126,7 +126,7 @@ def test_expectations_of_large_deformations_say_how_exact_they_are(name):
 
 
 def test_the_motions_of_what_is_free_are_named():
-    from contactqp.scene.summaries import motions_in_words
+    from contactqp.scene.body_answers import motions_in_words
 
     for name, expected in (
         ("floating_disc.toml", ["disc along x"]),

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 import contactqp as cq
+from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.judging import Trial, judge, trials
-from contactqp.scene.quantities import QUANTITIES
 from contactqp.scene.scene import Scene
 
 from .test_building import WALL
@@ -110,7 +110,7 @@ def test_the_knobs_of_a_case_are_tried():
 
 def test_every_quantity_has_a_meaning_and_a_reader():
     from contactqp.scene.answers import READERS
-    from contactqp.scene.answers_of_bodies import _READERS
+    from contactqp.scene.body_answers import _READERS
 
     for of, readers in (("nodes", READERS), ("bodies", _READERS)):
         assert set(readers) == {name for name, measure in QUANTITIES.items() if measure.of in (of, "both")}

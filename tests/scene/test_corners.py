@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.scene.corners import factors_at
+from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Trial, judge
-from contactqp.scene.models import build
 from contactqp.scene.scene import Scene
+from contactqp.scene.unknowns import factors_at
 
 from .test_bodies import PRESSED
 

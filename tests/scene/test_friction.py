@@ -7,9 +7,9 @@ import pytest
 from rich.console import Console
 
 import contactqp as cq
+from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
 from contactqp.scene.judging import Failure, Trial, judge, judge_all, trials
-from contactqp.scene.models import build
 from contactqp.scene.printing import judgement_data, print_judgement
 from contactqp.scene.scene import Scene
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.scene.building import build
 from contactqp.scene.explaining import explain
-from contactqp.scene.inertia import exact_mass, mass_on_all
 from contactqp.scene.judging import Trial, judge
-from contactqp.scene.models import build
+from contactqp.scene.moving import exact_mass, mass_on_all
 from contactqp.scene.scene import Scene
 
 CASES = Path(__file__).parents[2] / "cases"

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contactqp.scene.expression import NotANumber, split_number
-from contactqp.scene.units import KINDS, UnitSystem, read_number, read_quantity
+from contactqp.scene.units import KINDS, NotANumber, UnitSystem, read_number, read_quantity, split_number
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ import pytest
 from rich.console import Console
 
 from contactqp.cli import main
-from contactqp.scene.in_text import bars
-from contactqp.scene.tables import MOST_ROWS, Drawn, print_table
+from contactqp.scene.tables import MOST_ROWS, Drawn, bars, print_table
 
 CASES = Path(__file__).parents[2] / "cases"
 

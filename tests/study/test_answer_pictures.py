@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from contactqp.scene.judging import Failure, Judgement, Trial, judge
-from contactqp.scene.loading import load_scene
+from contactqp.scene.scene import load_scene
 from contactqp.study.answer_pictures import answer_pictures
 
 pytest.importorskip("matplotlib")

@@ -35,11 +35,18 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
-from contactqp.scene.bodies import paired_contact, sides_of, solid_body, sum_of
-from contactqp.scene.body_loads import at_key, loads_of, supports_of
-from contactqp.scene.contact_entries import ContactEntries
-from contactqp.scene.corners import end_time, factors_at, has_corners
-from contactqp.scene.meshing import lattice_of_shape, mesh_of_file, near_enough, nearest_to
+from contactqp.scene.body_model import (
+    ContactEntries,
+    at_key,
+    loads_of,
+    paired_contact,
+    sides_of,
+    solid_body,
+    sum_of,
+    supports_of,
+)
+from contactqp.scene.geometry import lattice_of_shape, mesh_of_file, near_enough, nearest_to
+from contactqp.scene.unknowns import end_time, factors_at, has_corners
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData

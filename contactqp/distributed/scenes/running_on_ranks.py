@@ -29,12 +29,12 @@ from contactqp.distributed.whole import gathered, options_on_ranks, solve_whole,
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.scene.corners import end_time
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 from contactqp.scene.schema import SceneData
+from contactqp.scene.unknowns import end_time
 
 if TYPE_CHECKING:
-    from contactqp.scene.models import Model
+    from contactqp.scene.building import Model
 
     ModelOnRanks = Model | DistributedBodyModel
 
@@ -176,7 +176,7 @@ def model_on_ranks(scene: SceneData) -> ModelOnRanks:
     Raises
     ------
     SceneError, BackendMissing
-        As `contactqp.scene.models.build`; what one rank refuses, a file that it does not have, all do.
+        As `contactqp.scene.building.build`; what one rank refuses, a file that it does not have, all do.
     """
     ranks = Ranks()
     if scene.bodies and not (scene.membranes or scene.motion or scene.large):

@@ -17,8 +17,7 @@ import numpy as np
 
 from contactqp.errors import BackendMissing, ContactQPError, Unsupported
 from contactqp.scene.claims import Remark
-from contactqp.scene.explaining import explain
-from contactqp.scene.explanation import Explanation
+from contactqp.scene.explaining import Explanation, explain
 from contactqp.scene.judging import Failure, Judgement, judge, trials
 from contactqp.scene.printing import judgement_data
 from contactqp.scene.scene import Scene

@@ -15,7 +15,7 @@ import contactqp as cq
 from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 from contactqp.testing import problems
 
 CASES = Path(__file__).parents[3] / "cases"

@@ -14,7 +14,7 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.errors import InvalidProblem
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 scene = cq.load_scene(Path(__file__).parents[3] / "cases" / "truss_floor.toml")
 problem = build(scene).problem

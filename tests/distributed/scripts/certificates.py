@@ -16,7 +16,7 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.model.solution import FIGURES, Answer
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
 # Residuals in double precision differ from those in extended precision by a few dozen roundings.

@@ -11,11 +11,10 @@ import contactqp as cq
 from contactqp.distributed.problem import DistributedAnswer
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
-from contactqp.scene.answers_of_bodies import BodyAnswer
-from contactqp.scene.corners import end_time
-from contactqp.scene.instant import Instant
-from contactqp.scene.models import build
-from contactqp.scene.summaries import motions_in_words, summaries
+from contactqp.scene.answers import Instant
+from contactqp.scene.body_answers import BodyAnswer, motions_in_words, summaries
+from contactqp.scene.building import build
+from contactqp.scene.unknowns import end_time
 
 ranks = Ranks()
 OF_A_PATH = ("elastic energy", "work of the loads", "dissipated energy", "event time")

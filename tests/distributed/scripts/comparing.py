@@ -15,7 +15,7 @@ from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.distributed.solving import solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
 SAME = 1e-9

@@ -10,7 +10,7 @@ import contactqp as cq
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.errors import ContactQPError, Unsupported
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 ranks = Ranks()
 SCENE = """

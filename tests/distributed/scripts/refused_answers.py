@@ -14,7 +14,7 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import judged, solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
 ranks = Ranks()

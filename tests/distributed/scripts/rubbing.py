@@ -17,7 +17,7 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.friction import FrictionNewton
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import solve_distributed
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
 SAME = 1e-9

@@ -10,7 +10,7 @@ import contactqp as cq
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.scenes.distributed_bodies import distributed_model
 from contactqp.linalg.measures import bodies
-from contactqp.scene.models import build
+from contactqp.scene.building import build
 
 ranks = Ranks()
 ROUNDING = 1e-12

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from contactqp.scene.explanation import Explanation
+from contactqp.scene.explaining import Explanation
 from contactqp.study import rows
 from contactqp.study.report.report_data import CaseRecord, ReportData, Sizes, summarise
 from contactqp.study.rows import Row

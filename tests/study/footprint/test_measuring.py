@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from contactqp.linalg.stages import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, STEPS, timed
-from contactqp.scene.loading import load_scene
-from contactqp.scene.models import build
-from contactqp.scene.running import run_model
+from contactqp.scene.building import build
+from contactqp.scene.scene import load_scene, run_model
 from contactqp.study.footprint import IMPORT, OPTIONAL, Footprint, measure
 from contactqp.study.footprint_child import ImportMeter, contact_count
 from tests.examples import PUSHED_OFF

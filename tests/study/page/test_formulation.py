@@ -9,7 +9,7 @@ import pytest
 
 from contactqp.analysis.motion.schemes import SCHEMES
 from contactqp.scene.explaining import explain
-from contactqp.scene.loading import load_scene
+from contactqp.scene.scene import load_scene
 from contactqp.study.page import formulation as pages
 from contactqp.study.page.formulation import STEPS, SYMBOLS, Formulation, formulation
 from contactqp.study.page.render import mathml

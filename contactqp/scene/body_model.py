@@ -1,12 +1,19 @@
-"""From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs."""
+"""The contacts of a scene of bodies, entry by entry: what the forces and gaps of its problem are at their nodes.
+
+What holds and loads the bodies of a scene: its supports and loads, made from their keys.
+
+From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,26 +26,198 @@ from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
+from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, pair, pair_scalar
 from contactqp.elements.solid import stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, SceneError
 from contactqp.linalg.stages import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
-from contactqp.scene.body_loads import at_key, loads_of, supports_of
-from contactqp.scene.contact_entries import ContactEntries, PairedContact
-from contactqp.scene.corners import Factors, end_time, factors_at, has_corners
-from contactqp.scene.meshing import body_mesh, nearest_node
-from contactqp.scene.obstacles import height_of, obstacle
-from contactqp.scene.units import number
+from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle
+from contactqp.scene.units import number, vector
+from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 
 if TYPE_CHECKING:
-    from contactqp.scene.schema import SceneData
-    from contactqp.scene.schema_bodies import Body
-    from contactqp.scene.schema_contacts import Contact
+    from contactqp.scene.schema import Contact, SceneData
+    from contactqp.scene.schema_bodies import Body, PointLoad, Support
+
+
+class ContactAnswer(Protocol):
+    """What is asked of a solution: contact by contact of the problem, all of them."""
+
+    @property
+    def normal_force(self) -> Vector: ...
+
+    @property
+    def friction_force(self) -> NDArray[np.float64] | None: ...
+
+    @property
+    def gap(self) -> Vector: ...
+
+    @property
+    def contact_status(self) -> Any: ...
+
+
+@dataclass(frozen=True, eq=False)
+class PairedContact:
+    """One entry of the scene's contacts: many contacts in the problem, one for each paired node.
+
+    Attributes
+    ----------
+    name : str
+    body : str
+        The body or membrane that touches; of two bodies the slave.
+    pairing : Pairing
+    friction : Fraction
+    """
+
+    name: str
+    body: str
+    pairing: Pairing
+    friction: Fraction
+
+
+@dataclass(frozen=True, eq=False)
+class ContactEntries(ABC):
+    """The entries of the scene's contacts, in their order."""
+
+    contacts: tuple[PairedContact, ...]
+
+    @property
+    @abstractmethod
+    def kept(self) -> NDArray[np.int64]:
+        """Which rows of all pairings are contacts of the problem: those that a free unknown moves."""
+
+    @property
+    def row_names(self) -> list[str]:
+        """``floor 12`` for each row of all pairings: its entry in the scene and its node."""
+        return [f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes]
+
+    @property
+    def row_friction(self) -> Vector | None:
+        """The coefficient of each row of all pairings; None where nothing rubs."""
+        each = [np.full(len(contact.pairing.gap), float(contact.friction)) for contact in self.contacts]
+        friction = np.concatenate([np.zeros(0), *each])
+        return friction if friction.any() else None
+
+    @property
+    def notes(self) -> list[str]:
+        """What the pairings say of themselves, entry by entry."""
+        return [f"{contact.name}: {note}" for contact in self.contacts for note in contact.pairing.notes]
+
+    def place(self, name: str) -> int:
+        """The place of an entry of the scene's contacts among them."""
+        return [contact.name for contact in self.contacts].index(name)
+
+    def normal_forces(self, name: str, solution: ContactAnswer) -> Vector:
+        """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
+        return self.of_entry(name, solution.normal_force, 0.0)
+
+    def pressures(self, name: str, solution: ContactAnswer) -> Vector:
+        """At each paired node of one entry, (p,) [force / length^2], positive in compression; `Pairing.pressure`.
+
+        NaN where only supported nodes meet, whose forces nobody knows.
+        """
+        known = self.of_entry(name, solution.normal_force, np.nan)
+        return self.contacts[self.place(name)].pairing.pressure(known)
+
+    def friction_tractions(self, name: str, solution: ContactAnswer) -> Vector:
+        """lambda_T per area of each paired node along the axes, (p, d) [force / length^2]; NaN where unknown."""
+        unknown = np.isnan(self.of_entry(name, solution.normal_force, np.nan))
+        vectors = np.where(unknown[:, np.newaxis], np.nan, self.friction_vectors(name, solution))
+        pairing = self.contacts[self.place(name)].pairing
+        return np.column_stack([pairing.per_area(component) for component in vectors.T])
+
+    def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
+        """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
+        pairing = self.contacts[self.place(name)].pairing
+        frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
+        return np.asarray(np.einsum("pk,pkd->pd", along, frames))
+
+    def closed(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
+        """Which paired nodes of one entry press, (p,)."""
+        return self._has_status(name, solution, "closed", "stick", "slip")
+
+    def stuck(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
+        """Which paired nodes of one entry press and stick, (p,)."""
+        return self._has_status(name, solution, "stick")
+
+    def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> NDArray[np.bool_]:
+        return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
+
+    def gaps(self, name: str, solution: ContactAnswer) -> Vector:
+        """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
+        return self.of_entry(name, solution.gap, np.nan)
+
+    def tangential(self, name: str, values: Any) -> Vector:
+        """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
+        width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
+        if values is None:
+            return np.zeros((len(self.contacts[self.place(name)].pairing.gap), width))
+        return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
+
+    def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
+        """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
+        sizes = [len(contact.pairing.gap) for contact in self.contacts]
+        every = np.full(sum(sizes), otherwise)
+        every[self.kept] = values
+        start = sum(sizes[: self.place(name)])
+        return every[start : start + sizes[self.place(name)]]
+
+
+# From a body, a point and what a message calls the body to the number of the node there.
+NodeAt = Callable[[Part, ArrayLike, str], int]
+
+
+@contextmanager
+def at_key(where: str) -> Iterator[None]:
+    """What the elements refuse is refused with the key that they were made from."""
+    try:
+        yield
+    except InvalidProblem as error:
+        raise SceneError(f"{where}: {error}") from None
+
+
+def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_at: NodeAt) -> str | int:
+    if place.near is None:
+        whole.body(place.body).mesh.nodes(place.nodes)
+        return place.nodes
+    return node_at(whole.body(place.body), vector(scene.system, place.near), f"the body {place.body!r}")
+
+
+def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
+    for i, support in enumerate(scene.supports):
+        with at_key(f"supports[{i}] ({support.name!r})"):
+            nodes = _nodes(scene, whole, support, node_at)
+        value = 0.0 if support.value is None else number(scene.system, support.value)
+        yield Held(support.body, nodes, whole.body(support.body).axes.index(support.axis), value)
+
+
+def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
+    """Every load with its name; what bodies weigh is called gravity."""
+    for i, traction in enumerate(scene.tractions):
+        with at_key(f"tractions[{i}] ({traction.name!r})"):
+            whole.body(traction.body).mesh.side(traction.nodes)
+        yield traction.name, loads.Traction(traction.body, traction.nodes, vector(scene.system, traction.value))
+    for i, pressure in enumerate(scene.pressures):
+        with at_key(f"pressures[{i}] ({pressure.name!r})"):
+            whole.body(pressure.body).mesh.side(pressure.nodes)
+        yield pressure.name, loads.Pressure(pressure.body, pressure.nodes, number(scene.system, pressure.value))
+    for i, point_load in enumerate(scene.point_loads):
+        with at_key(f"point_loads[{i}] ({point_load.name!r})"):
+            nodes = _nodes(scene, whole, point_load, node_at)
+        yield point_load.name, loads.PointLoad(point_load.body, nodes, vector(scene.system, point_load.force))
+    if scene.gravity is not None:
+        for body in scene.bodies:
+            if body.density is not None and body.density.si > 0:
+                acceleration = vector(scene.system, scene.gravity)
+                if scene.motion is None:
+                    yield GRAVITY, loads.Gravity(body.name, acceleration)
+                else:
+                    yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
 
 
 class Surfaces(Protocol):
