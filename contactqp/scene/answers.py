@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.kinds import is_motion
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
-from contactqp.analysis.motion.history import is_motion
 from contactqp.elements import bar, spring
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.history import is_moving
+from contactqp.analysis.kinds import is_moving
 from contactqp.elements.solid import von_mises
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.scene.answers import OF_MOTIONS, Instant

@@ -19,8 +19,8 @@ from rich.markup import escape
 from rich.text import Text
 
 from contactqp.analysis.history import History
+from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
-from contactqp.analysis.motion.history import is_moving
 from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
 from contactqp.scene.answers import friction_along_axes
 from contactqp.scene.body_answers import motions_in_words, summaries, summary_data

@@ -1,8 +1,6 @@
 """What one case takes in a process of its own: time by stage, memory, modules, factorisations, contacts.
 
-A footprint measured in a fresh interpreter, where nothing else is in it.
-
-A footprint on a screen.
+The process (`contactqp.study.footprint_child`) is a fresh interpreter, where nothing else is in it.
 """
 
 from __future__ import annotations
@@ -14,12 +12,10 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.markup import escape
-
-from contactqp.scene.tables import print_table
+if TYPE_CHECKING:
+    from rich.console import Console
 
 IMPORT = "import modules"
 # What a case brings in where it needs it, and what for.
@@ -178,6 +174,10 @@ MEBIBYTE = 2**20
 
 def print_footprint(console: Console, footprint: Footprint) -> None:
     """What the answer took, line by line, and the time of each stage."""
+    from rich.markup import escape
+
+    from contactqp.scene.tables import print_table
+
     console.print(escape(f"solved by {footprint.method} in a fresh interpreter: {footprint_outcome(footprint)}"))
     if footprint.seconds is None:
         return

@@ -10,12 +10,11 @@ What is of a class has had its module imported: where it is not there, nothing i
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -340,16 +339,3 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, Answered]:
         load, size = posed.load + template.stiffness_rows @ posed.base, abs(posed.load)
         step = step.with_load_sum(load, size + template.stiffness_sizes @ abs(posed.base))
     return step, found
-
-
-_HOME = "contactqp.analysis.motion.history"
-
-
-def is_motion(history: Any) -> TypeGuard[MotionHistory]:
-    """Whether it is a MotionHistory."""
-    return _HOME in sys.modules and isinstance(history, sys.modules[_HOME].MotionHistory)
-
-
-def is_moving(solution: Any) -> TypeGuard[Moving]:
-    """Whether it is an instant of a motion."""
-    return _HOME in sys.modules and isinstance(solution, sys.modules[_HOME].Moving)
