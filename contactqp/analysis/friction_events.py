@@ -4,20 +4,6 @@ While no contact opens, closes, starts or stops slipping, displacements and forc
 a contact force or the room mu l_N - |l_T| of a contact that sticks reaches zero, and at every corner of the path,
 `friction_rates` says how the contacts go on. A contact that sticks is anchored at its E_T u of the instant at which it
 began to.
-
-Which way contacts with friction go on: Coulomb's law in rates, in the plane.
-
-Along a leg the load grows by df. Contacts that are open, and those that stick inside their cone, go on so. Those at the
-edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
-
-    l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
-
-and contacts with neither gap nor force choose among open, stick and slip as Coulomb's law says of rates:
-
-    gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
-
-Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990). Continuations that
-differ by a rigid motion that no load drives and no contact resists are one, and that motion rests.
 """
 
 from __future__ import annotations
@@ -40,6 +26,20 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
+
+# Which way contacts with friction go on: Coulomb's law in rates, in the plane.
+#
+# Along a leg the load grows by df. Contacts that are open, and those that stick inside their cone, go on so. Those at
+# the edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
+#
+#     l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
+#
+# and contacts with neither gap nor force choose among open, stick and slip as Coulomb's law says of rates:
+#
+#     gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
+#
+# Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990). Continuations that
+# differ by a rigid motion that no load drives and no contact resists are one, and that motion rests.
 
 # Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
 STEADY_RATE = 1e-11

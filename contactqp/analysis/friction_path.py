@@ -1,18 +1,4 @@
-"""Load paths with Coulomb friction: in steps, or from one exact event to the next.
-
-Where the steps of a load path with friction jump: no way leads continuously through the step, or several do.
-
-From the state at its start a step is followed again from event to event (`friction_events`). Where that finds no
-continuation the step has jumped to an equilibrium beyond; where it finds several, or several equilibria exist at the
-end of the step, the step has chosen one.
-
-Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
-
-A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
-(`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
-history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
-the sliders were at the instant before, or where they stick.
-"""
+"""Load paths with Coulomb friction from one exact event to the next, jumps, and the paths of penalty methods."""
 
 from __future__ import annotations
 
@@ -41,6 +27,12 @@ from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction_runs import FrictionRun
 from contactqp.solving.methods import Method
 from contactqp.solving.methods.augmented_lagrangian import default_penalty
+
+# Where the steps of a load path with friction jump: no way leads continuously through the step, or several do.
+#
+# From the state at its start a step is followed again from event to event (`friction_events`). Where that finds no
+# continuation the step has jumped to an equilibrium beyond; where it finds several, or several equilibria exist at the
+# end of the step, the step has chosen one.
 
 SAID_BEFORE = "follow_path: "
 
@@ -165,6 +157,13 @@ class _Instants(LazySolutions):
         self.append(FrictionRun(here, answer, "exact events", iterations=0))
         self._displacement = answer.displacement
 
+
+# Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
+#
+# A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
+# (`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
+# history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
+# the sliders were at the instant before, or where they stick.
 
 # Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
 STIFFEST = 1e6

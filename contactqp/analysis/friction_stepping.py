@@ -1,14 +1,4 @@
-"""The equilibria that a step of a load path with friction asks for: on the contact unknowns, or by `solve`.
-
-One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
-
-A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is anchored
-at its E_T u at the fraction of the step at which its gap reaches zero: the contacts without an anchor are held open,
-and where they overlap at the end of the step the first load at which one of them touches is searched for. On loads
-between which no other contact changes its state gaps are linear, and the secant finds that load exactly.
-
-The solutions along a load path with Coulomb friction, each from where the one before left its contacts.
-"""
+"""Load paths with Coulomb friction in steps: the equilibrium of each step, and where its slips are counted from."""
 
 from __future__ import annotations
 
@@ -40,6 +30,13 @@ from contactqp.solving.friction_runs import run_on_combination
 from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
+
+# One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
+#
+# A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is
+# anchored at its E_T u at the fraction of the step at which its gap reaches zero: the contacts without an anchor are
+# held open, and where they overlap at the end of the step the first load at which one of them touches is searched for.
+# On loads between which no other contact changes its state gaps are linear, and the secant finds that load exactly.
 
 # Loads tried for one closing: bisection takes over where the secant does not shrink its bracket.
 MOST_LOADS = 60
@@ -377,6 +374,8 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
         step=SolvedStep(solution),
     )
 
+
+# The solutions along a load path with Coulomb friction, each from where the one before left its contacts.
 
 # Of `solve`, and what they are if nobody says.
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)

@@ -1,13 +1,4 @@
-"""A sequence of solutions in time or along a load path, with its energies and its events.
-
-Solutions in time or along a load path that cost their certificate only when they are looked at.
-
-Changes of contact state along one leg of a load path, found exactly.
-
-While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have
-neither gap nor force, which of them close follows from the contact problem in rates: contacts that carry force stay
-closed, those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
-"""
+"""Histories: solutions along a load path or in time, certified when looked at, with their energies and events."""
 
 from __future__ import annotations
 
@@ -28,6 +19,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find
+
+# Solutions in time or along a load path that cost their certificate only when they are looked at.
 
 
 class Unfinished(Protocol):
@@ -267,6 +260,12 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
         force = (force + before.friction_force) / 2
     return float(np.sum(np.maximum(np.sum(force * slip, axis=1), 0.0)))
 
+
+# Changes of contact state along one leg of a load path, found exactly.
+#
+# While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have
+# neither gap nor force, which of them close follows from the contact problem in rates: contacts that carry force stay
+# closed, those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
 
 # Two events nearer than this part of a leg are one: doubles cannot order them.
 SIMULTANEOUS = 1e-12

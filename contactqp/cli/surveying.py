@@ -1,7 +1,4 @@
-"""Commands that go through many methods or problems: methods, report, gallery.
-
-The problems of the gallery as a table on a screen.
-"""
+"""Commands that go through many methods or problems: methods, report, gallery."""
 
 from __future__ import annotations
 
@@ -17,6 +14,8 @@ from rich.table import Table
 from contactqp.cli.output import console, print_json
 from contactqp.errors import InvalidProblem
 from contactqp.oracle.gallery.problem import GalleryProblem
+
+# The problems of the gallery as a table on a screen.
 
 
 def print_gallery(console: Console, problems: Sequence[GalleryProblem]) -> None:

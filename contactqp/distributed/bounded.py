@@ -8,15 +8,6 @@ absolute length, in which a contact counts as closed that is not. Their options 
 The reduced-space and the trust-region method solve on the unknowns that are not at a bound, whose number changes from
 step to step. PETSc 3.18's GAMG fails there ("Cannot change local size of Amat after use"). MUMPS, BoomerAMG and
 incomplete factors of blocks ("asm") are made anew each time, and work with all three methods.
-
-Contacts and ties as bounds on single unknowns, by a change of unknowns u = T w.
-
-A row E_i that has an unknown p of its own, one that no other row touches, limits w_p = E_i u / E_ip alone:
-
-    u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
-
-so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, those of a tie equal.
-Rows along one direction share their unknown. What is left of r = f - K u is the rows' force: (T'r)_p = r_p = E_ip l_i.
 """
 
 from __future__ import annotations
@@ -38,6 +29,16 @@ from contactqp.errors import BackendFailed, NoEquilibrium, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods import Settings
+
+# Contacts and ties as bounds on single unknowns, by a change of unknowns u = T w.
+#
+# A row E_i that has an unknown p of its own, one that no other row touches, limits w_p = E_i u / E_ip alone:
+#
+#     u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
+#
+# so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, those of a tie
+# equal. Rows along one direction share their unknown. What is left of r = f - K u is the rows' force: (T'r)_p = r_p =
+# E_ip l_i.
 
 Places = NDArray[np.intp]
 NONE = -1

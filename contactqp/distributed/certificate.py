@@ -1,18 +1,4 @@
-"""The certificate of an answer that no rank has whole: `contactqp.certify` by reductions.
-
-The least of a sum of sizes, h(a) = sum_j |b_j'a| over a with w'a = 1, from few sums: Kelley's cutting planes (1960).
-
-The sums s = sum_j sign(b_j'a) b_j for some a tell that h(a) = s'a, and h(c) >= |s'c| for every other c. The least t
-with t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound, and its c is asked next. With
-six unknowns and a hundred thousand summands a hundred questions bring the bounds together.
-
-Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.figures` by
-reductions.
-
-A body's motions, at most six, are judged at its home (`contactqp.distributed.problem`): it is sent the triangular
-factors R of w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that
-the search for the worst motion asks for.
-"""
+"""The certificate of an answer that no rank has whole: `contactqp.certify` by reductions."""
 
 from __future__ import annotations
 
@@ -54,6 +40,12 @@ from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import FIGURES, Certificate, Violations
+
+# The least of a sum of sizes, h(a) = sum_j |b_j'a| over a with w'a = 1, from few sums: Kelley's cutting planes (1960).
+#
+# The sums s = sum_j sign(b_j'a) b_j for some a tell that h(a) = s'a, and h(c) >= |s'c| for every other c. The least t
+# with t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound, and its c is asked next. With
+# six unknowns and a hundred thousand summands a hundred questions bring the bounds together.
 
 # How near to each other the bounds end: figures are read with a few digits.
 NEAR = 1e-9
@@ -133,6 +125,13 @@ def _program(cuts: Vector, weight: Vector) -> tuple[Vector, float]:
     if found.x is None:
         raise NotConverged(f"the balance of forces could not be judged: {found.message}")
     return np.asarray(found.x[:width]), float(found.x[width])
+
+
+# Whether the outer forces of every body balance, wherever its parts are: `contactqp.certificate.figures` by reductions.
+#
+# A body's motions, at most six, are judged at its home (`contactqp.distributed.problem`): it is sent the triangular
+# factors R of w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that
+# the search for the worst motion asks for.
 
 
 def balance(problem: DistributedProblem, answer: DistributedAnswer, bodies: Bodies) -> float:

@@ -1,4 +1,4 @@
-"""From a ContactProblem to the part of each rank: rows go where the graph of K is cut least.
+"""Distribute a ContactProblem over ranks: rows go where the graph of K is cut least.
 
     share    an equal share of consecutive rows (`portion`)
     owner    the rank of each node of the share: parts of equal size, few entries of K between them (`partition`)
@@ -6,12 +6,6 @@
 
 A problem may be given to all ranks alike, or to the first alone: the others then never have more of it than a share and
 a part, and no rank anything of the length of all unknowns.
-
-Which rank gets which vertex of a graph: PETSc's partitioners (PTScotch, ParMETIS), on the graph's own ranks.
-
-New numbers for the unknowns: the nodes of rank 0 first, then those of rank 1, ..., on each in their old order.
-
-Portion: consecutive or collected rows of all that a problem consists of; the whole of it is one too.
 """
 
 from __future__ import annotations
@@ -33,6 +27,8 @@ from contactqp.linalg.measures import bodies
 from contactqp.linalg.multigrid import block_size, constants, in_blocks
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
+
+# Which rank gets which vertex of a graph: PETSc's partitioners (PTScotch, ParMETIS), on the graph's own ranks.
 
 
 def partition(ranks: Ranks, indptr: NDArray[np.int64], indices: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -65,6 +61,9 @@ def partition(ranks: Ranks, indptr: NDArray[np.int64], indices: NDArray[np.int64
     for item in (parts, owner, graph):
         item.destroy()
     return found
+
+
+# New numbers for the unknowns: the nodes of rank 0 first, then those of rank 1, ..., on each in their old order.
 
 
 class Numbering:
@@ -115,6 +114,8 @@ class Numbering:
         """The ranks of unknowns in their new numbers."""
         return np.asarray(np.searchsorted(self.size * self._ends, new, side="right"))
 
+
+# Portion: consecutive or collected rows of all that a problem consists of; the whole of it is one too.
 
 # Blocks have one, two or three unknowns: shares that begin at multiples of all of them cut none.
 _WHOLE_BLOCKS = 6

@@ -1,13 +1,4 @@
-"""petsc4py and mpi4py, where they are installed; they are never a dependency.
-
-How PETSc holds K: in the blocks of its nodes, for products, or row by row, for what takes nothing else.
-
-A product in blocks of three reads one number of a column for nine values and takes some half of the time.
-
-Options of PETSc's, which users set with a prefix of ours.
-
-Memory that is free and that the C library, or PETSc, keeps for itself.
-"""
+"""PETSc and MPI as this package uses them: the optional imports, options, matrix formats and the memory they keep."""
 
 from __future__ import annotations
 
@@ -78,6 +69,11 @@ def _find() -> None:
         sys.path += sorted(glob.glob(_DEBIAN))[-1:]
 
 
+# How PETSc holds K: in the blocks of its nodes, for products, or row by row, for what takes nothing else.
+#
+# A product in blocks of three reads one number of a column for nine values and takes some half of the time.
+
+
 def held_in_blocks(comm: Any, rows: sp.bsr_matrix) -> Any:
     """Rows of this rank over the unknowns of all ranks, as PETSc.Mat: BAIJ, of single unknowns AIJ. Collective."""
     PETSc = petsc()
@@ -105,6 +101,8 @@ def block_type(size: int) -> str:
     return str(Type.BAIJ if size > 1 else Type.AIJ)
 
 
+# Options of PETSc's, which users set with a prefix of ours.
+
 # Of the preconditioners, as in PETSC_OPTIONS="-contactqp_pc_gamg_threshold 0.02".
 PREFIX = "contactqp_"
 
@@ -121,6 +119,9 @@ def given(prefix: str, ours: dict[str, Any]) -> Iterator[None]:
     finally:
         for name in added:
             options.delValue(name)
+
+
+# Memory that is free and that the C library, or PETSc, keeps for itself.
 
 
 def give_back() -> None:

@@ -6,8 +6,6 @@ With Z the rigid motions of all bodies as columns, a body moved by Z a touches w
 
 a linear program with a few unknowns. Its multipliers are contact forces that balance the load on every motion, its
 active contacts hold the bodies, and where it is unbounded the load drives a motion that nothing holds back.
-
-The motions that nothing resists, body by body, out of the soft motions that a problem brings.
 """
 
 from __future__ import annotations
@@ -28,6 +26,8 @@ from contactqp.linalg.iteration import FLOATING, ConstrainedRows
 from contactqp.linalg.multigrid import energy_ratios, of_size_one
 from contactqp.linalg.refinement import shift_within_gaps
 from contactqp.model.arrays import Array, Vector
+
+# The motions that nothing resists, body by body, out of the soft motions that a problem brings.
 
 
 @dataclass(frozen=True, eq=False)

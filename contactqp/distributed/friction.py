@@ -6,27 +6,6 @@ tangents that stick are ties, and what is left is a contact problem without fric
 and the next states. Before the first step and after each, Newton's method on the combination of states, whose systems
 have Coulomb's law in them (`contactqp.distributed.friction`), tries to end it: bounds need not settle to the
 last digit.
-
-PETSc's GMRES on an operator that is a function.
-
-One combination of open, stick and slip over the ranks: a linear system, unsymmetric where something slides.
-
-With H the rows that are held (closed contacts, ties, tangents that stick), G = H + mu t'E_T at the normals of contacts
-that slide, and the turning of slip directions in space as a stiffness C of the tangents,
-
-    (K + E_T'C E_T) u + G'l = f + E_T'C o,    H u = h.
-
-GMRES goes along displacements M r that H admits and looks at what the forces on G leave of residuals,
-
-    P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
-
-P_H and P_G the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system itself:
-nothing has to be iterated on but the combination, and in space the directions.
-
-Newton's method on Coulomb's law over the ranks: from one combination of open, stick and slip to the next.
-
-Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto Coulomb's
-law, is in equilibrium; it is the answer if every figure of the certificate is small then.
 """
 
 from __future__ import annotations
@@ -53,6 +32,8 @@ from contactqp.model.solution import FIGURES
 from contactqp.solving.friction.iterate import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+
+# PETSc's GMRES on an operator that is a function.
 
 # Vectors kept until GMRES starts anew.
 RESTART = 60
@@ -100,6 +81,20 @@ class _Operator:
         del matrix
         y.array[:] = self._operator(np.array(x.array_r))
 
+
+# One combination of open, stick and slip over the ranks: a linear system, unsymmetric where something slides.
+#
+# With H the rows that are held (closed contacts, ties, tangents that stick), G = H + mu t'E_T at the normals of
+# contacts that slide, and the turning of slip directions in space as a stiffness C of the tangents,
+#
+#     (K + E_T'C E_T) u + G'l = f + E_T'C o,    H u = h.
+#
+# GMRES goes along displacements M r that H admits and looks at what the forces on G leave of residuals,
+#
+#     P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
+#
+# P_H and P_G the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system itself:
+# nothing has to be iterated on but the combination, and in space the directions.
 
 # Steps of GMRES on one combination.
 STEPS = 600
@@ -185,6 +180,11 @@ def _below(rows: sp.csr_matrix, added: sp.csr_matrix) -> sp.csr_matrix:
     nothing = sp.csr_matrix((rows.shape[0] - added.shape[0], rows.shape[1]))
     return sp.csr_matrix(rows + sp.vstack([added, nothing]))
 
+
+# Newton's method on Coulomb's law over the ranks: from one combination of open, stick and slip to the next.
+#
+# Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
+# Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then.
 
 # Combinations tried from one start.
 MOST = 25

@@ -1,15 +1,4 @@
-"""The rows of a frictional problem on this rank: contacts, ties and tangents, and what iterates come to on them.
-
-What each contact of a rank does under friction: Alart and Curnier's trial forces, contact by contact.
-
-With stiffnesses rho of the contact's own unknowns,
-
-    p = l_N + rho_N (E_N u - g),    y = l_T + rho_T (E_T u - slip_origin),
-
-a contact is closed where p > 0, sticks where |y| <= theta, and slides along t = y / |y| elsewhere; theta = mu p is
-Coulomb's bound, another one Tresca's. In space the slip turns the friction: across t Newton's method has
-l_T = C (E_T u - slip_origin) with C = rho_T theta / (|y| - theta).
-"""
+"""The rows of a frictional problem on this rank: contacts, ties and tangents, and what iterates come to on them."""
 
 from __future__ import annotations
 
@@ -24,6 +13,16 @@ from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
+
+# What each contact of a rank does under friction: Alart and Curnier's trial forces, contact by contact.
+#
+# With stiffnesses rho of the contact's own unknowns,
+#
+#     p = l_N + rho_N (E_N u - g),    y = l_T + rho_T (E_T u - slip_origin),
+#
+# a contact is closed where p > 0, sticks where |y| <= theta, and slides along t = y / |y| elsewhere; theta = mu p is
+# Coulomb's bound, another one Tresca's. In space the slip turns the friction: across t Newton's method has l_T = C (E_T
+# u - slip_origin) with C = rho_T theta / (|y| - theta).
 
 Flags = NDArray[np.bool_]
 

@@ -1,11 +1,4 @@
-"""`ContactIteration` over the ranks: PETSc's products and preconditioner, sums by reduction.
-
-The projections of `contactqp.linalg.krylov`, of rows that stand on many ranks.
-
-Rows that share no unknown with others, nodes on rigid obstacles, are solved for one by one where they are. Where rows
-share unknowns on one rank alone, as the normal and the tangents of such a node may, their Gram matrix E D^-1 E' is
-factorised there. That of others is factorised on every rank, which needs what all held rows touch, a surface, on each.
-"""
+"""`ContactIteration` over the ranks: PETSc's products and preconditioner, sums by reduction."""
 
 from __future__ import annotations
 
@@ -25,6 +18,13 @@ from contactqp.linalg.iteration import ConstrainedRows, ContactIteration, Flags,
 from contactqp.linalg.krylov import ConjugateGradients, IndependentRows, Projections
 from contactqp.linalg.measures import ratio
 from contactqp.model.arrays import Vector
+
+# The projections of `contactqp.linalg.krylov`, of rows that stand on many ranks.
+#
+# Rows that share no unknown with others, nodes on rigid obstacles, are solved for one by one where they are. Where rows
+# share unknowns on one rank alone, as the normal and the tangents of such a node may, their Gram matrix E D^-1 E' is
+# factorised there. That of others is factorised on every rank, which needs what all held rows touch, a surface, on
+# each.
 
 
 class Gram(Protocol):

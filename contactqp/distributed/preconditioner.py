@@ -1,7 +1,4 @@
-"""z = M r, M near the inverse of K: PETSc's multigrids, or a direct solver.
-
-The V-cycle of `contactqp.linalg.v_cycle` on levels of a stiffness on all ranks.
-"""
+"""Preconditioners M near the inverse of K: the V-cycle of our own levels, PETSc's multigrids, or a direct solver."""
 
 from __future__ import annotations
 
@@ -22,6 +19,8 @@ from contactqp.errors import BackendFailed, Unsupported
 from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, SingularLevel, largest_eigenvalue
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 from contactqp.model.arrays import Array, Vector
+
+# The V-cycle of `contactqp.linalg.v_cycle` on levels of a stiffness on all ranks.
 
 # Unknowns of a coarsest level: its factor is dense, and on every rank.
 LARGEST_DENSE = 6000

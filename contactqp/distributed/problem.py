@@ -1,15 +1,4 @@
-"""DistributedProblem: each rank's part of one contact problem.
-
-One rank's part of an answer that nobody has judged.
-
-Bodies over the ranks: what their parts on several ranks come to is found on one of them, the body's home.
-
-Where on the ranks the worst of something is, and what its rank says of it.
-
-|K| x of a matrix that PETSc holds.
-
-DistributedSolution: what the ranks have of an answer, with the certificate that judged it.
-"""
+"""One rank's part of a contact problem, of its answers and of its bodies."""
 
 from __future__ import annotations
 
@@ -27,6 +16,8 @@ from contactqp.distributed.rows import Rows, StoredBlocks, stored_rows
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Certificate, Work
+
+# One rank's part of an answer that nobody has judged.
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +151,9 @@ class DistributedProblem:
         return np.asarray(every[np.argsort(order)])
 
 
+# Bodies over the ranks: what their parts on several ranks come to is found on one of them, the body's home.
+
+
 class Bodies:
     """Which bodies have unknowns here, and which are at home here. Making it is collective, and so are its methods.
 
@@ -228,6 +222,9 @@ class Bodies:
         return total
 
 
+# Where on the ranks the worst of something is, and what its rank says of it.
+
+
 def worst(ranks: Ranks, *values: Vector) -> list[float]:
     """The largest of each array on any rank, NaN where one is; 0 of nothing. Collective."""
     here = np.array([[np.max(part, initial=0.0) for part in values]])
@@ -268,6 +265,9 @@ def _said(ranks: Ranks, best: list[Any], say: Callable[[], str]) -> str | None:
     return said
 
 
+# |K| x of a matrix that PETSc holds.
+
+
 def stiffness_sizes(problem: DistributedProblem, x: Vector) -> Vector:
     """|K| x (n_here,). Collective; nothing is kept."""
     with stored_rows(problem.stiffness) as stored:
@@ -284,6 +284,9 @@ def _sizes(blocks: StoredBlocks, begin: int, end: int, x: Vector) -> Vector:
     rows = blocks.rows(begin, end)
     np.abs(rows.data, out=rows.data)
     return np.asarray(rows @ x)
+
+
+# DistributedSolution: what the ranks have of an answer, with the certificate that judged it.
 
 
 @dataclass(frozen=True, eq=False)

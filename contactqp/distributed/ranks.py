@@ -1,11 +1,4 @@
-"""The processes of one run, and what they tell each other.
-
-Arrays from rank to rank as the bytes that they are, in messages of a size that MPI can count.
-
-Questions to other ranks, and their answers.
-
-Rows of a matrix that other ranks have.
-"""
+"""The processes of one run: collective sums, messages of any size, questions to other ranks, rows that others hold."""
 
 from __future__ import annotations
 
@@ -20,6 +13,8 @@ from numpy.typing import NDArray
 from contactqp.distributed.environment import petsc
 from contactqp.errors import ContactQPError
 from contactqp.model.arrays import Index, Vector
+
+# Arrays from rank to rank as the bytes that they are, in messages of a size that MPI can count.
 
 # MPI counts in 32 bits, and some of its transports bytes too.
 MOST_BYTES = 2**30
@@ -226,6 +221,8 @@ class Ranks:
         return out
 
 
+# Questions to other ranks, and their answers.
+
 Answer = Callable[[NDArray[Any], Index], tuple[NDArray[Any], ...]]
 
 
@@ -245,6 +242,8 @@ def asked(ranks: Ranks, whom: NDArray[Any], question: NDArray[Any], answer: Answ
     order[back] = np.arange(len(back))
     return tuple(part[order] for part in found)
 
+
+# Rows of a matrix that other ranks have.
 
 ColumnIndex = NDArray[Any]
 

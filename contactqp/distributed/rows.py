@@ -1,9 +1,4 @@
-"""Rows E over the unknowns of all ranks: each stands on one rank, what it touches may stand on others.
-
-The rows of a matrix on this rank where PETSc has them: a copy would take as much as the matrix.
-
-petsc4py shows entries in copies only; PETSc's own functions, which it has loaded, say where they lie.
-"""
+"""Rows E over the unknowns of all ranks: each stands on one rank, what it touches may stand on others."""
 
 from __future__ import annotations
 
@@ -94,6 +89,10 @@ class Rows:
         csr = (entries.indptr.astype(PETSc.IntType), indices.astype(PETSc.IntType), entries.data)
         return PETSc.Mat().createAIJ(size=((self.count, None), n), csr=csr, comm=self._everywhere.comm)
 
+
+# The rows of a matrix on this rank where PETSc has them: a copy would take as much as the matrix.
+#
+# petsc4py shows entries in copies only; PETSc's own functions, which it has loaded, say where they lie.
 
 # Blocks of rows that are copied at a time: with the eighty entries a row of bodies in space some 0.01 GB.
 AT_A_TIME = 2**12

@@ -4,11 +4,6 @@
 
 T of the motions that cost little energy. Both products are made of some rows of K at a time, in blocks of nodes: GAMG's
 own hold K P as a whole, which on several ranks takes more than K.
-
-Aggregates of nodes over the ranks, and the prolongation of a few motions from them.
-
-PETSc's GAMG makes the aggregates from the graph of a stiffness alone, one number for each block: its own levels, of all
-unknowns, take more memory than the stiffness does.
 """
 
 from __future__ import annotations
@@ -27,6 +22,11 @@ from contactqp.distributed.rows import Rows, StoredBlocks, StoredRows, stored_ro
 from contactqp.errors import Unsupported
 from contactqp.linalg.multigrid import JACOBI, constants, largest_eigenvalue, of_size_one
 from contactqp.model.arrays import Array, Vector
+
+# Aggregates of nodes over the ranks, and the prolongation of a few motions from them.
+#
+# PETSc's GAMG makes the aggregates from the graph of a stiffness alone, one number for each block: its own levels, of
+# all unknowns, take more memory than the stiffness does.
 
 OPTIONS = {
     "pc_type": "gamg",

@@ -1,7 +1,4 @@
-"""A problem that every rank was given whole, solved by all of them, and its answer given whole to each.
-
-An answer for the rank that prints it: whole on the first, of no rows on the others.
-"""
+"""A problem that every rank was given whole, solved by all of them, and its answer given whole to each."""
 
 from __future__ import annotations
 
@@ -147,6 +144,9 @@ def _violations_of(
         tie=whole(none.tie, part.tie_number),
     )
     return Violations(**gathered, intrinsic_size=found.intrinsic_size, nothing=nothing)
+
+
+# An answer for the rank that prints it: whole on the first, of no rows on the others.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,6 @@
 """The mesh in an Abaqus or CalculiX input file: NODE, ELEMENT, NSET, ELSET and SURFACE, all else passed over.
 
 Keywords and formats: Abaqus keywords reference guide; face numbers S1, S2, ...: Abaqus elements guide.
-
-From the cells of other programs to a Mesh: which are elements, which are sides, and which belong to one part.
 """
 
 from __future__ import annotations
@@ -19,6 +17,8 @@ from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
+
+# From the cells of other programs to a Mesh: which are elements, which are sides, and which belong to one part.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,4 @@
-"""What a large deformation asks of a body and of its contacts: two small protocols that anyone's code can meet.
-
-A deformable body some of whose unknowns are held: what is left is a body of the free ones.
-"""
+"""The protocols of a deformable body and of its contacts, which anyone's code can meet, and bodies held by supports."""
 
 from __future__ import annotations
 
@@ -87,6 +84,9 @@ class ContactGeometry(Protocol):
 
     def positions(self, displacement: Vector) -> Vector:
         """(m, d): where the contacts are [length]: anchors of a slip."""
+
+
+# A deformable body some of whose unknowns are held: what is left is a body of the free ones.
 
 
 @computes

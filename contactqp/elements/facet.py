@@ -1,9 +1,4 @@
-"""Facets of a boundary: reference coordinates, shape functions and their derivatives, surface normals, Gauss points.
-
-A part of a body's boundary that may touch something: nodes, facets, and where their displacements stand in u.
-
-Whether a surface can be worked with: one clear error that names the surface, and the facet or the node.
-"""
+"""Surfaces that may touch and their facets: shape functions, normals, Gauss points, and checks of a usable surface."""
 
 from __future__ import annotations
 
@@ -18,6 +13,8 @@ from contactqp.elements.reading import positive_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_whole
+
+# A part of a body's boundary that may touch something: nodes, facets, and where their displacements stand in u.
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +256,8 @@ def diameters(positions: Array) -> Array:
     longest: Array = np.sqrt((apart**2).sum(axis=3)).max(axis=(1, 2))
     return longest
 
+
+# Whether a surface can be worked with: one clear error that names the surface, and the facet or the node.
 
 # A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
 FLAT = 1e-10

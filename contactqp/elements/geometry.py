@@ -1,7 +1,4 @@
-"""From reference elements to space: Jacobians, gradients and surface normals of many elements at once.
-
-The boundary of a mesh: facets that belong to one element only, and finding facets by their nodes.
-"""
+"""Elements in space: Jacobians, gradients and surface normals of many at once, and the boundary of a mesh."""
 
 from __future__ import annotations
 
@@ -116,6 +113,9 @@ def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-1)
     columns = [np.cross(J[..., (i + 1) % 3], J[..., (i + 2) % 3]) for i in range(3)]
     return np.stack(columns, axis=-1)
+
+
+# The boundary of a mesh: facets that belong to one element only, and finding facets by their nodes.
 
 
 def boundary(blocks: Sequence[Block]) -> Index:

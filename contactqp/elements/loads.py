@@ -1,9 +1,7 @@
-"""Loads on bodies as consistent nodal forces: f_i is the integral of N_i times what acts on the body.
+"""Consistent nodal loads and masses of bodies: f_i is the integral of N_i times what acts on the body.
 
 In plane problems the integrals carry the body's thickness, in axial symmetry the full circle 2 pi r. A load that varies
 is a function of the points (p, d), evaluated at the quadrature points.
-
-Mass matrices: consistent, the integral of rho N_i N_j, and lumped, a diagonal of the same masses.
 """
 
 from __future__ import annotations
@@ -24,6 +22,8 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
+
+# Mass matrices: consistent, the integral of rho N_i N_j, and lumped, a diagonal of the same masses.
 
 
 def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool = False) -> Numbers:

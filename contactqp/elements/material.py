@@ -1,4 +1,4 @@
-"""Isotropic linear elasticity: from strain to stress in plane strain, plane stress, axial symmetry and 3D.
+"""Isotropic linear elasticity: strains of nodal displacements, and stresses in the plane, axial symmetry and space.
 
 Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz, xy, yz, zx), shear strains doubled
 (gamma_xy = 2 eps_xy). A model keeps those strains that can differ from zero:
@@ -7,8 +7,6 @@ Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz,
     plane-stress    (xx, yy, xy)       sigma_zz = 0
     axisymmetric    (xx, yy, zz, xy)   x is the radius, y the axis, zz the hoop direction
     3d              all six
-
-Strains from nodal displacements: the matrices B in eps = B u, and the measure that integrals over a body carry.
 """
 
 from __future__ import annotations
@@ -97,6 +95,8 @@ class Material:
             matrix[2] = 0.0
         return matrix
 
+
+# Strains from nodal displacements: the matrices B in eps = B u, and the measure that integrals over a body carry.
 
 # (strain, axis of the displacement, axis of the derivative); the strains are numbered as in material.STRAINS.
 _PLANE = ((0, 0, 0), (1, 1, 1), (2, 0, 1), (2, 1, 0))

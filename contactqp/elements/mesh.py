@@ -1,7 +1,4 @@
-"""A mesh of one body: points, elements, named sets of nodes and named sides of its boundary.
-
-What a mesh must satisfy before it becomes a body; every refusal names the element, the node or the set.
-"""
+"""The mesh of one body: points, elements, named sets of nodes and named sides, checked when it is made."""
 
 from __future__ import annotations
 
@@ -19,6 +16,8 @@ from contactqp.elements.reference import KINDS, REFERENCES, Reference
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
+
+# What a mesh must satisfy before it becomes a body; every refusal names the element, the node or the set.
 
 Points = NDArray[np.float64]
 

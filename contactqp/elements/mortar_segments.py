@@ -2,12 +2,6 @@
 
 Each slave facet has an auxiliary plane (in 2D a line): through its centre, across its normal n there. Master facets are
 projected onto it along n and clipped with the slave facet (Puso & Laursen 2004; in 2D: Wriggers 2006, section 9.3).
-
-What two convex polygons in a plane have in common, for many pairs at once.
-
-Polygons are (P, V, 2) arrays of vertices, counter-clockwise; those with fewer than V vertices repeat their last one.
-
-What a mortar integrates over the segments of two surfaces.
 """
 
 from __future__ import annotations
@@ -34,6 +28,10 @@ from contactqp.elements.nearest_facet import bounding_balls, overlapping_balls
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
+
+# What two convex polygons in a plane have in common, for many pairs at once.
+#
+# Polygons are (P, V, 2) arrays of vertices, counter-clockwise; those with fewer than V vertices repeat their last one.
 
 
 def clip(polygons: Array, windows: Array) -> Array:
@@ -82,6 +80,8 @@ def _cross(a: Array, b: Array) -> Array:
     product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return product
 
+
+# What a mortar integrates over the segments of two surfaces.
 
 Places = NDArray[np.int64]
 

@@ -1,9 +1,4 @@
-"""Which facet of a surface is nearest to a point, among those that face it; where its surface ends.
-
-Which facets can be near which points: balls that overlap, in n log n for facets of any sizes.
-
-The point of a facet that is closest to a given point, for straight, bilinear and quadratic facets alike.
-"""
+"""Find the facet of a surface that is nearest to a point, and the closest point on it."""
 
 from __future__ import annotations
 
@@ -26,6 +21,8 @@ from contactqp.elements.facet import (
 )
 from contactqp.elements.tributary import kinks
 from contactqp.model.arrays import Array
+
+# Which facets can be near which points: balls that overlap, in n log n for facets of any sizes.
 
 Places = NDArray[np.int64]
 
@@ -66,6 +63,8 @@ def bounding_balls(positions: Array) -> tuple[Array, Array]:
     linear = positions.shape[1] == 2 if positions.shape[2] == 2 else positions.shape[1] <= 4
     return centres, radii * (1.0 if linear else 2.0)
 
+
+# The point of a facet that is closest to a given point, for straight, bilinear and quadratic facets alike.
 
 NEWTON_STEPS = 50
 HALVINGS = 20

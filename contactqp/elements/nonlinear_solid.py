@@ -1,10 +1,4 @@
-"""Solids at large displacements and strains, from the mesh and the quadrature of a linear elastic body.
-
-Hyperelastic laws: energy, second Piola-Kirchhoff stress and its tangent from the displacement gradient H = du/dX.
-
-F = 1 + H, C = F'F, Green's strain G = (H + H' + H'H) / 2, J = det F. Everything is formed from H, so that small strains
-keep their digits. In the plane F_zz = 1 (plane strain), or S_zz = 0 where a law has a form for plane stress.
-"""
+"""Hyperelastic solids at large displacements and strains, on the mesh and quadrature of a linear elastic body."""
 
 from __future__ import annotations
 
@@ -21,6 +15,11 @@ from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes
+
+# Hyperelastic laws: energy, second Piola-Kirchhoff stress and its tangent from the displacement gradient H = du/dX.
+#
+# F = 1 + H, C = F'F, Green's strain G = (H + H' + H'H) / 2, J = det F. Everything is formed from H, so that small
+# strains keep their digits. In the plane F_zz = 1 (plane strain), or S_zz = 0 where a law has a form for plane stress.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,4 @@
-"""Elastic laws of a bar at any strain: energy, second Piola-Kirchhoff stress and its modulus against Green's strain.
-
-Truss bars at any displacement and rotation: the total Lagrangian form, derived from the energy of Green's strain.
-
-Truss bars in their current configuration: Cauchy stress and Almansi strain, the updated Lagrangian form.
-"""
+"""Truss bars at any displacement, rotation and strain: elastic laws, total and updated Lagrangian forms."""
 
 from __future__ import annotations
 
@@ -144,6 +139,9 @@ def _elongation(eps: Any) -> Array:
     """e = sqrt(1 + 2 eps) - 1, without the cancellation."""
     eps = np.asarray(eps, dtype=float)
     return np.asarray(2 * eps / (1 + np.sqrt(1 + 2 * eps)))
+
+
+# Truss bars at any displacement and rotation: the total Lagrangian form, derived from the energy of Green's strain.
 
 
 @computes
@@ -331,6 +329,8 @@ def _per_bar(name: str, value: ArrayLike, count: int) -> Array:
         raise InvalidProblem(f"truss {name}: expected positive numbers, got {values.min()}")
     return np.broadcast_to(values, (count,)).copy()
 
+
+# Truss bars in their current configuration: Cauchy stress and Almansi strain, the updated Lagrangian form.
 
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")

@@ -1,9 +1,4 @@
-"""Rigid obstacles: where they are, how far a point is from them, and the directions along them.
-
-The rows of one contact: a node against a rigid obstacle, or two nodes against each other.
-
-A rigid obstacle given by any signed distance function.
-"""
+"""Rigid obstacles: planes and any signed distance, and the rows of a node against one or of two nodes."""
 
 from __future__ import annotations
 
@@ -114,6 +109,9 @@ def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([first, np.cross(normals, first)], axis=1)
 
 
+# The rows of one contact: a node against a rigid obstacle, or two nodes against each other.
+
+
 @dataclass(frozen=True, eq=False)
 class ContactRows:
     """One contact on the unknowns of its nodes: E_N u <= gap, slip E_T u."""
@@ -151,6 +149,8 @@ def between_nodes(first: Any, second: Any, direction: Any) -> ContactRows:
     along = tangents(-n)
     return ContactRows(normal=np.concatenate([n, -n]), gap=gap, tangent=np.hstack([along, -along]))
 
+
+# A rigid obstacle given by any signed distance function.
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))

@@ -1,7 +1,4 @@
-"""Nodes against rigid obstacles where both are now: gaps, normals and tangents that turn with the motion.
-
-How the normal of a rigid obstacle turns from point to point: the Hessian of its signed distance.
-"""
+"""Nodes against rigid obstacles at large displacements: gaps, normals, tangents and how these turn."""
 
 from __future__ import annotations
 
@@ -23,6 +20,8 @@ from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphe
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Vector, computes
 from contactqp.model.problem_data import ReadOnly, read_only
+
+# How the normal of a rigid obstacle turns from point to point: the Hessian of its signed distance.
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))

@@ -1,9 +1,4 @@
-"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices.
-
-E_N and E_T from relative motions: each contact moves as a weighted sum of node displacements.
-
-Membranes and other scalar fields over an obstacle: one unknown a node, u >= height(x).
-"""
+"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices."""
 
 from __future__ import annotations
 
@@ -23,6 +18,8 @@ from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
+
+# E_N and E_T from relative motions: each contact moves as a weighted sum of node displacements.
 
 Places = NDArray[np.int64]
 
@@ -250,6 +247,8 @@ def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
         raise InvalidProblem(f"points: expected finite numbers, got {x[~np.isfinite(x)][0]}")
     return x
 
+
+# Membranes and other scalar fields over an obstacle: one unknown a node, u >= height(x).
 
 Side = Literal["above", "below"]
 

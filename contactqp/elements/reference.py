@@ -7,10 +7,6 @@ stated polynomial space, so each kind is a list of nodes and a list of monomials
     tri3, tri6, tet4, tet10         complete polynomials of degree 1 and 2
     quad4, quad9, hex8, hex27       products of polynomials of degree 1 and 2 in each coordinate
     quad8, hex20                    those of them with at most one square (serendipity: Arnold & Awanou 2011)
-
-Quadrature on the reference shapes: line [-1, 1], square and cube of it, unit triangle and unit tetrahedron.
-
-All weights are positive and all points lie inside. The numbers are closed forms, none is tabulated.
 """
 
 from __future__ import annotations
@@ -24,6 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.model.problem_data import ReadOnly
+
+# Quadrature on the reference shapes: line [-1, 1], square and cube of it, unit triangle and unit tetrahedron.
+#
+# All weights are positive and all points lie inside. The numbers are closed forms, none is tabulated.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,4 @@
-"""Rigid circles, spheres and cylinders, solid or as holes: the distance to a centre or to an axis.
-
-The rigid paraboloid, Hertz's own obstacle: with the gap that his theory measures, or with the true distance.
-"""
+"""Rigid circles, spheres, cylinders and paraboloids, solid or as holes: distances to a centre, an axis, a surface."""
 
 from __future__ import annotations
 
@@ -167,6 +164,8 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
     normals: NDArray[np.float64] = radial / length[:, np.newaxis]
     return -normals if inside else normals
 
+
+# The rigid paraboloid, Hertz's own obstacle: with the gap that his theory measures, or with the true distance.
 
 Measure = Literal["axis", "normal"]
 # Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.

@@ -14,10 +14,6 @@ exact curve. Every function raises InvalidProblem for a length, a number of divi
                                      with left (x = 0); an eighth also y >= 0, with front (y = 0)
 
 Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``.
-
-Graded division of a line.
-
-Discs, balls and cylinders as O-grids: a rounded square or cubic core, and layers from its faces to the circle.
 """
 
 from __future__ import annotations
@@ -36,6 +32,8 @@ from contactqp.elements.mesh import Mesh
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import is_whole
+
+# Graded division of a line.
 
 Towards = Literal["low", "high", "both", "middle"]
 
@@ -75,6 +73,8 @@ def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]
     values[1::2] = (ends[1:] + ends[:-1]) / 2
     return values
 
+
+# Discs, balls and cylinders as O-grids: a rounded square or cubic core, and layers from its faces to the circle.
 
 Half = Literal["full", "positive", "negative"]
 # Half-width of the core over the radius, and how round it is (0 square, 1 circular): at these the angles of a

@@ -1,12 +1,4 @@
-"""Elastic bodies: a mesh, a material, and the stiffness matrix that follows.
-
-From element matrices to one sparse matrix: linear in the number of elements, and symmetric to the last digit.
-
-Stresses of a displaced body, at its quadrature points and at its nodes, and von Mises' equivalent stress.
-
-All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is the
-radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy).
-"""
+"""Elastic bodies: a mesh, a material, the assembled stiffness matrix, and the stresses of a displacement."""
 
 from __future__ import annotations
 
@@ -28,6 +20,8 @@ from contactqp.elements.reference import REFERENCES, Quadrature, Reference, gaus
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only
+
+# From element matrices to one sparse matrix: linear in the number of elements, and symmetric to the last digit.
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +262,11 @@ class Body(ReadOnly):
             motions.append(turn.ravel())
         return np.stack(motions, axis=1)
 
+
+# Stresses of a displaced body, at its quadrature points and at its nodes, and von Mises' equivalent stress.
+#
+# All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is
+# the radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy).
 
 # Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
 # integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.

@@ -1,7 +1,4 @@
-"""Several bodies in one u, held by supports and loaded: stiffness and load of the free unknowns, and the way back.
-
-Contacts of bodies some of whose unknowns are prescribed: rows of the free unknowns, and what is left of the gap.
-"""
+"""Several bodies in one displacement vector: stiffness, load and contacts of the unknowns that no support holds."""
 
 from __future__ import annotations
 
@@ -23,6 +20,8 @@ from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
+
+# Contacts of bodies some of whose unknowns are prescribed: rows of the free unknowns, and what is left of the gap.
 
 
 @dataclass(frozen=True, eq=False)

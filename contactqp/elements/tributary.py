@@ -1,7 +1,4 @@
-"""What belongs to a node of a surface: its part of the area, and its normal.
-
-Whether the facets of two curved sides are too coarse for the gap between them.
-"""
+"""The part of a surface's area that belongs to each node, its normal, and whether curved facets are too coarse."""
 
 from __future__ import annotations
 
@@ -110,6 +107,8 @@ def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64
     ]
     return np.stack(at, axis=1)
 
+
+# Whether the facets of two curved sides are too coarse for the gap between them.
 
 # An error of the pressure of this part of it is worth a word.
 TOLD = 0.1

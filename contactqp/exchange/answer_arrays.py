@@ -1,13 +1,7 @@
-"""Answers in arrays: .npz by names, a folder of files by their names, and one array, which is what its file is called.
+"""Read answers from arrays: .npz by names, folders of files by their names, single arrays, and CSV tables.
 
 An array whose file has no such name (u.npy, normal_force.mtx, ...) is displacements or normal forces where its length
 leaves no doubt, which the ledger says.
-
-Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
-
-dof,displacement            or    node,x,y,z (or ux, U1, D1, ..., rotx, UR1)
-contact,normal_force[,friction_force | ,friction_1,friction_2]
-tie,tie_force
 """
 
 from __future__ import annotations
@@ -37,6 +31,11 @@ from contactqp.exchange.numpy_files import NUMPY, ZIP
 from contactqp.exchange.refusal import Ledger, Path, is_number, read_bytes, wrong
 from contactqp.exchange.tables import HEAD, Table, begins_with, is_table, read_tables
 from contactqp.model.problem import ContactProblem
+
+# Answers in CSV: tables by unknown, node, contact and tie, their rows in any order.
+#
+# dof,displacement or node,x,y,z (or ux, U1, D1, ..., rotx, UR1) contact,normal_force[,friction_force |
+# ,friction_1,friction_2] tie,tie_force
 
 NAME = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")

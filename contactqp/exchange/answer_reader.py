@@ -1,9 +1,4 @@
-"""What reads somebody's answer in one format, and what it returns: `contactqp.exchange.answer_files` lists them.
-
-What unknowns are called: 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys, and which of them are the same.
-
-Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Abaqus and CalculiX number them.
-"""
+"""The interface of readers of somebody's answer, and the names that programs give to unknowns."""
 
 from __future__ import annotations
 
@@ -17,6 +12,10 @@ from numpy.typing import NDArray
 
 from contactqp.exchange.refusal import Ledger, Path, one_line, wrong
 from contactqp.model.problem import ContactProblem
+
+# What unknowns are called: 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys, and which of them are the same.
+#
+# Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Abaqus and CalculiX number them.
 
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {

@@ -3,21 +3,6 @@
 The unknowns of the problem are called "node.axis", 12.2 or 12.y, as the .dof file beside a stored stiffness calls them;
 its contacts are called by their slave node, "12", "node 12" or like one of its unknowns. The last increment counts.
 Pressures are positive in compression, those of contact elements that are not there are zero.
-
-What CalculiX prints at nodes: displacements, forces, contact pressures, at one time.
-
-CalculiX's .dat: the tables of *NODE PRINT and *CONTACT PRINT, increment by increment.
-
-Before each table stands a line of words with the time at its end: "displacements (vx,vy,vz) for set S and time t",
-"forces (fx,fy,fz) ...", "contact stress (slave node,press,tang1,tang2) ...", "relative contact displacement (slave
-node, ...) ...". Contact pressure is positive in compression. Tables of slave elements and faces are face-to-face
-contact at its integration points and give no value at a node; other tables are none of contact's.
-
-CalculiX's .frd in its text formats: fields at nodes, increment by increment (cgx's manual, "Result Format").
-
-A block begins with 100C (time, number of nodes, format), -4 (name) and a -5 for each component; -1 lines hold node and
-up to six values in columns of 12, -2 lines the rest, -3 ends it, and 9999 ends the file. Format 0 is short (nodes in 5
-columns), 1 long (10), 2 and 3 are binary and refused.
 """
 
 from __future__ import annotations
@@ -38,6 +23,9 @@ from contactqp.model.problem import ContactProblem
 DISPLACEMENT, FORCE, CONTACT = "displacement", "force", "contact"
 
 
+# What CalculiX prints at nodes: displacements, forces, contact pressures, at one time.
+
+
 @dataclass(frozen=True, eq=False)
 class NodalField:
     """One field at one time; `kind` is one of the above, or CalculiX's own name of it."""
@@ -52,6 +40,13 @@ class NodalField:
         """(N,) one component, None where the field has no such one."""
         return self.values[:, self.components.index(name)] if name in self.components else None
 
+
+# CalculiX's .dat: the tables of *NODE PRINT and *CONTACT PRINT, increment by increment.
+#
+# Before each table stands a line of words with the time at its end: "displacements (vx,vy,vz) for set S and time t",
+# "forces (fx,fy,fz) ...", "contact stress (slave node,press,tang1,tang2) ...", "relative contact displacement (slave
+# node, ...) ...". Contact pressure is positive in compression. Tables of slave elements and faces are face-to-face
+# contact at its integration points and give no value at a node; other tables are none of contact's.
 
 DAT_EXPECTED = "CalculiX's printed tables (.dat)"
 TITLE = re.compile(r"\s(\S[^()]*?)\s*\(([^()]*)\).*\btime\s+(\S+)\s*", re.ASCII)
@@ -142,6 +137,12 @@ def is_dat(head: bytes) -> bool:
     title = TITLE.fullmatch(lines[0]) if lines else None
     return title is not None and DAT_NUMBER.fullmatch(title[3]) is not None
 
+
+# CalculiX's .frd in its text formats: fields at nodes, increment by increment (cgx's manual, "Result Format").
+#
+# A block begins with 100C (time, number of nodes, format), -4 (name) and a -5 for each component; -1 lines hold node
+# and up to six values in columns of 12, -2 lines the rest, -3 ends it, and 9999 ends the file. Format 0 is short (nodes
+# in 5 columns), 1 long (10), 2 and 3 are binary and refused.
 
 BEGINNING = b"    1C"
 FRD_EXPECTED = "CalculiX's results in text (.frd)"

@@ -1,17 +1,4 @@
-"""Symmetric matrices that a program printed as a list of entries, one triangle or both, a line each.
-
-Stiffness matrices that Abaqus prints: *MATRIX GENERATE, STIFFNESS and *MATRIX OUTPUT, job_STIF1.mtx.
-
-FORMAT=MATRIX INPUT and LABELS: "node, direction, node, direction, value" a line; FORMAT=COORDINATE: "row, column,
-value", indices from 1 (Abaqus Analysis User's Guide, "Generating structural matrices"). A symmetric matrix is one
-triangle or both. Lines of ** are comments. An unknown with a boundary condition stays, with 1e36 on its diagonal.
-
-The stiffness that CalculiX stores by ``*FREQUENCY, SOLVER=MATRIXSTORAGE``: job.sti, with job.dof beside it.
-
-A line of .sti is "row column value", indices from 1, the upper triangle column by column. A line of .dof is
-"node.axis", 12.2 for the second direction of node 12; fixed unknowns, and those that a multi-point constraint
-eliminates, are in neither (ccx 2.20, files of its own making).
-"""
+"""Read the stiffness matrices that Abaqus and CalculiX print as lists of entries."""
 
 from __future__ import annotations
 
@@ -109,6 +96,12 @@ def _place(row: Integers, column: Integers, at: int) -> str:
     return f"entry ({row[at] + 1}, {column[at] + 1})"
 
 
+# Stiffness matrices that Abaqus prints: *MATRIX GENERATE, STIFFNESS and *MATRIX OUTPUT, job_STIF1.mtx.
+#
+# FORMAT=MATRIX INPUT and LABELS: "node, direction, node, direction, value" a line; FORMAT=COORDINATE: "row, column,
+# value", indices from 1 (Abaqus Analysis User's Guide, "Generating structural matrices"). A symmetric matrix is one
+# triangle or both. Lines of ** are comments. An unknown with a boundary condition stays, with 1e36 on its diagonal.
+
 ABAQUS_NAME = "Abaqus matrix text"
 ABAQUS_EXPECTED = "entries of Abaqus's stiffness: node, direction, node, direction, value or row, column, value"
 FIXED = 1e36
@@ -203,6 +196,12 @@ def is_abaqus_matrix(head: bytes) -> bool:
 
 ABAQUS = MatrixReader(ABAQUS_NAME, (".mtx",), read_abaqus_matrix, is_abaqus_matrix)
 
+
+# The stiffness that CalculiX stores by ``*FREQUENCY, SOLVER=MATRIXSTORAGE``: job.sti, with job.dof beside it.
+#
+# A line of .sti is "row column value", indices from 1, the upper triangle column by column. A line of .dof is
+# "node.axis", 12.2 for the second direction of node 12; fixed unknowns, and those that a multi-point constraint
+# eliminates, are in neither (ccx 2.20, files of its own making).
 
 CALCULIX_NAME = "CalculiX .sti"
 CALCULIX_EXPECTED = "entries of CalculiX's stiffness: row, column, value"

@@ -1,12 +1,10 @@
-"""FCLIB's HDF5 files, read: problems in local and global form, guesses and solutions stored with them.
+"""Read and write FCLIB's HDF5 files: problems in local and global form, guesses and solutions stored with them.
 
     /fclib_local    W, V? R?   spacedim   vectors/{q, mu, s?}      u = W r + q + V l,  V'r + R l + s = 0
     /fclib_global   M, H, G?   spacedim   vectors/{f, w, mu, b?}   M v = H r + f + G l,  u = H'v + w,  G'v + b = 0
     /solution, /guesses/1, /guesses/2, ...   u, r, v? l?
 
 (Acary, Bremond, Huber 2018, and fclib.h.) What is stored under /solution is all zero in many published files.
-
-FCLIB's HDF5 files, written as fclib.h lays them out: 32-bit integers, doubles, strings that end with a zero byte.
 """
 
 from __future__ import annotations
@@ -200,6 +198,8 @@ def _sized_answer(file: Hdf5File, group: str, m: int, d: int) -> StoredAnswer:
         joint = file.numbers(f"{group}/l")
     return StoredAnswer(force=r, joint_force=joint, velocity=u, motion=v)
 
+
+# FCLIB's HDF5 files, written as fclib.h lays them out: 32-bit integers, doubles, strings that end with a zero byte.
 
 SUFFIXES = (".hdf5", ".h5")
 # As published files have it.

@@ -1,12 +1,4 @@
-"""What reads matrices of one format, and what it returns: `contactqp.exchange.matrix_files` is the list of them.
-
-The three ways in which FCLIB stores a sparse matrix, and SciPy's.
-
-nz = -1: compressed columns, p the n + 1 column pointers, i the rows; nz = -2: compressed rows, p the m + 1 row
-pointers, i the columns; nz >= 0: nz triplets, p the COLUMN and i the row of each, as in CSparse (the comment in fclib.h
-says it the other way round, FCLIB's files do not). The arrays may be longer than what is used of them: nzmax is what
-was allocated.
-"""
+"""The interface of matrix readers, and FCLIB's and SciPy's ways to store a sparse matrix."""
 
 from __future__ import annotations
 
@@ -21,6 +13,13 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.refusal import Ledger, Path, check_finite, check_rows, wrong
 from contactqp.model.arrays import Vector
+
+# The three ways in which FCLIB stores a sparse matrix, and SciPy's.
+#
+# nz = -1: compressed columns, p the n + 1 column pointers, i the rows; nz = -2: compressed rows, p the m + 1 row
+# pointers, i the columns; nz >= 0: nz triplets, p the COLUMN and i the row of each, as in CSparse (the comment in
+# fclib.h says it the other way round, FCLIB's files do not). The arrays may be longer than what is used of them: nzmax
+# is what was allocated.
 
 Storage = Literal["csc", "csr", "triplet"]
 COLUMNS, ROWS = -1, -2

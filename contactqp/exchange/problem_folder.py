@@ -7,11 +7,6 @@
 
 Without problem.json files are told by their names (stiffness or K, load or f, normal or E_N, ...) in any format that
 `matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`row_tables`).
-
-A problem in one .npz file: arrays called stiffness (K), load (f), normal (E_N), gap (g), ..., dense or sparse.
-
-A sparse matrix is K_data, K_indices, K_indptr, K_shape (and K_format where it is not csr), as `scipy.sparse.save_npz`
-names them. dof_names and contact_names may be there too, as arrays of text.
 """
 
 from __future__ import annotations
@@ -48,6 +43,11 @@ from contactqp.exchange.tables import (
     read_tie_rows,
 )
 from contactqp.model.problem import ContactProblem
+
+# A problem in one .npz file: arrays called stiffness (K), load (f), normal (E_N), gap (g), ..., dense or sparse.
+#
+# A sparse matrix is K_data, K_indices, K_indptr, K_shape (and K_format where it is not csr), as `scipy.sparse.save_npz`
+# names them. dof_names and contact_names may be there too, as arrays of text.
 
 OF_SPARSE = ("data", "indices", "indptr", "shape", "format", "row", "col")
 NAMES = ("dof_names", "contact_names")

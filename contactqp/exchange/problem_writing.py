@@ -1,8 +1,4 @@
-"""A problem, and its answer, written as a folder that any code with a Matrix Market reader can take up.
-
-From matrices and vectors that came under names to a ContactProblem; what is missing is refused or, where it has
-one plain meaning, taken and said.
-"""
+"""A problem, and its answer, written as a folder that any code with a Matrix Market reader can take up."""
 
 from __future__ import annotations
 
@@ -20,6 +16,9 @@ from contactqp.errors import InvalidProblem
 from contactqp.exchange.refusal import Ledger, Path, naming, wrong
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+
+# From matrices and vectors that came under names to a ContactProblem; what is missing is refused or, where it has one
+# plain meaning, taken and said.
 
 # What the parts of a problem are called, in files and in archives.
 SYMBOLS = {

@@ -1,9 +1,4 @@
-"""What is said of a file that is not what it should be: the file, the place in it, what was expected, what came.
-
-What became of a file on its way into a problem or an answer: nothing is dropped or assumed in silence.
-
-The lines of a text file that another program printed, one after the other: files may be larger than memory.
-"""
+"""Refusals and ledgers of readers: what a file should be and is not, and what was read, converted, assumed, ignored."""
 
 from __future__ import annotations
 
@@ -184,6 +179,8 @@ def _unreadable(path: Path, expected: str, error: Exception) -> InvalidProblem:
     return InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or one_line(error)})")
 
 
+# What became of a file on its way into a problem or an answer: nothing is dropped or assumed in silence.
+
 KINDS = ("read", "converted", "assumed", "ignored")
 
 
@@ -207,6 +204,8 @@ class Ledger:
         """All of it, for JSON."""
         return {"source": self.source} | {kind: list(getattr(self, kind)) for kind in KINDS}
 
+
+# The lines of a text file that another program printed, one after the other: files may be larger than memory.
 
 # Programs that print tables of numbers break their lines; what does not is none of their files.
 LONGEST = 2**16

@@ -1,22 +1,4 @@
-"""The words of a Siconos text file, taken one after another; what is not a number is refused with its line.
-
-Matrices in Siconos's text: dense, sparse blocks, and the dumps of CSparse.
-
-storage  size0  size1      and then, by storage,
-0   size0 size1, and the values column by column
-1   number of blocks, block rows, block columns; the last row of each block row, the last column of each block
-    column; the lengths of two lists: the first block of each block row, the block column of each block; then for
-    each block its number and its values column by column
-2   1 (triplets) or 2 (columns), and what CSparse prints, with the six digits it prints
-
-Siconos's text files of frictional contact.
-
-    dimension, contacts, W, q, mu                 local:   u = W r + q
-    dimension, contacts, M, H, f, w, mu           global:  M v = H r + f,  u = H'v + w
-
-Old versions end a local file with one more number, 0 or 1. Nothing in a file says which of the two it is: it is local
-if its first matrix has the size of the contacts and what follows it is q and mu. Names of files say nothing.
-"""
+"""Read the frictional contact problems that Siconos writes as text."""
 
 from __future__ import annotations
 
@@ -162,6 +144,16 @@ def _is_integer(word: str) -> bool:
 
 DENSE, BLOCKS, SPARSE = 0, 1, 2
 TRIPLETS, COLUMNS, ROWS = 1, 2, 3
+
+
+# Matrices in Siconos's text: dense, sparse blocks, and the dumps of CSparse.
+#
+# storage  size0  size1      and then, by storage,
+# 0   size0 size1, and the values column by column
+# 1   number of blocks, block rows, block columns; the last row of each block row, the last column of each block
+#     column; the lengths of two lists: the first block of each block row, the block column of each block; then for
+#     each block its number and its values column by column
+# 2   1 (triplets) or 2 (columns), and what CSparse prints, with the six digits it prints
 
 
 def read_matrix(words: Words, name: str, shape: tuple[int, int] | None = None) -> Any:
@@ -335,6 +327,14 @@ def _colons(words: Words, taken: list[str], name: str, first: int, step: int) ->
     if bad is not None:
         raise words.unexpected(f"{name}, dump", "':'", first + bad * step)
 
+
+# Siconos's text files of frictional contact.
+#
+#     dimension, contacts, W, q, mu                 local:   u = W r + q
+#     dimension, contacts, M, H, f, w, mu           global:  M v = H r + f,  u = H'v + w
+#
+# Old versions end a local file with one more number, 0 or 1. Nothing in a file says which of the two it is: it is local
+# if its first matrix has the size of the contacts and what follows it is q and mu. Names of files say nothing.
 
 # What old versions of Siconos put at the end: whether a problem is complete.
 COMPLETE = ("0", "1")

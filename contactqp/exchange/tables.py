@@ -1,4 +1,4 @@
-"""CSV with named columns, several tables in one file: a table begins at a line whose first cell is a known key.
+"""CSV tables with named columns, and contacts, ties and loads stated by the names of unknowns.
 
     dof,displacement
     12.x,1e-3
@@ -6,15 +6,6 @@
     left,142.5,10.0
 
 Cells are apart by commas, semicolons or tabs; comments begin with #.
-
-Contacts, ties and loads by the names of unknowns, for a stiffness whose unknowns are called like "12.x".
-
-    contacts.csv   contact,dof,coefficient,gap[,tangent[,tangent_2],friction,slip_origin[,slip_origin_2]]
-    ties.csv       tie,dof,coefficient[,value]
-    load.csv       dof,load
-
-A contact has a row for every unknown in it: its coefficient in E_N (and E_T); what belongs to the contact as a whole
-stands in its first row, and in the others the same or nothing. Without names unknowns are positions counted from 0.
 """
 
 from __future__ import annotations
@@ -126,6 +117,15 @@ def _cells(path: Path, text: str) -> list[tuple[int, list[str]]]:
         raise wrong(path, "content", EXPECTED, "a quoted cell that goes over a line's end")
     return [(number, row) for (number, _), row in zip(numbered, rows, strict=True)]
 
+
+# Contacts, ties and loads by the names of unknowns, for a stiffness whose unknowns are called like "12.x".
+#
+#     contacts.csv   contact,dof,coefficient,gap[,tangent[,tangent_2],friction,slip_origin[,slip_origin_2]]
+#     ties.csv       tie,dof,coefficient[,value]
+#     load.csv       dof,load
+#
+# A contact has a row for every unknown in it: its coefficient in E_N (and E_T); what belongs to the contact as a whole
+# stands in its first row, and in the others the same or nothing. Without names unknowns are positions counted from 0.
 
 TANGENTS = ("tangent", "tangent_2")
 ORIGINS = ("slip_origin", "slip_origin_2")

@@ -1,9 +1,4 @@
-"""Assertions for the tests of a contact code; what fails is said in words, beside the right values.
-
-The answer that somebody's numbers are held against: exact where it is known, else a certified solution.
-
-How far somebody's numbers are from the right ones: component by component, or by what the forces do together.
-"""
+"""Assertions for the tests of a contact code; what fails is said in words, beside the right values."""
 
 from __future__ import annotations
 
@@ -25,6 +20,8 @@ from contactqp.oracle.foreign.foreign_answer import GivenAnswer, read_given
 from contactqp.oracle.foreign.judging import right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
+
+# The answer that somebody's numbers are held against: exact where it is known, else a certified solution.
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +124,9 @@ def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
 
 def _largest(values: Vector) -> float:
     return float(np.max(abs(values), initial=0.0))
+
+
+# How far somebody's numbers are from the right ones: component by component, or by what the forces do together.
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,6 @@
 """The fields of a solution on elastic bodies: displacement, stress; contact force, pressure, gap and status.
 
 A force is a force [force]; a pressure is a force per area [force / length^2]. They are never one array.
-
-Which node of which body each contact belongs to, and the area that its force is spread over.
-
-Elements and facets seen at many points: small triangles that follow curved edges, and the edges themselves.
 """
 
 from __future__ import annotations
@@ -27,6 +23,8 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import Units
 from contactqp.model.solution import Solution
+
+# Which node of which body each contact belongs to, and the area that its force is spread over.
 
 # A contact's point is a copy of its node's coordinates; what is further off, relative to the structure, is another one.
 SAME_PLACE = 1e-9
@@ -66,6 +64,8 @@ def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[In
     owner = np.searchsorted(first, found, side="right") - 1
     return owner, found - first[owner], bool(np.all(rows.col // d == found[rows.row]))
 
+
+# Elements and facets seen at many points: small triangles that follow curved edges, and the edges themselves.
 
 # Pieces that an edge is cut into: a parabola in 6 chords is off by 1/144 of its rise.
 CURVED_PIECES = 6

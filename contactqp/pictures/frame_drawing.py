@@ -1,7 +1,4 @@
-"""Pictures of bars, springs, beams, strings: undeformed and magnified, with supports, obstacles, forces and gaps.
-
-The fields of a solution of bars, springs, beams, strings and matrices: displacements of nodes, forces and gaps.
-"""
+"""Pictures of bars, springs, beams, strings: undeformed and magnified, with supports, obstacles, forces and gaps."""
 
 from __future__ import annotations
 
@@ -21,6 +18,9 @@ from contactqp.pictures.style import LARGEST, magnification, scale_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# The fields of a solution of bars, springs, beams, strings and matrices: displacements of nodes, forces and gaps.
 
 
 @dataclass(frozen=True, eq=False)

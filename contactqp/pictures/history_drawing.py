@@ -1,7 +1,4 @@
-"""Pictures of histories: displacements, gaps, forces and energies against time or load, with the events marked.
-
-Events in pictures of histories: a line at each, a label where there is room for one.
-"""
+"""Pictures of histories: displacements, gaps, forces and energies against time or load, with the events marked."""
 
 from __future__ import annotations
 
@@ -30,6 +27,8 @@ from contactqp.pictures.history_panels import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# Events in pictures of histories: a line at each, a label where there is room for one.
 
 # Of the width of a panel: what an upright label takes.
 ROOM = 0.022

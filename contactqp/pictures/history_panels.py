@@ -1,12 +1,4 @@
-"""Which curves of a history are drawn: of many contacts and unknowns those that tell most.
-
-The numbers of a history that are drawn: at every instant displacements, gaps, forces, loads and energies.
-
-A motion keeps them as arrays. Of a load path every solution is looked at once, which costs its certificate; its events
-need that anyway.
-
-Load over displacement: of one load, of few loaded unknowns, or of loads that come one by one.
-"""
+"""The curves of a history that are drawn, chosen of many, and load over displacement."""
 
 from __future__ import annotations
 
@@ -23,6 +15,11 @@ from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.pictures import style
+
+# The numbers of a history that are drawn: at every instant displacements, gaps, forces, loads and energies.
+#
+# A motion keeps them as arrays. Of a load path every solution is looked at once, which costs its certificate; its
+# events need that anyway.
 
 # Loads are proportional to the times, or all along one of them, to this part of the largest.
 ROUNDING = 1e-9
@@ -285,6 +282,8 @@ def _of_contacts(fields: HistoryFields, values: Array, contacts: Index, whole: s
         curves.append(Curve(f"{whole} of all {count}", together, ALL))
     return tuple(curves)
 
+
+# Load over displacement: of one load, of few loaded unknowns, or of loads that come one by one.
 
 # Loads that come one by one; more would be curves that nobody could name.
 MOST_LOADS = 3

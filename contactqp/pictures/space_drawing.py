@@ -1,7 +1,4 @@
-"""Bodies in space: their outer surface, and beside it a map of the contact pressure of each pairing.
-
-A map of one pairing in space: its contacts seen along their mean normal, coloured by pressure, marked by status.
-"""
+"""Draw bodies in space: their outer surface, and beside it a map of the contact pressure of each pairing."""
 
 from __future__ import annotations
 
@@ -17,6 +14,8 @@ from contactqp.pictures.contact_fields import ContactFields, PairingFields, outl
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# A map of one pairing in space: its contacts seen along their mean normal, coloured by pressure, marked by status.
 
 # Polygons between the nodes of a facet, in the node order of reference.REFERENCES.
 _PARTS: dict[str, list[list[int]]] = {

@@ -1,9 +1,4 @@
-"""How pictures look: colours, markers of the contact status, labels with units, legends, files.
-
-How many times larger than they are displacements are drawn.
-
-Pictures as small PNG files for pages that hold many of them.
-"""
+"""How pictures look: colours, markers of the contact status, labels with units, legends, files."""
 
 from __future__ import annotations
 
@@ -207,6 +202,8 @@ def save(figure: Figure, file: Path) -> None:
     write_whole(file, lambda beside: figure.savefig(beside, dpi=160))
 
 
+# How many times larger than they are displacements are drawn.
+
 # The largest displacement is drawn as at most this part of the picture's size...
 LARGEST = 0.06
 # ... and at least this part counts as visible without magnification.
@@ -268,6 +265,8 @@ def scale_text(scale: float) -> str:
     """
     return "displacements true to scale" if scale == 1 else f"displacements magnified {scale:g} times"
 
+
+# Pictures as small PNG files for pages that hold many of them.
 
 # Of a palette: enough for a colour map of 256 colours in bands that are told apart, and for the letters' edges.
 PALETTE_SIZE = 64

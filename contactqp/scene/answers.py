@@ -1,15 +1,4 @@
-"""The quantities of quantities.QUANTITIES, read off a scene and its answer.
-
-The quantities of large deformations: loads where the path is, limit points and snaps.
-
-The quantities of motions that nodes and bodies have alike: energies and momenta.
-
-Where on the load path or in the motion of its scene an answer stands.
-
-What the quantities of a scene of nodes, bars and springs are read off.
-
-Friction forces along the axes of a scene.
-"""
+"""Read the quantities that claims name off a scene of nodes, a large deformation or a motion."""
 
 from __future__ import annotations
 
@@ -38,6 +27,8 @@ from contactqp.scene.unknowns import of_node, point
 
 if TYPE_CHECKING:
     from contactqp.analysis.motion.history import MotionHistory
+
+# The quantities of large deformations: loads where the path is, limit points and snaps.
 
 Point = TypeVar("Point", LimitPoint, Snap)
 
@@ -100,6 +91,9 @@ OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
 }
 
 
+# The quantities of motions that nodes and bodies have alike: energies and momenta.
+
+
 def _momentum(claim: Claim, answer: Any) -> float:
     from contactqp.scene.moving import momentum
 
@@ -115,6 +109,9 @@ OF_MOTIONS: Mapping[str, Callable[[Claim, Any], float]] = {
     "total momentum": _momentum,
     "momentum": _momentum,
 }
+
+
+# Where on the load path or in the motion of its scene an answer stands.
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +197,9 @@ def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Even
             yield Event("closed" if closed else "opened", contacts[0], time)
 
 
+# What the quantities of a scene of nodes, bars and springs are read off.
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """A scene's solution at one instant, and its load path if it has one."""
@@ -224,6 +224,9 @@ class Answer:
 
     def of_node(self, node: str) -> np.ndarray[Any, Any]:
         return np.array([self.displacement(name) for name in of_node(self.scene, node)])
+
+
+# Friction forces along the axes of a scene.
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:

@@ -1,7 +1,4 @@
-"""The quantities of quantities.QUANTITIES that are asked of elastic bodies, read off a model and its solution.
-
-The answer of a scene of bodies in a few lines: its unknowns and contacts are too many to list.
-"""
+"""Read the quantities that claims name off elastic bodies, and summarise their answers."""
 
 from __future__ import annotations
 
@@ -164,6 +161,8 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
 }
 
+
+# The answer of a scene of bodies in a few lines: its unknowns and contacts are too many to list.
 
 # Directions of motions have 1 as their largest component and are known to rounding.
 SMALL = 1e-6

@@ -1,9 +1,4 @@
-"""The contacts of a scene of bodies, entry by entry: what the forces and gaps of its problem are at their nodes.
-
-What holds and loads the bodies of a scene: its supports and loads, made from their keys.
-
-From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
-"""
+"""Build the contact problem of a scene of elastic bodies: meshes, supports, loads, pairs."""
 
 from __future__ import annotations
 
@@ -168,6 +163,8 @@ class ContactEntries(ABC):
         return every[start : start + sizes[self.place(name)]]
 
 
+# What holds and loads the bodies of a scene: its supports and loads, made from their keys.
+
 # From a body, a point and what a message calls the body to the number of the node there.
 NodeAt = Callable[[Part, ArrayLike, str], int]
 
@@ -218,6 +215,9 @@ def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node)
                     yield GRAVITY, loads.Gravity(body.name, acceleration)
                 else:
                     yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
+
+
+# From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
 
 
 class Surfaces(Protocol):

@@ -1,16 +1,4 @@
-"""From a Scene to the numbers of its contact problem: first exact, then the ContactProblem.
-
-The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers.
-
-Ties as matrices, in exact numbers: A, its rank, and the problem that is left on the masters.
-
-    A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
-    K^ = T'K T,    f^ = T'(f - K c)
-
-(course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
-
-From a scene to what it is computed with.
-"""
+"""Build the numbers of a scene of nodes: first exact, then the ContactProblem."""
 
 from __future__ import annotations
 
@@ -53,6 +41,8 @@ from contactqp.scene.unknowns import (
 if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
     from contactqp.scene.schema import Bar, Beam, Contact, SceneData, Spring
+
+# The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers.
 
 # A linear form of the unknowns by their names; what is zero is left out.
 Row = Mapping[str, Number]
@@ -330,6 +320,13 @@ def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRow
     return obstacle.against_surface(where, obstacle_named(scene, name))
 
 
+# Ties as matrices, in exact numbers: A, its rank, and the problem that is left on the masters.
+#
+#     A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
+#     K^ = T'K T,    f^ = T'(f - K c)
+#
+# (course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
+
 Rows = list[list[Fraction]]
 
 
@@ -405,6 +402,9 @@ def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
 
 if TYPE_CHECKING:
     Model = NodeModel | BodyModel
+
+
+# From a scene to what it is computed with.
 
 
 def build(scene: SceneData) -> Model:

@@ -1,11 +1,4 @@
-"""What the parts of a scene of elastic bodies must have in common; meshes are only looked at when they are built.
-
-Whether a scene fits large deformations: bars between nodes, obstacles, and a load path with its control.
-
-Whether a scene's motion fits its parts: what has mass, and what starts with which displacement and velocity.
-
-Whether a scene's load path fits its loads, and what it says of its answer the path.
-"""
+"""Check that the parts of a scene of bodies, of large deformations, motions and load paths fit each other."""
 
 from __future__ import annotations
 
@@ -178,6 +171,8 @@ def _pairs_fit(scene: SceneData, where: str, sides: tuple[str, ...], pairing: st
         raise SceneError(f"{where}: expected the pairing 'node-to-segment' between axisymmetric bodies, got 'mortar'")
 
 
+# Whether a scene fits large deformations: bars between nodes, obstacles, and a load path with its control.
+
 # What has no form at large displacements here.
 _SMALL_ONLY = ("bodies", "membranes", "springs", "beams", "strings", "matrices", "ties")
 
@@ -275,6 +270,9 @@ def large_claim_fits(where: str, claim: Claim, scene: SceneData) -> None:
         raise SceneError(
             f"{where}.{key}: expected {instead} with control = {control!r}, whose load factor comes and goes"
         )
+
+
+# Whether a scene's motion fits its parts: what has mass, and what starts with which displacement and velocity.
 
 
 def motion_fits(scene: SceneData, unknowns: Unknowns) -> None:
@@ -379,6 +377,9 @@ def motion_claim_fits(where: str, claim: Claim, scene: SceneData) -> None:
         )
     if not measure.solved or measure.whole_way:
         raise SceneError(f"{where}.time: {claim.quantity!r} depends on no time")
+
+
+# Whether a scene's load path fits its loads, and what it says of its answer the path.
 
 
 def path_fits(scene: SceneData) -> None:

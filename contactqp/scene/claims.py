@@ -1,7 +1,4 @@
-"""What a case says about its answer: exact expectations, printed numbers with our verdict, and the knobs to sweep.
-
-What a case can say of its answer: each quantity by its name, the kind of number it is, and what it is asked of.
-"""
+"""What a case claims of its answer: quantities, exact expectations, printed numbers, knobs to sweep."""
 
 from __future__ import annotations
 
@@ -16,6 +13,8 @@ from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.scene import fields
 from contactqp.scene.fields import Block, KnobStiffness, Name, Number, unknown
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
+
+# What a case can say of its answer: each quantity by its name, the kind of number it is, and what it is asked of.
 
 STATUSES = ("open", "closed", "grazing", "stick", "slip")
 ONE_ANSWER = "one answer"

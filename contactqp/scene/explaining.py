@@ -1,11 +1,4 @@
-"""What a scene is made into: its unknowns and constraints, the blocks it got and those it did not, and why.
-
-What an explanation consists of, and the parts that scenes of nodes and of bodies share.
-
-A scene of elastic bodies in words.
-
-An explanation on a screen.
-"""
+"""Explain a scene: its unknowns and constraints, the blocks it got and those it did not, and why."""
 
 from __future__ import annotations
 
@@ -29,6 +22,9 @@ from contactqp.scene.unknowns import is_rotation, load_names
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import LoadPath
+
+
+# What an explanation consists of, and the parts that scenes of nodes and of bodies share.
 
 
 @dataclass(frozen=True)
@@ -276,6 +272,9 @@ def shortened(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMES]) + (f", and {more} more" if more > 0 else "")
 
 
+# A scene of elastic bodies in words.
+
+
 def explain_bodies(model: BodyModel) -> Explanation:
     """Read off the meshes and the pairs; nothing is solved."""
     scene, names, system = model.scene, model.structure.unknown_names(), model.system
@@ -334,6 +333,9 @@ def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     yield BuildingBlock("Newton loop", False, "linear kinematics: gaps are taken where the bodies start")
     yield BuildingBlock("exact rational numbers", False, "bodies are integrated in floats")
     yield from report_blocks(scene)
+
+
+# An explanation on a screen.
 
 
 def print_explanation(console: Console, explanation: Explanation) -> None:

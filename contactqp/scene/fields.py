@@ -1,7 +1,4 @@
-"""The types that the keys of a case file can have.
-
-How a wrong case is spoken of: one line, the key's path, what was expected, what came, the nearest known name.
-"""
+"""The types of the keys of a case file, and how a wrong one is worded."""
 
 from __future__ import annotations
 
@@ -121,6 +118,8 @@ Tractions = Annotated[tuple[Pressure, ...], Field(min_length=2, max_length=3)]
 Velocities = Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=3)]
 Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
+
+# How a wrong case is spoken of: one line, the key's path, what was expected, what came, the nearest known name.
 
 Location = tuple[int | str, ...]
 

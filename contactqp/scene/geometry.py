@@ -1,7 +1,4 @@
-"""The meshes of a scene's bodies: built-in shapes and files.
-
-The rigid obstacles of a scene in floats.
-"""
+"""The meshes of a scene's bodies and its rigid obstacles."""
 
 from __future__ import annotations
 
@@ -122,6 +119,9 @@ def near_enough(nearest: Nearest, what: str) -> int:
             f"nearest, node {nearest.node} at ({at}), {nearest.apart:.3g} away"
         )
     return nearest.node
+
+
+# The rigid obstacles of a scene in floats.
 
 
 def obstacle(scene: SceneData, name: str) -> Obstacle:

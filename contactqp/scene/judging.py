@@ -1,9 +1,4 @@
-"""A case judged: which methods it is solved by, and what it says of each answer.
-
-A case's claims held against an answer, number by number.
-
-What stands on a command line, read: case files, and the knobs of a method.
-"""
+"""Hold the claims of a case against each method's answer, number by number."""
 
 from __future__ import annotations
 
@@ -46,6 +41,8 @@ if TYPE_CHECKING:
     from contactqp.scene.body_answers import BodyAnswer
     from contactqp.scene.body_model import BodyModel
     from contactqp.scene.building import Model
+
+# A case's claims held against an answer, number by number.
 
 Shown = float | str | tuple[float, ...]
 
@@ -404,6 +401,9 @@ class _Answers:
             )
         problem = self._model.problem.replace(load=self._model.load_at(time))
         return answer_of(self._model, solve(problem, trial.method, **options), Instant(time, self._history))
+
+
+# What stands on a command line, read: case files, and the knobs of a method.
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:

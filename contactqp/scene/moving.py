@@ -1,7 +1,4 @@
-"""A scene in motion: from its model to `impact`, and the momentum of its parts.
-
-The mass of a scene: exact for nodes, by quadrature for bodies.
-"""
+"""A scene in motion: its masses, the call of `impact`, and the momentum of its parts."""
 
 from __future__ import annotations
 
@@ -27,6 +24,9 @@ from contactqp.solving.methods import find
 if TYPE_CHECKING:
     from contactqp.scene.building import Model
     from contactqp.scene.schema import SceneData
+
+
+# The mass of a scene: exact for nodes, by quadrature for bodies.
 
 
 def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:

@@ -1,9 +1,4 @@
-"""Judgements as tables, with pictures in letters, and as plain data for JSON.
-
-What happened on a load path or in a motion: events, limit points and notes, of one that was cut short too.
-
-The course of contact forces over a path or a motion, and of pressures along a side, each in one line.
-"""
+"""Print judgements as tables, with events, courses of forces and pictures in letters, and as JSON."""
 
 from __future__ import annotations
 
@@ -30,6 +25,8 @@ from contactqp.scene.schema import SceneData
 from contactqp.scene.tables import ROUNDING, Drawn, Letters, bars, course, print_table, shown, written
 from contactqp.scene.units import KINDS
 from contactqp.scene.unknowns import has_corners, is_rotation
+
+# What happened on a load path or in a motion: events, limit points and notes, of one that was cut short too.
 
 
 def print_failure(console: Console, failure: Failure) -> None:
@@ -83,6 +80,8 @@ def large_data(history: History) -> dict[str, Any]:
         "snap_throughs": [{"above": snap.low, "load_factor": snap.high} for snap in history.snaps],
     }
 
+
+# The course of contact forces over a path or a motion, and of pressures along a side, each in one line.
 
 # Contacts beyond which their sum is drawn.
 MOST_CONTACTS = 6

@@ -1,9 +1,4 @@
-"""A case that has been checked, and the contact problem that it states.
-
-From a case file to a Scene.
-
-A scene's answer: its motion or load path if it has one, its one solution otherwise.
-"""
+"""Load a case file, check it, and run it: the contact problem that it states and its answer."""
 
 from __future__ import annotations
 
@@ -61,6 +56,8 @@ class Scene(SceneData):
         """
         return build(self).problem
 
+
+# From a case file to a Scene.
 
 # Bytes; the parser takes about a second for each of a million.
 LARGEST = 2**25
@@ -121,6 +118,9 @@ def _tables(text: str) -> dict[str, Any]:
         raise SceneError(f"expected TOML, got: {' '.join(str(error).split())}") from None
     except (RecursionError, ValueError, ArithmeticError) as error:
         raise SceneError(f"expected TOML, got numbers or tables that cannot be read ({type(error).__name__})") from None
+
+
+# A scene's answer: its motion or load path if it has one, its one solution otherwise.
 
 
 @own_floating_point

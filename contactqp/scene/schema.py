@@ -1,11 +1,4 @@
-"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``.
-
-The keys of obstacles and contacts.
-
-The keys of a load path.
-
-The keys of a motion: how long, in which steps, by which scheme, and how it starts.
-"""
+"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``."""
 
 from __future__ import annotations
 
@@ -24,6 +17,8 @@ from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, NodeName, Number, TwoNames, unknown
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
+
+# The keys of obstacles and contacts.
 
 # What each kind of obstacle must state, and what it may.
 OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -140,6 +135,8 @@ class Contact(Block):
         return self.sides or ((self.side,) if self.side else ())
 
 
+# The keys of a load path.
+
 # How the points of a path at large deformations are picked, and the keys that each way has of its own.
 CONTROLS: dict[str, tuple[str, ...]] = {
     "load": (),
@@ -189,6 +186,8 @@ class LoadPath(Block):
                 raise ValueError(f"{key}: expected with control = 'displacement', and missing")
         return self
 
+
+# The keys of a motion: how long, in which steps, by which scheme, and how it starts.
 
 MOST_STEPS = 1_000_000
 

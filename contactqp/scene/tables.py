@@ -1,9 +1,4 @@
-"""Tables on a screen, with pictures in letters where they fit.
-
-Numbers drawn with letters: a bar for each of them, or the course of many in one line.
-
-The list of methods as a table and as plain data for JSON.
-"""
+"""Tables and small pictures in letters on a terminal."""
 
 from __future__ import annotations
 
@@ -21,6 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from contactqp.solving.methods import Method
+
+# Numbers drawn with letters: a bar for each of them, or the course of many in one line.
 
 # Of the largest value; what is smaller is drawn as zero.
 ROUNDING = 1e-12
@@ -165,6 +162,9 @@ def _table(
     for row in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
     return table
+
+
+# The list of methods as a table and as plain data for JSON.
 
 
 def print_methods(console: Console, methods: Iterable[Method]) -> None:

@@ -2,8 +2,6 @@
 
 pint reads the units, on a short list of its own making: the whole of pint's list takes longer to read than to solve a
 small case, and knows dozens of units that a typing error in a mechanics case would hit by accident.
-
-Exact numbers in text: "1.5e-3", "41/31500", "22680 + 26250*sqrt(2)". Nothing is ever evaluated as a program.
 """
 
 from __future__ import annotations
@@ -19,6 +17,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import pint
+
+# Exact numbers in text: "1.5e-3", "41/31500", "22680 + 26250*sqrt(2)". Nothing is ever evaluated as a program.
 
 # Powers and products of such numbers stay inside the range of a double.
 LARGEST_EXPONENT = 100

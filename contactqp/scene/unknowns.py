@@ -1,11 +1,4 @@
-"""The unknowns of a scene: their names, which of them are fixed, and where they stand.
-
-Numbers of a scene of nodes, exactly, in its own units.
-
-The load path of a scene: what each of its loads is multiplied by at every pseudo-time.
-
-What the parts of a scene start a motion with, unknown by unknown.
-"""
+"""The unknowns of a scene and its exact numbers: names, positions, load factors at a time, starts of a motion."""
 
 from __future__ import annotations
 
@@ -61,6 +54,9 @@ def of_scene(scene: SceneData) -> Unknowns:
     return Unknowns(tuple(name for names in by_node.values() for name in names), frozenset(fixed))
 
 
+# Numbers of a scene of nodes, exactly, in its own units.
+
+
 def value(scene: SceneData, quantity: Quantity) -> Fraction:
     return scene.system.value(quantity)
 
@@ -77,6 +73,8 @@ def displacements(scene: SceneData, nodes: Iterable[str]) -> tuple[str, ...]:
 def ends(scene: SceneData, nodes: Iterable[str]) -> Iterator[Numbers]:
     return (point(scene, node) for node in nodes)
 
+
+# The load path of a scene: what each of its loads is multiplied by at every pseudo-time.
 
 # What masses and bodies weigh goes by this name.
 GRAVITY = "gravity"
@@ -126,6 +124,9 @@ def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
         yield from ((f"{key}[{i}]", load.name) for i, load in enumerate(getattr(scene, key)))
     if scene.gravity is not None:
         yield "gravity", GRAVITY
+
+
+# What the parts of a scene start a motion with, unknown by unknown.
 
 
 def started(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:

@@ -1,9 +1,4 @@
-"""The pictures of an answer: what moved and what pushes, and of a path or a motion its history.
-
-From a scene and its solution to the fields that pictures and VTU files show.
-
-Pictures and VTU files of what was solved on the command line.
-"""
+"""Pictures and VTU files of an answer, from the fields that they show."""
 
 from __future__ import annotations
 
@@ -38,6 +33,8 @@ from contactqp.scene.unknowns import ROTATION, of_node
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# From a scene and its solution to the fields that pictures and VTU files show.
 
 # Points along a beam: its cubic looks smooth.
 BEAM_POINTS = 25
@@ -204,6 +201,8 @@ def _history(history: History) -> bytes | None:
     """One instant has no history."""
     return small_png(history_figure(history, time_unit=TIME_UNIT), DPI) if len(history) > 1 else None
 
+
+# Pictures and VTU files of what was solved on the command line.
 
 # What the picture of a history is called after its case and method.
 HISTORY = "history"

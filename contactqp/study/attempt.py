@@ -1,7 +1,4 @@
-"""One rung tried: solved, timed, held against the truth, and written down as a row.
-
-What a study tries: each method with each value of its knob, one rung of a ladder after the other.
-"""
+"""The settings of a method's knob that a study tries, and one of them tried: solved, timed, held against the truth."""
 
 from __future__ import annotations
 
@@ -33,6 +30,8 @@ from contactqp.solving.solve import solve
 from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
+
+# What a study tries: each method with each value of its knob, one rung of a ladder after the other.
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.

@@ -1,9 +1,4 @@
-"""`contactqp check`: which kind of problem a file holds, and what is printed of the verdict.
-
-Somebody else's answer to a problem of energy and contacts, judged: from a case file, or from matrices.
-
-Somebody else's forces for a file's problem, judged: what is wrong, at which contacts, and what is right there.
-"""
+"""`contactqp check`: judge somebody else's answer to a case, to matrices or to a file of forces."""
 
 from __future__ import annotations
 
@@ -38,6 +33,8 @@ from contactqp.scene.scene import load_scene
 from contactqp.solving.solve import solve
 from contactqp.study.friction_files import MOST_CONTACTS, figures, finite, vector_text
 from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, finite_list, read_areas, read_order
+
+# Somebody else's answer to a problem of energy and contacts, judged: from a case file, or from matrices.
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +144,8 @@ def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> N
         raise wrong(file, "normal_pressure", "--pressure-areas, which make it a force", "none")
     given["normal_force"] = given.pop("normal_pressure")
 
+
+# Somebody else's forces for a file's problem, judged: what is wrong, at which contacts, and what is right there.
 
 # A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
 OTHER_VELOCITY = 1e-6

@@ -1,4 +1,4 @@
-"""Run as a process of its own: one case by one method, and what that took, as a line of JSON.
+"""The process in which one case is solved alone; it prints what that took as a line of JSON.
 
 Nothing but the standard library is imported before the measurement begins.
 """

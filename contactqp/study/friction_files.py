@@ -1,13 +1,4 @@
-"""Files of frictional contact, solved: one outcome a file and method, with what its certificate says.
-
-What is said of a file of frictional contact and of its answer.
-
-Files of problems, solved on the ranks of MPI: the first one reads, deals out what it has read, and tells.
-
-It has K whole while it reads and deals; the others never have more than an equal share of the rows and their part.
-
-Outcomes of frictional files as a table on a screen.
-"""
+"""Solve files of frictional contact, on ranks too, and print one outcome a file and method."""
 
 from __future__ import annotations
 
@@ -48,6 +39,8 @@ from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Certificate, LocalCertificate, Solution
 from contactqp.solving.solve import solve
+
+# What is said of a file of frictional contact and of its answer.
 
 
 @dataclass(frozen=True)
@@ -106,6 +99,11 @@ def outline_of(problem: LocalProblem | ContactProblem) -> Outline:
         return Outline("local", problem.dimension, problem.contacts, problem.asymmetry)
     origin = problem.slip_origin
     return Outline("bodies", 1 + (0 if origin is None else origin.shape[1]), problem.contacts, problem.asymmetry)
+
+
+# Files of problems, solved on the ranks of MPI: the first one reads, deals out what it has read, and tells.
+#
+# It has K whole while it reads and deals; the others never have more than an equal share of the rows and their part.
 
 
 def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> FileOutcome:
@@ -272,6 +270,8 @@ def finite(value: float) -> float | None:
     """JSON has no numbers that are not finite."""
     return float(value) if math.isfinite(value) else None
 
+
+# Outcomes of frictional files as a table on a screen.
 
 # Contacts on a screen; --json has all.
 MOST_CONTACTS = 10

@@ -1,15 +1,4 @@
-"""Which answers are compared: the ways to an answer, the cases that all methods were put to, and what is solved.
-
-The shifted geometric mean of run times (Mittelmann's benchmarks): neither the longest nor the shortest decide.
-
-The median over cases of error and run time, for each rung that all cases share.
-
-How often methods call their own answers solved, how often those are right, and what the certificate makes of it.
-
-What all rows of a study come to, computed once for the page, the JSON and the terminal.
-
-Performance profiles (Dolan and More 2002): the part of the problems solved within a factor of the fastest time.
-"""
+"""Statistics over a study's rows: comparable routes, rates, mean and median times, performance profiles."""
 
 from __future__ import annotations
 
@@ -109,6 +98,8 @@ def _fastest(tried: Iterable[Row]) -> float:
     return min((row.seconds for row in tried if row.seconds is not None and solved(row)), default=math.inf)
 
 
+# The shifted geometric mean of run times (Mittelmann's benchmarks): neither the longest nor the shortest decide.
+
 # What is added to every time before and taken off after the mean [s]: times far below it count as equal.
 SHIFT = 1e-3
 # What a failure counts as, and where the clock stops [s].
@@ -127,6 +118,9 @@ def shifted_geometric_mean(seconds: Iterable[float], shift: float = SHIFT, limit
     """
     times = np.minimum(np.array(list(seconds), dtype=float), limit)
     return float(np.exp(np.mean(np.log(times + shift))) - shift)
+
+
+# The median over cases of error and run time, for each rung that all cases share.
 
 
 def median_cases(all_rows: Sequence[Row]) -> tuple[str, ...]:
@@ -181,6 +175,9 @@ def _median(group: Sequence[Row], column: str) -> float | None:
     values = [getattr(row, column) if row.verdict in (*ANSWERED, rows.WRONG) else None for row in group]
     middle = statistics.median(math.inf if value is None else value for value in values)
     return middle if math.isfinite(middle) else None
+
+
+# How often methods call their own answers solved, how often those are right, and what the certificate makes of it.
 
 
 @dataclass(frozen=True)
@@ -242,6 +239,9 @@ def _right(row: Row) -> bool:
     return row.error_judged <= row.error_asked
 
 
+# What all rows of a study come to, computed once for the page, the JSON and the terminal.
+
+
 @dataclass(frozen=True)
 class Overview:
     """Methods compared on the cases that all of them were put to."""
@@ -281,6 +281,8 @@ def _overview_times(times: RouteTimes, mean: float) -> dict[str, Any]:
         seconds=[value if math.isfinite(value) else None for value in times.seconds],
     )
 
+
+# Performance profiles (Dolan and More 2002): the part of the problems solved within a factor of the fastest time.
 
 Solver = TypeVar("Solver")
 

@@ -1,11 +1,4 @@
-"""What is said of somebody else's answer, be it to a case or to a file of forces.
-
-What `contactqp check` is told of a candidate: its sign of compression, its areas, its order.
-
-A map is a text file: the place of each unknown (or contact) of the problem in the candidate, counted from 0, one a
-line; or the candidate's own names in the candidate's order, one a line; or a table "problem,candidate" of what each is
-called (or where it stands) in the candidate.
-"""
+"""The verdict on somebody else's answer, and the options that say how its numbers are to be read."""
 
 from __future__ import annotations
 
@@ -28,6 +21,12 @@ from contactqp.model.solution import LocalCertificate, Solution
 from contactqp.oracle.foreign.foreign_answer import COMPRESSION
 from contactqp.oracle.judged_answer import JudgedAnswer
 from contactqp.study.friction_files import figures, finite
+
+# What `contactqp check` is told of a candidate: its sign of compression, its areas, its order.
+#
+# A map is a text file: the place of each unknown (or contact) of the problem in the candidate, counted from 0, one a
+# line; or the candidate's own names in the candidate's order, one a line; or a table "problem,candidate" of what each
+# is called (or where it stands) in the candidate.
 
 EXPECTED = "places or names, one a line, or a table problem,candidate"
 # What a diagnosis calls an argument of `cq.certify`, as its option.

@@ -1,7 +1,4 @@
-"""Newton steps on a set of closed contacts: symmetric indefinite systems, for tangents that are not convex.
-
-Coulomb friction in the plane by signs: for tangents that are not convex, under compressed bars for instance.
-"""
+"""Newton steps on a set of closed contacts, with friction in the plane: systems for tangents that are not convex."""
 
 from __future__ import annotations
 
@@ -172,6 +169,8 @@ def lowest_eigenvalue(K: Any) -> float:
     diagonal = np.asarray(K.diagonal(), dtype=float)
     return float(np.min(diagonal - (np.asarray(abs(K).sum(axis=1)).ravel() - abs(diagonal))))
 
+
+# Coulomb friction in the plane by signs: for tangents that are not convex, under compressed bars for instance.
 
 # What rounding may make of a length or a force, over the lengths and forces that meet.
 ROUNDED_SLIP = 1e-12

@@ -1,9 +1,4 @@
-"""Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP).
-
-Where the slips of a load step are counted from, when contacts slide far and close on the way.
-
-From a balance that Newton's method found to a certified solution of the history.
-"""
+"""Newton's method with inequality constraints, globalised by the energy: one contact problem an iteration (SQP)."""
 
 from __future__ import annotations
 
@@ -245,6 +240,9 @@ def _merit(loaded: LoadedBody, now: Instant, target: Target, weight: float) -> t
     return elastic - work + penalty, MERIT_ROUNDING * size
 
 
+# Where the slips of a load step are counted from, when contacts slide far and close on the way.
+
+
 @dataclass(frozen=True, eq=False)
 class HeldOpen:
     """Contacts some of which are too far away to close."""
@@ -310,6 +308,8 @@ def balance_with_anchors(
     anchor[closes] += (fraction[:, None] * (end - position))[closes]
     return solve_with(loaded, anchor), anchor
 
+
+# From a balance that Newton's method found to a certified solution of the history.
 
 # Friction within this part of its bound is at it.
 STICKS = 1e-9

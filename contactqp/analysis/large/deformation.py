@@ -1,7 +1,4 @@
-"""The equilibria of a large deformation, one after the other, with the Newton iterations that found them.
-
-A deformable body with its contacts and ties: what is out of balance at a displacement, and the Newton step there.
-"""
+"""A deformable body with its contacts and ties, and the equilibria of its large deformation with their iterations."""
 
 from __future__ import annotations
 
@@ -21,6 +18,8 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
+
+# A deformable body with its contacts and ties: what is out of balance at a displacement, and the Newton step there.
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING = 64 * np.finfo(float).eps

@@ -1,7 +1,4 @@
-"""Paths through limit points: by arc length or by one unknown, from contact event to contact event.
-
-Arc length and displacement control: a path stepped along, with the history so far if it breaks off.
-"""
+"""Follow paths through limit points, by arc length or by one unknown, from contact event to contact event."""
 
 from __future__ import annotations
 
@@ -289,6 +286,8 @@ class PathFollower:
         kind = "maximum" if arriving.load_factor > 0 else "minimum"
         return LimitPoint(kind, point.load_factor, point.displacement, point.forces.normal, after, smooth)
 
+
+# Arc length and displacement control: a path stepped along, with the history so far if it breaks off.
 
 # An unknown has reached its value when this part of its whole way is left.
 REACHED = 1e-13

@@ -1,11 +1,4 @@
-"""The history of a motion: states at equal steps, their energies, events and, when they are looked at, solutions.
-
-The states of a motion, and what happened in it: energies at every state, and changes of contact.
-
-Whether a history or a solution is of a motion, told without importing what makes motions.
-
-What is of a class has had its module imported: where it is not there, nothing is of the class.
-"""
+"""The history of a motion: states at equal steps, their energies and events, and solutions made when looked at."""
 
 from __future__ import annotations
 
@@ -28,6 +21,8 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
+
+# The states of a motion, and what happened in it: energies at every state, and changes of contact.
 
 # Steps whose energies are found at once.
 BLOCK = 256

@@ -1,14 +1,4 @@
-"""The steps of a motion: each posed by the scheme, solved, and certified with its neighbours.
-
-How long a contact lasts: half a period of the slowest vibration that an impact excites.
-
-A rod of length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end
-held. On matrices: omega the lowest frequency with the closed contacts held that is not zero and that the velocities at
-the impact excite, time pi / omega. It comes from Lanczos' method on the operator of a time step, which is factorised
-already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
-
-The longest time step of central differences.
-"""
+"""The steps of a motion: each posed by the scheme, solved, and certified with its neighbours."""
 
 from __future__ import annotations
 
@@ -43,6 +33,13 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work
+
+# How long a contact lasts: half a period of the slowest vibration that an impact excites.
+#
+# A rod of length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end
+# held. On matrices: omega the lowest frequency with the closed contacts held that is not zero and that the velocities
+# at the impact excite, time pi / omega. It comes from Lanczos' method on the operator of a time step, which is
+# factorised already; only frequencies that a step is too long to resolve need be found, and these are far apart there.
 
 # Enough to part the slowest vibration from others where the step is long.
 LANCZOS_STEPS = 24
@@ -115,6 +112,8 @@ def meeting(problem: ContactProblem, mass: Any, contacts: NDArray[np.intp]) -> N
     label = connected_components(abs(problem.stiffness_rows) + abs(mass) + tied, directed=False)[1]
     return np.isin(label, label[sp.csr_matrix(rows).indices])
 
+
+# The longest time step of central differences.
 
 # Up to here all frequencies are found at once.
 DENSE_SIZE = 200

@@ -5,13 +5,6 @@ A scheme poses every step as a `ContactProblem` with the same stiffness and rows
     K x + E_N'l_N + E_T'l_T + A'nu = f,    E_N x <= g,  l_N >= 0,  l_N (g - E_N x) = 0,    A x = b
 
 with Coulomb's law for l_T. x is a displacement or a velocity, l a force or an impulse, whichever the scheme takes.
-
-Contact forces of one time step without friction, from the Delassus operator of the step.
-
-    gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
-
-c (m,) is the gap without contact forces. The active set of the step before is where the search starts; any other
-method is given the same minimum as a problem of its own, whose multipliers are the gaps.
 """
 
 from __future__ import annotations
@@ -30,6 +23,13 @@ from contactqp.linalg.factorization import DenseCholesky
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
+
+# Contact forces of one time step without friction, from the Delassus operator of the step.
+#
+#     gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
+#
+# c (m,) is the gap without contact forces. The active set of the step before is where the search starts; any other
+# method is given the same minimum as a problem of its own, whose multipliers are the gaps.
 
 # Changes of the active set; it settles in two or three, and what cycles is left to a method that cannot.
 MAX_CHANGES = 30

@@ -1,11 +1,4 @@
-"""The nodes of one rank's pieces: who owns each, and its numbers in the whole structure and in PETSc's order.
-
-The bodies of K: parts of it that no entry connects, on whatever ranks they are.
-
-The surfaces that may touch, which all ranks have whole: few nodes beside those of the bodies.
-
-K of all pieces as one matrix over the ranks: elements go in batch by batch, so that little is held beside K.
-"""
+"""The nodes of one rank's pieces and what is made of them: numbers, bodies, surfaces and the distributed stiffness."""
 
 from __future__ import annotations
 
@@ -99,6 +92,9 @@ def number_nodes(ranks: Ranks, meshes: Sequence[DealtMesh]) -> Nodes:
     return Nodes(ranks, numbers, owners, place, first)
 
 
+# The bodies of K: parts of it that no entry connects, on whatever ranks they are.
+
+
 def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Index:
     """(own nodes,) the number of the part that each node is in, by the least node of each; 0 where held. Collective.
 
@@ -131,6 +127,9 @@ def connected_parts(nodes: Nodes, meeting: Any, free: NDArray[np.bool_]) -> Inde
     rank_of[order] = np.arange(parts)
     own = mine[nodes.own]
     return np.where(own >= 0, rank_of[part[np.maximum(own, 0)]] if parts else 0, 0).astype(np.int64)
+
+
+# The surfaces that may touch, which all ranks have whole: few nodes beside those of the bodies.
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +244,9 @@ def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side:
     mine = [nodes.numbers[first + block.nodes] for block in found]
     every = ranks.gathered(np.concatenate([np.zeros((0, width), dtype=np.int64), *mine]))
     return np.asarray(every[np.lexsort(every.T[::-1])])
+
+
+# K of all pieces as one matrix over the ranks: elements go in batch by batch, so that little is held beside K.
 
 
 def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:

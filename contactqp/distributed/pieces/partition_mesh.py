@@ -1,11 +1,4 @@
-"""Which rank answers for what, of things that many ranks know.
-
-Which elements share a facet, on whatever ranks they are.
-
-The elements of one rank as a mesh: facets towards other ranks are no boundary, and sets may have no part here.
-
-From equal shares of the elements to pieces: the graph of neighbours is cut, and elements go where it says.
-"""
+"""Partition a mesh over ranks: neighbours across facets, the graph's cut, and each rank's elements as a mesh."""
 
 from __future__ import annotations
 
@@ -71,6 +64,8 @@ def numbered(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
     numbers, owners = asked(ranks, whom, codes, answer)
     return numbers, owners, total
 
+
+# Which elements share a facet, on whatever ranks they are.
 
 # An odd number with bits all over (the golden ratio's): it spreads facets evenly over the ranks.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
@@ -153,6 +148,9 @@ def _elsewhere(ranks: Ranks, keys: Index, element: Index) -> Index:
     return asked(ranks, whom, np.column_stack([keys, element]), answer)[0]
 
 
+# The elements of one rank as a mesh: facets towards other ranks are no boundary, and sets may have no part here.
+
+
 @dataclass(frozen=True, eq=False)
 class MeshPiece(Mesh):
     """A mesh of which other ranks have the rest; it may have no elements.
@@ -231,6 +229,9 @@ class MeshPiece(Mesh):
     def _unknown(self, name: str) -> InvalidProblem:
         known = ", ".join(map(repr, sorted(self.own))) or "none"
         return InvalidProblem(f"mesh: there is no set {name!r}; it has {known}")
+
+
+# From equal shares of the elements to pieces: the graph of neighbours is cut, and elements go where it says.
 
 
 @dataclass(frozen=True, eq=False)

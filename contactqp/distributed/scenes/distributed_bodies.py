@@ -1,9 +1,4 @@
-"""A scene of elastic bodies of which each rank has a piece, and what its claims ask of an answer.
-
-From a scene of elastic bodies to a contact problem of which each rank has its part.
-
-Solutions of bodies of which each rank has a piece, as tables and claims ask for them. All of it is collective.
-"""
+"""A scene of elastic bodies of which each rank has a piece, and what its claims ask of an answer."""
 
 from __future__ import annotations
 
@@ -224,6 +219,9 @@ def node_numbers_of(body: Part) -> NDArray[np.int64]:
     return body.mesh.numbers
 
 
+# From a scene of elastic bodies to a contact problem of which each rank has its part.
+
+
 def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     """Pieces of meshes, supports, loads and pairs of a scene of bodies. Collective.
 
@@ -293,6 +291,9 @@ def _source(scene: SceneData, ranks: Ranks, body: Body) -> Source:
         return LatticeSource(ranks, lattice_of_shape(scene, body.shape))
     assert body.mesh is not None  # a body has one of both
     return FileSource(ranks, partial(mesh_of_file, scene, body.mesh))
+
+
+# Solutions of bodies of which each rank has a piece, as tables and claims ask for them. All of it is collective.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,4 @@
-"""A scene's load, or its load path in steps, on the ranks of MPI.
-
-One load after another on the ranks of MPI, each solved for from the answer before.
-"""
+"""A scene's load, or its load path in steps, on the ranks of MPI."""
 
 from __future__ import annotations
 
@@ -37,6 +34,9 @@ if TYPE_CHECKING:
     from contactqp.scene.building import Model
 
     ModelOnRanks = Model | DistributedBodyModel
+
+
+# One load after another on the ranks of MPI, each solved for from the answer before.
 
 
 def follow_distributed(

@@ -1,7 +1,4 @@
-"""A quadratic energy with parts and constraints, its minimum, and what each part carries there.
-
-What a part of a structure adds to a quadratic energy, and what the minimum says about it.
-"""
+"""Quadratic energies with parts and constraints, their minimum, and what each part carries there."""
 
 from __future__ import annotations
 
@@ -22,6 +19,8 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_stiffness, read_vector
 from contactqp.model.solution import Certificate, Solution
 from contactqp.solving.solve import solve
+
+# What a part of a structure adds to a quadratic energy, and what the minimum says about it.
 
 # A linear form of the unknowns by their names.
 Form = Mapping[str, float]

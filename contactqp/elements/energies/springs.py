@@ -1,4 +1,4 @@
-"""What stretches and shortens: springs that do both, cables that only pull, struts that only push.
+"""Springs, cables that only pull, struts that only push, and plastic hinges, as parts of a constrained energy.
 
 A cable's energy is 1/2 k max(e, 0)^2 with e = elongation - slack. It is the least of a quadratic one over a slackening
 s that is not negative,
@@ -7,15 +7,6 @@ s that is not negative,
 
 so that the multiplier l of s >= 0 is the tension. An inextensible cable is the constraint elongation <= slack, its
 multiplier again the tension. A strut is a cable for the shortening.
-
-Plastic hinges as bounds: the rotation t of a hinge has a plastic part p+ - p-, both not negative.
-
-    min over p+, p- >= 0 of 1/2 k (t - p+ + p-)^2 + M+ p+ + M- p-,      M = k (t - p+ + p-)
-
-The multipliers of p+ >= 0 and p- >= 0 are M+ - M and M- + M, how far the moment is from yielding either way: it stays
-between its bounds, and what is plastic grows only where it reaches them. A rigid hinge has the constraint
-t = p+ - p- in place of the energy, and M is its multiplier. This is deformation theory: the answer to one load that
-grows from nothing in proportion; it remembers no unloading (Maier 1970; Cohn and Maier, eds., 1979).
 """
 
 from __future__ import annotations
@@ -184,6 +175,16 @@ def _one_sided(name: str, deformation: Form, stiffness: float | None, play: floa
         squares=(Square(plus(deformation, [(rest, 1.0)]), stiffness, play),),
         unilateral=(Condition(name, {rest: -1.0}, 0.0),),
     )
+
+
+# Plastic hinges as bounds: the rotation t of a hinge has a plastic part p+ - p-, both not negative.
+#
+#     min over p+, p- >= 0 of 1/2 k (t - p+ + p-)^2 + M+ p+ + M- p-,      M = k (t - p+ + p-)
+#
+# The multipliers of p+ >= 0 and p- >= 0 are M+ - M and M- + M, how far the moment is from yielding either way: it stays
+# between its bounds, and what is plastic grows only where it reaches them. A rigid hinge has the constraint t = p+ - p-
+# in place of the energy, and M is its multiplier. This is deformation theory: the answer to one load that grows from
+# nothing in proportion; it remembers no unloading (Maier 1970; Cohn and Maier, eds., 1979).
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,8 @@
-"""What a diagnosis looks at: what was given, what is right, and how far apart the two are.
+"""The evidence of a diagnosis: what was given, what is right, how far apart the two are, and what is violated.
 
 Distances are the largest difference as a part of the largest value, unknowns in the energy scale sqrt(K_jj) u_j, forces
 in that of their own rows, |E_i D| l_i, D = 1/sqrt(K_jj). Only what was given is compared. Where dependent rows leave
 the forces open, what they do together, E_N'l_N + E_T'l_T + A'nu, is compared instead.
-
-One thing that is wrong with an answer.
-
-What an answer violates, in words: no guess at a cause.
 """
 
 from __future__ import annotations
@@ -27,6 +23,8 @@ from contactqp.model.solution import Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import slips
 from contactqp.oracle.foreign.judging import judge
+
+# One thing that is wrong with an answer.
 
 # What explains a whole answer.
 CAUSES = {
@@ -111,6 +109,8 @@ class Finding:
     def __str__(self) -> str:
         return self.text
 
+
+# What an answer violates, in words: no guess at a cause.
 
 # Contacts named one by one.
 NAMED = 3

@@ -1,11 +1,4 @@
-"""Contacts whose row stands twice, in the problem or in the model that an answer comes from.
-
-Answers of which every value is right but one.
-
-Answers of which a part is right: the total and not its distribution, all but the areas, all but one factor.
-
-Right answers but for an offset: of all gaps alike, or of all displacements alike.
-"""
+"""Recognise answers that are right but for contacts counted twice, one value, a share, or an offset."""
 
 from __future__ import annotations
 
@@ -87,6 +80,8 @@ def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iter
             return
 
 
+# Answers of which every value is right but one.
+
 # Values that there must be.
 LEAST = 6
 # A value this near to the right one, as a part of the largest of its kind, is right.
@@ -119,6 +114,8 @@ def one_value(evidence: Evidence) -> Iterator[Explanation]:
     text = f"all values are right but one: {what} is {mine_value:.6g}{unit} instead of {should_value:.6g}{unit}"
     yield Explanation(Finding("one-value", text, True), 0.0)
 
+
+# Answers of which a part is right: the total and not its distribution, all but the areas, all but one factor.
 
 FORCES_OF_CONTACTS = {"normal_force", "friction_force"}
 # Contacts that must push before their factors mean anything.
@@ -201,6 +198,9 @@ def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
 
 # Nodes that must have moved alike, and pushing contacts that must have one gap.
 NODES, CONTACTS, SOME = 3, 2, 50
+
+
+# Right answers but for an offset: of all gaps alike, or of all displacements alike.
 
 
 def shifted(evidence: Evidence) -> Iterator[Explanation]:

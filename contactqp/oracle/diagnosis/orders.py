@@ -1,7 +1,4 @@
-"""Answers whose values are right and stand in another order: contacts, unknowns, tangential directions.
-
-Answers with a flipped sign or another unit, and another mistake beside: what a sign hides is looked for again.
-"""
+"""Recognise answers whose values stand in another order, and those with two mistakes at once."""
 
 from __future__ import annotations
 
@@ -200,6 +197,8 @@ def _of_angle(evidence: Evidence, mine: NDArray[np.float64], right: Solution) ->
 POWERS, NEAR = (3, 6), 0.3
 # Where no other mistake is found: undone, the answer is right to this part, and was further off by this factor.
 ROUGHLY, NEARER = 0.1, 20.0
+# Answers with a flipped sign or another unit, and another mistake beside: what a sign hides is looked for again.
+
 # Signs and powers of ten are told from noise by no fewer values.
 ENOUGH = 3
 CONTACT_FORCES = ("normal_force", "friction_force")

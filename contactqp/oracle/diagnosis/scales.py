@@ -1,9 +1,4 @@
-"""Answers that are right but for a factor: signs, units, halves, nothing at all.
-
-Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
-
-Answers that are right as far as they go: single precision, printed digits, iterations that stopped early.
-"""
+"""Recognise answers that are right but for a factor (signs, units, halves) or for their precision."""
 
 from __future__ import annotations
 
@@ -17,6 +12,8 @@ from contactqp.linalg.condensation import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.foreign.judging import judge
+
+# Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
 
 # A factor this close to a known one is meant to be it.
 CLOSE = 1e-4
@@ -247,6 +244,8 @@ def _without_right(evidence: Evidence) -> Iterator[Explanation]:
             yield Explanation(Finding("unit", f"{text[0]}: {text[1]} {RIGHT}", True), 0.0)
             return
 
+
+# Answers that are right as far as they go: single precision, printed digits, iterations that stopped early.
 
 # What is nearer than this to right is right to a few digits.
 FEW_DIGITS = 1e-3

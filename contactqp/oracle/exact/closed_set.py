@@ -2,24 +2,6 @@
 
 Of the displacements that are equilibria (they differ by motions that nothing drives and nothing resists) the one of
 least norm within the gaps is given, and of the forces that hold it, where contacts are redundant, those of least norm.
-
-The linear system of one combination of open, closed, stick and slip, in rational numbers.
-
-    [ K    A'   P'   T_b' ] [ u   ]   [ f ]
-    [ A                   ] [ nu  ] = [ b ]       c: closed contacts, b: those of them that stick,
-    [ E_c                 ] [ l_N ]   [ g ]       P = E_c, with mu t'E_T added where a contact slips along t
-    [ T_b                 ] [ l_T ]   [ o ]
-
-Without friction P = E_c: the system of a closed set.
-
-The contact and tie forces that hold a displacement, in rational numbers: all of them, and those of least norm.
-
-At a displacement the states of the contacts are known: those without a gap push, along their own slip where they slip,
-and with friction of any direction within the cone where they do not. What is left is linear,
-
-    P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
-
-with P the rows along which forces act (`contactqp.oracle.exact.closed_set`).
 """
 
 from __future__ import annotations
@@ -47,6 +29,15 @@ from contactqp.oracle.exact.rational import (
     take_columns,
     zeros,
 )
+
+# The linear system of one combination of open, closed, stick and slip, in rational numbers.
+#
+#     [ K    A'   P'   T_b' ] [ u   ]   [ f ]
+#     [ A                   ] [ nu  ] = [ b ]       c: closed contacts, b: those of them that stick,
+#     [ E_c                 ] [ l_N ]   [ g ]       P = E_c, with mu t'E_T added where a contact slips along t
+#     [ T_b                 ] [ l_T ]   [ o ]
+#
+# Without friction P = E_c: the system of a closed set.
 
 Direction = tuple[fmpq, ...]  # (d-1,) of unit length
 
@@ -122,6 +113,15 @@ def system_of(data: RationalProblem, combination: Combination) -> System:
         pushed=stack(data.A, pushes, stuck),
     )
 
+
+# The contact and tie forces that hold a displacement, in rational numbers: all of them, and those of least norm.
+#
+# At a displacement the states of the contacts are known: those without a gap push, along their own slip where they
+# slip, and with friction of any direction within the cone where they do not. What is left is linear,
+#
+#     P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
+#
+# with P the rows along which forces act (`contactqp.oracle.exact.closed_set`).
 
 NO_RANGE: Range = (fraction(fmpq(0)), fraction(fmpq(0)))
 

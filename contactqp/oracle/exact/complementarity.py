@@ -8,12 +8,6 @@ With Z a basis of the motions that neither K nor A resists,
 
 a linear complementarity problem with free variables a. Lemke's method decides it, and proves by its ray that there is
 no solution.
-
-Lemke's method in rational numbers, with lexicographic ratio tests: finite, and its ray proves infeasibility.
-
-Cottle, Pang and Stone (1992), The Linear Complementarity Problem, section 4.4.
-
-All x = start + N c that meet v + G c >= 0, in rational numbers: the one of least norm, and how far entries range.
 """
 
 from __future__ import annotations
@@ -39,6 +33,10 @@ from contactqp.oracle.exact.rational import (
     zeros,
 )
 from contactqp.solving.friction.exact_algebra import Polyhedron
+
+# Lemke's method in rational numbers, with lexicographic ratio tests: finite, and its ray proves infeasibility.
+#
+# Cottle, Pang and Stone (1992), The Linear Complementarity Problem, section 4.4.
 
 
 def lemke(M: fmpq_mat, p: fmpq_mat, max_pivots: int) -> tuple[list[fmpq], int]:
@@ -92,6 +90,8 @@ def _pivot(table: list[list[fmpq]], row: int, column_: int) -> None:
         if i != row and factor != 0:
             table[i] = [x - factor * y if y != 0 else x for x, y in zip(other, lead, strict=True)]
 
+
+# All x = start + N c that meet v + G c >= 0, in rational numbers: the one of least norm, and how far entries range.
 
 # Lemke's method takes about as many pivots as there are conditions.
 MOST_PIVOTS = 2000

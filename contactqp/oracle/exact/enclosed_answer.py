@@ -1,25 +1,4 @@
-"""From a problem of floats that is not small to an `ExactSolution` of intervals.
-
-Rigorous enclosures of every displacement and force of a problem whose data are not small.
-
-Refinement leaves an approximation with residuals r1 = f - K u - B'y and r2 = c - B u on the contacts that push and the
-ties (B, c), known without rounding. The errors e_u, e_y solve the same linear system, in scaled unknowns
-
-    (K + B'B) e_u + B'e_y = r1 + B'r2 =: r,    B e_u = r2,
-
-so that with a <= lambda_min(K + B'B), |K + B'B| <= h, s <= lambda_min(BB') and |B|^2 <= t
-
-    |e_y| <= h/s (sqrt(t) |r| / a + |r2|),    |e_u| <= (|r| + sqrt(t) |e_y|) / a.
-
-All four are crude, and proven by one factorisation in floats (`contactqp.oracle.exact.refinement`): r is as small as
-refinement makes it. The contact set is right where every force of it and every gap outside of it is strictly positive.
-
-Bodies that floats leave free to move: held where nothing pushes, so that everything else can be enclosed.
-
-K z = 0 holds to rounding only where z is a motion of assembled bodies, and what rounding leaves of the load along z has
-nothing to balance it. As many unknowns as there are motions are therefore held where floats leave them, which neither
-strains nor loads anything; what the holding carries is enclosed with the rest, and has to be rounding.
-"""
+"""Enclose every displacement and force of a problem of floats in proven intervals."""
 
 from __future__ import annotations
 
@@ -50,6 +29,21 @@ from contactqp.oracle.exact.refinement import (
     refine,
 )
 from contactqp.solving.solve import solve
+
+# Rigorous enclosures of every displacement and force of a problem whose data are not small.
+#
+# Refinement leaves an approximation with residuals r1 = f - K u - B'y and r2 = c - B u on the contacts that push and
+# the ties (B, c), known without rounding. The errors e_u, e_y solve the same linear system, in scaled unknowns
+#
+#     (K + B'B) e_u + B'e_y = r1 + B'r2 =: r,    B e_u = r2,
+#
+# so that with a <= lambda_min(K + B'B), |K + B'B| <= h, s <= lambda_min(BB') and |B|^2 <= t
+#
+#     |e_y| <= h/s (sqrt(t) |r| / a + |r2|),    |e_u| <= (|r| + sqrt(t) |e_y|) / a.
+#
+# All four are crude, and proven by one factorisation in floats (`contactqp.oracle.exact.refinement`): r is as small as
+# refinement makes it. The contact set is right where every force of it and every gap outside of it is strictly
+# positive.
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +190,12 @@ def _refuse_undecided(refined: Refined, push: Floats, gap: Floats) -> None:
             refined.first,
         )
 
+
+# Bodies that floats leave free to move: held where nothing pushes, so that everything else can be enclosed.
+#
+# K z = 0 holds to rounding only where z is a motion of assembled bodies, and what rounding leaves of the load along z
+# has nothing to balance it. As many unknowns as there are motions are therefore held where floats leave them, which
+# neither strains nor loads anything; what the holding carries is enclosed with the rest, and has to be rounding.
 
 # What may be held, as a part of all forces that there are.
 ROUNDING = 1e-9

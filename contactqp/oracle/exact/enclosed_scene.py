@@ -3,8 +3,6 @@
 The scene is assembled anew with balls in place of irrational numbers, the linear system of the combination that floats
 propose is solved in balls (which proves that it is regular), and every sign that the problem asks for is proven to be
 strictly right. What lies on the edge, a contact that just touches, cannot be told from one that does not.
-
-Real numbers known to lie in balls mid +- radius (flint's arb), which compute with Fractions in formulas.
 """
 
 from __future__ import annotations
@@ -30,6 +28,9 @@ from contactqp.scene.building import ExactProblem, exact_problem
 
 if TYPE_CHECKING:
     from contactqp.scene.scene import Scene
+
+
+# Real numbers known to lie in balls mid +- radius (flint's arb), which compute with Fractions in formulas.
 
 
 class Ball:

@@ -1,7 +1,4 @@
-"""exact(): the equilibrium in rational numbers, or enclosed, proven.
-
-What an exact answer is asked of on the command line: a case file, or a problem of another code.
-"""
+"""`exact`: the equilibrium in rational numbers, or enclosed, and proven."""
 
 from __future__ import annotations
 
@@ -23,6 +20,9 @@ from contactqp.scene.scene import Scene, load_scene
 if TYPE_CHECKING:
     from contactqp.oracle.exact.rational_answer import Asked
     from contactqp.scene.building import NodeModel
+
+
+# What an exact answer is asked of on the command line: a case file, or a problem of another code.
 
 
 def read_case(path: str) -> Any:

@@ -8,8 +8,6 @@ law in rates says how the contacts at a limit go on (`contactqp.analysis.frictio
 
 Every choice is tried; the path goes on where one way of going on is left, and the law is proven at both ends of every
 piece, whose slips count from rates.
-
-Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
 """
 
 from __future__ import annotations
@@ -28,6 +26,8 @@ from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem
 from contactqp.oracle.exact.exact_solution import ExactEvent
 from contactqp.oracle.exact.rational import beside, fraction, is_zero, null_space, stack, take, zeros
 from contactqp.solving.friction.exact_algebra import Polyhedron
+
+# Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
 
 Rooms = Callable[[RationalAnswer], list[fmpq]]
 

@@ -1,7 +1,4 @@
-"""The data of a contact problem as rational matrices: its floats as they stand, or a scene's unrounded numbers.
-
-Whether rational numbers solve a contact problem, statement by statement, with no tolerance.
-"""
+"""A contact problem in rational numbers: its floats as they stand or a scene's unrounded numbers, and its proof."""
 
 from __future__ import annotations
 
@@ -128,6 +125,9 @@ def _rows(rows: Sequence[Mapping[str, Any]], place: Mapping[str, int]) -> fmpq_m
             if name in place:
                 made[i, place[name]] = from_fraction(_exact(value))
     return made
+
+
+# Whether rational numbers solve a contact problem, statement by statement, with no tolerance.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,4 @@
-"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has.
-
-Rational numbers as doubles and as decimals.
-
-Exact answers as tables, as text and as data for any language.
-"""
+"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has."""
 
 from __future__ import annotations
 
@@ -25,6 +20,8 @@ if TYPE_CHECKING:
 
 # Digits of a midpoint in data and in tables; radii are widened by what is cut off.
 DIGITS, SHOWN_DIGITS = 50, 20
+
+# Rational numbers as doubles and as decimals.
 
 # Two digits of a radius, shown this much larger, are not less than it.
 ROUNDING_UP = 1.06
@@ -216,6 +213,8 @@ def shown_at(answer: ExactSolution, name: str, *place: int) -> str:
     off = widened(x, float(getattr(answer.radius, name)[place]), SHOWN_DIGITS)
     return f"{decimal(x, SHOWN_DIGITS)} +- {ROUNDING_UP * off:.1e}" if off else "0"
 
+
+# Exact answers as tables, as text and as data for any language.
 
 # A table of more unknowns is read by nobody.
 MOST_SHOWN = 200

@@ -1,7 +1,4 @@
-"""From a problem in rational numbers and what floats propose to a proven `ExactSolution`.
-
-Proof that a rational stiffness is positive semidefinite, without which an equilibrium is no minimum.
-"""
+"""Solve a problem in rational numbers from what floats propose, and prove it."""
 
 from __future__ import annotations
 
@@ -45,6 +42,8 @@ from contactqp.oracle.exact.rational import (
     zeros,
 )
 from contactqp.solving.solve import solve
+
+# Proof that a rational stiffness is positive semidefinite, without which an equilibrium is no minimum.
 
 EPS = float(np.finfo(float).eps)
 

@@ -1,12 +1,4 @@
-"""From an approximation whose signs an enclosure cannot decide to a proven `ExactSolution` of rational numbers.
-
-Rational numbers guessed from an approximation far beyond doubles, and proven in integers.
-
-Numbers with small denominators are the only ones of their kind near enough to be told by continued fractions; a common
-denominator of what came before makes the next ones smaller. How they were found proves nothing and need not: every
-statement of the problem is checked in integers, without any rounding. The last step of exact linear and quadratic
-programming: Gleixner, Steffy and Wolter (2016), INFORMS Journal on Computing 28, 449.
-"""
+"""Guess rational numbers from an approximation that an enclosure cannot decide, and prove them."""
 
 from __future__ import annotations
 
@@ -30,6 +22,13 @@ from contactqp.oracle.exact.refinement import Fixed, FixedMatrix, Integers, Refi
 
 # Digits of the approximation, and what of them is taken to be right.
 DIGITS, RIGHT = 80, 72
+# Rational numbers guessed from an approximation far beyond doubles, and proven in integers.
+#
+# Numbers with small denominators are the only ones of their kind near enough to be told by continued fractions; a
+# common denominator of what came before makes the next ones smaller. How they were found proves nothing and need not:
+# every statement of the problem is checked in integers, without any rounding. The last step of exact linear and
+# quadratic programming: Gleixner, Steffy and Wolter (2016), INFORMS Journal on Computing 28, 449.
+
 # Two numbers of this denominator are further apart than the digits that are taken to be right.
 LARGEST_DENOMINATOR = 2**110
 

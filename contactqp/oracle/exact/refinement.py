@@ -1,4 +1,4 @@
-"""Iterative refinement of the whole contact problem, with any method that works in doubles.
+"""Refine an answer with residuals formed in integers, and bound the least eigenvalues that enclosures need.
 
 What is left of a problem around an approximation (u, l, nu), magnified by D, is a problem of the same kind in the
 correction w = D (u* - u):
@@ -11,15 +11,6 @@ correction w = D (u* - u):
 The residuals are formed in integers, without rounding, and D grows by what each solution leaves: a contact that is
 undecided in doubles shows its gap or its force under the magnification. Scaled refinement of quadratic programs: Weber,
 Sager and Gleixner (2019), Mathematical Programming Computation 11, 421; there slacks and their signs are magnified too.
-
-Floats as integers, and products of sparse matrices of them without any rounding.
-
-Proven lower bounds of the least eigenvalue of symmetric matrices of floats.
-
-A factorisation P (M - s I) P' = L D L' + R with D > 0 proves  lambda_min(M) >= s - |R|,  whatever rounding there was on
-the way to it, once R is bounded: its entries are computed, and what rounding may have added to them is bounded by the
-same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in
-the spirit of Rump (2006), BIT 46, 433, a posteriori.
 """
 
 from __future__ import annotations
@@ -38,6 +29,8 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.solve import solve
+
+# Floats as integers, and products of sparse matrices of them without any rounding.
 
 Integers = NDArray[Any]  # object arrays of Python's integers
 
@@ -120,6 +113,13 @@ class FixedMatrix:
             sums[self._filled] = np.add.reduceat(self._data.integers * x.integers[self._columns], self._starts)
         return Fixed(sums, self._data.bits + x.bits)
 
+
+# Proven lower bounds of the least eigenvalue of symmetric matrices of floats.
+#
+# A factorisation P (M - s I) P' = L D L' + R with D > 0 proves lambda_min(M) >= s - |R|, whatever rounding there was on
+# the way to it, once R is bounded: its entries are computed, and what rounding may have added to them is bounded by the
+# same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in
+# the spirit of Rump (2006), BIT 46, 433, a posteriori.
 
 EPS = float(np.finfo(float).eps)
 # Sums of positive numbers in floats, of up to 1e8 terms, are this far from the truth at most.

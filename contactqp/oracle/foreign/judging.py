@@ -1,7 +1,4 @@
-"""A given answer, completed and certified; of two ways to complete it the one that passes.
-
-The right answer to set beside a wrong one; of several equilibria the one nearest to what was given.
-"""
+"""A given answer, completed and certified; of two ways to complete it the one that passes."""
 
 from __future__ import annotations
 
@@ -46,6 +43,8 @@ def judge(
     assert first is not None  # there is always a plain way
     return first
 
+
+# The right answer to set beside a wrong one; of several equilibria the one nearest to what was given.
 
 # Contacts of which all combinations of open, stick and slip are tried.
 FEW = 6

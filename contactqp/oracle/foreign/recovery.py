@@ -1,4 +1,4 @@
-"""The parts of an answer that were not given, from those that were.
+"""Recover the parts of an answer that were not given from those that were.
 
 Forces from displacements. What equilibrium asks of the rows B = [E_N; E_T; A],
 
@@ -14,14 +14,6 @@ Both ways multiply rounding: the forces of a stiff body are not known from the d
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
 way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
 and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is.
-
-Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
-
-Forces of dependent frictional contacts that obey Coulomb's law, from a displacement.
-
-A touching contact that slips pushes and rubs along one direction, l_N (1, mu s/|s|); one that sticks along any
-combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
-equilibrium over such combinations with no negative part are forces within the law, where such forces exist.
 """
 
 from __future__ import annotations
@@ -47,6 +39,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import slips
+
+# Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
 
 # Rows of unit length that are closer to dependent than this are dependent.
 DEPENDENT = 1e-12
@@ -116,6 +110,12 @@ def _iteratively(B: Any, r: Vector) -> Vector:
 
     return np.asarray(lsqr(B.T, r, atol=1e-15, btol=1e-15, conlim=0.0, iter_lim=20 * B.shape[0])[0])
 
+
+# Forces of dependent frictional contacts that obey Coulomb's law, from a displacement.
+#
+# A touching contact that slips pushes and rubs along one direction, l_N (1, mu s/|s|); one that sticks along any
+# combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
+# equilibrium over such combinations with no negative part are forces within the law, where such forces exist.
 
 # A gap or a slip of this part of its lengths is none.
 NOTHING = 1e-9

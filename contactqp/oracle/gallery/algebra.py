@@ -1,7 +1,4 @@
-"""Sparse rows of rational numbers: products, ranks and small systems, with nothing but the standard library.
-
-Random integers that are the same on every platform and in every version of Python, and lattices made of them.
-"""
+"""Sparse rows of rational numbers: products, ranks and small systems, with nothing but the standard library."""
 
 from __future__ import annotations
 
@@ -118,6 +115,8 @@ def largest_row_sum(stiffness: Rows) -> Fraction:
     """max_i sum |K_ij|: no eigenvalue of a symmetric K is larger."""
     return max(sum((abs(x) for x in row.values()), ZERO) for row in stiffness)
 
+
+# Random integers that are the same on every platform and in every version of Python, and lattices made of them.
 
 T = TypeVar("T")
 Node = tuple[int, int]

@@ -2,12 +2,6 @@
 
 `redundant-17` is the problem of the kind "redundant" with the seed 17, on every platform and in every version; its
 difficulty goes with the seed: 0, 3, 6, ... are easy, 1, 4, 7, ... moderate, 2, 5, 8, ... hard.
-
-The gallery as folders of JSON and Matrix Market files, for codes in any language.
-
-index.json              every problem: name, kind, difficulty, folder, sizes, what is unique, source
-two-bars/problem.json   stiffness.mtx, load.mtx, ...: see `contactqp.exchange.problem_folder`
-two-bars/answer.json    the exact answer in doubles and, under "exact", as fractions
 """
 
 from __future__ import annotations
@@ -149,6 +143,12 @@ def _made(build: Callable[[Draw, str], Contents], name: str, difficulty: str) ->
 
 
 FORMAT, VERSION, INDEX = "contactqp gallery", 1, "index.json"
+# The gallery as folders of JSON and Matrix Market files, for codes in any language.
+#
+# index.json every problem: name, kind, difficulty, folder, sizes, what is unique, source two-bars/problem.json
+# stiffness.mtx, load.mtx, ...: see `contactqp.exchange.problem_folder` two-bars/answer.json the exact answer in doubles
+# and, under "exact", as fractions
+
 PARTS = ("displacement", "normal_force", "friction_force", "tie_force", "gap")
 # What the problem.json of a problem says beside its data.
 ABOUT = ("name", "kind", "difficulty", "unique_displacement", "unique_forces", "description", "formula", "source")

@@ -1,9 +1,4 @@
-"""A problem whose exact answer is known, in rational numbers, and the same in doubles.
-
-Whether the exact answer of a problem is the only one, by exact ranks: "no" here means "not proven".
-
-Stating a gallery problem of few unknowns as dense rows of integers, fractions and strings.
-"""
+"""A problem whose exact answer is known, in rational numbers, and the same in doubles."""
 
 from __future__ import annotations
 
@@ -263,6 +258,9 @@ def _matrix(rows: Rows, n: int) -> Any:
     return sp.csr_matrix((np.array(values, dtype=float), (i, j)), shape=(len(rows), n))
 
 
+# Whether the exact answer of a problem is the only one, by exact ranks: "no" here means "not proven".
+
+
 def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
     """Whether the displacement is proven to be the only one.
 
@@ -334,6 +332,8 @@ def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
     growth = [sum(column, ZERO) for column in zip(*slopes, strict=True)]
     return Polyhedron([ZERO] * weak, slopes, len(free)).range(growth)[1] is None
 
+
+# Stating a gallery problem of few unknowns as dense rows of integers, fractions and strings.
 
 Dense = Sequence[Sequence[Given]]
 

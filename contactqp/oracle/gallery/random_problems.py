@@ -1,12 +1,7 @@
-"""Random gallery problems without friction: the answer is chosen, then the load and the gaps that it belongs to.
+"""Random gallery problems, with friction and without: an answer is chosen, then the load and gaps it belongs to.
 
 With integers for K, E, A and small dyadic fractions for u*, l* and the gaps, f = K u* + E'l* + A'nu* and
 g = E u* + gap* are doubles, and (u*, l*, nu*) satisfies all conditions exactly.
-
-Random gallery problems with Coulomb friction, in the plane and in space, stuck, sliding and open.
-
-Each contact has a frame of orthogonal rows of integers of one length, and nodes move along their own frame, so that
-slips, sizes of slips and forces are rational. Friction is below a bound that proves the answer to be the only one.
 """
 
 from __future__ import annotations
@@ -31,6 +26,11 @@ from contactqp.oracle.gallery.algebra import (
     transposed_times,
 )
 from contactqp.oracle.gallery.problem import Contents, ExactProblem, exact_answer, with_uniqueness
+
+# Random gallery problems with Coulomb friction, in the plane and in space, stuck, sliding and open.
+#
+# Each contact has a frame of orthogonal rows of integers of one length, and nodes move along their own frame, so that
+# slips, sizes of slips and forces are rational. Friction is below a bound that proves the answer to be the only one.
 
 # Nodes that touch something, and nodes that do not.
 FRICTIONAL_SIZES = {"easy": (1, 1), "moderate": (5, 4), "hard": (20, 16)}

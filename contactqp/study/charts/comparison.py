@@ -1,9 +1,4 @@
-"""Methods compared over all cases: rates, wrong flags, performance profiles, mean times, medians.
-
-How often methods call their own answers solved, and how often they are right: bars side by side.
-
-How fast methods are over many cases: performance profiles and mean run times.
-"""
+"""Methods compared over all cases: rates, wrong flags, performance profiles, mean times, medians."""
 
 from __future__ import annotations
 
@@ -59,6 +54,8 @@ from contactqp.study.statistics import (
 )
 
 BAR_HEIGHT, AROUND_BARS = 44, 170  # pixels for each method, and for axis and legend
+# How often methods call their own answers solved, and how often they are right: bars side by side.
+
 # Colour, pattern and words of each bar: what the method says, what is true, what the certificate lets pass.
 _BARS = {
     "claimed": (ORANGE, "/", "called solved by the method itself"),
@@ -167,6 +164,8 @@ def silently_wrong_chart(all_rows: Sequence[Row]) -> Chart:
 def _of(part: int, whole: int) -> str:
     return f"{part} of {whole}" if whole else "no flag"
 
+
+# How fast methods are over many cases: performance profiles and mean run times.
 
 SOLVED = "Solved means a true error of at most 1e-6 (and what rounding the answer adds), whatever flags say."
 PROFILE_HEIGHT = 620

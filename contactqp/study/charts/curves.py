@@ -1,13 +1,4 @@
-"""The curves of error against run time: one for each method and way, traced by the knob.
-
-A chart of a page: what Plotly draws, what a newcomer must know to read it, and its numbers as a table.
-
-How a method looks in every chart: the same colour, symbol and dash wherever it appears.
-
-Numbers in charts: rounded as data, so that pages stay small, and written as text.
-
-Axes, legends and lines that charts share, in Plotly's words; colours of text, grid and background are the page's.
-"""
+"""Curves of error against run time, one for each method and route, and how charts are laid out and styled."""
 
 from __future__ import annotations
 
@@ -20,6 +11,8 @@ from zlib import crc32
 from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.statistics import Route
+
+# A chart of a page: what Plotly draws, what a newcomer must know to read it, and its numbers as a table.
 
 
 @dataclass(frozen=True)
@@ -50,6 +43,8 @@ class Chart:
 # Okabe and Ito (2008), distinct to colour-blind readers. Their yellow is too light on white; for their black stands a
 # grey that is seen on white and on black.
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
+# How a method looks in every chart: the same colour, symbol and dash wherever it appears.
+
 GREY = "#767676"
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
 # Plotly's names; each has an "-open" twin.
@@ -116,6 +111,8 @@ def method_style(name: str) -> MethodStyle:
     return MethodStyle(COLOURS[rest % len(COLOURS)], SYMBOLS[symbol], DASHES[rest // len(COLOURS) % len(DASHES)])
 
 
+# Numbers in charts: rounded as data, so that pages stay small, and written as text.
+
 # Digits that a screen can show.
 DIGITS = 4
 
@@ -167,6 +164,8 @@ def plural(count: int, word: str) -> str:
 
 # Room around the points of a logarithmic axis: a factor, and at least this part of it, which shows symbols whole.
 ROOM, MARGIN = 1.6, 0.03
+# Axes, legends and lines that charts share, in Plotly's words; colours of text, grid and background are the page's.
+
 # A logarithmic axis of more than so many is labelled at powers of ten alone.
 DECADES = 6
 METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the names

@@ -1,7 +1,4 @@
-"""What the page says of one case, in words and tables.
-
-Tables of a page: cells, and by which of its filters a line can be hidden.
-"""
+"""Describe one case on the page in words and tables."""
 
 from __future__ import annotations
 
@@ -20,6 +17,8 @@ from contactqp.study.page.formulation import Formulation, formulation
 from contactqp.study.report.report_data import CaseRecord
 from contactqp.study.rows import READABLE, Row, readable, shortened_text
 from contactqp.study.statistics import Route
+
+# Tables of a page: cells, and by which of its filters a line can be hidden.
 
 # What the filters of a page choose by: of a row, by `meta` of a trace, by the headings of a chart's table.
 FACETS: Mapping[str, tuple[str, ...]] = {

@@ -2,8 +2,6 @@
 
 Signs are those of the whole package: gaps g - E_N u are positive when open, λ_N is a force and positive in compression,
 λ_T is what the body does to the obstacle.
-
-The equations by which each scheme takes a step in time, as the schemes' own modules state them.
 """
 
 from __future__ import annotations
@@ -13,6 +11,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from contactqp.study.report.report_data import CaseRecord
+
+# The equations by which each scheme takes a step in time, as the schemes' own modules state them.
 
 
 @dataclass(frozen=True)

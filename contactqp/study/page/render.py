@@ -1,11 +1,4 @@
-"""All that a report says, put into the templates: one HTML file that loads nothing.
-
-Formulas for a page: LaTeX becomes MathML, which browsers set without any library.
-
-What another study hands over to be shown on the page: headings, words, charts, tables.
-
-The page of a study along axes: its sections with their charts and tables, one HTML file that loads nothing.
-"""
+"""Render a report or a study into one HTML file that loads nothing."""
 
 from __future__ import annotations
 
@@ -36,6 +29,8 @@ from contactqp.study.page.case_view import (
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
 
+# Formulas for a page: LaTeX becomes MathML, which browsers set without any library.
+
 
 @lru_cache(maxsize=4096)
 def mathml(latex: str, display: str = "inline") -> str:
@@ -47,6 +42,9 @@ def mathml(latex: str, display: str = "inline") -> str:
     from latex2mathml.converter import convert
 
     return str(convert(latex, display=display))
+
+
+# What another study hands over to be shown on the page: headings, words, charts, tables.
 
 
 class TitledTable(Protocol):
@@ -276,6 +274,9 @@ def fact_tables(facts: Mapping[str, Any]) -> Iterator[Table]:
     groups = {name: value for name, value in facts.items() if isinstance(value, Mapping)}
     for name, group in ({"report": alone} | groups).items():
         yield plain_table(name, (name, ""), group.items())
+
+
+# The page of a study along axes: its sections with their charts and tables, one HTML file that loads nothing.
 
 
 @dataclass(frozen=True)

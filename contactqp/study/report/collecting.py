@@ -1,9 +1,4 @@
-"""The cells of a report run, and their results put together: first all answers side by side, then all times alone.
-
-The physical limit of a contact problem: what one linear solve of its bodies costs.
-
-What a report does with one case, as cells: its truth, its record, and each of its rungs answered and timed.
-"""
+"""Run a report's cells and collect their results: first all answers side by side, then all times alone."""
 
 from __future__ import annotations
 
@@ -38,6 +33,9 @@ from contactqp.study.truth import Truth
 
 # Solves timed at most, and the seconds of them after which a median is good enough.
 REPEATS, ENOUGH_SOLVES = 9, 0.2
+
+
+# The physical limit of a contact problem: what one linear solve of its bodies costs.
 
 
 def linear_solve_seconds(problem: ContactProblem) -> float | None:
@@ -83,6 +81,8 @@ def _positive(stiffness: Any) -> bool:
         return False
     return True
 
+
+# What a report does with one case, as cells: its truth, its record, and each of its rungs answered and timed.
 
 # Cases whose problems a process keeps: the one at hand, and the one before while others still work on it.
 KEPT = 2

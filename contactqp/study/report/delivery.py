@@ -1,7 +1,4 @@
-"""The folder of a report: what is unfinished stays apart from what is finished.
-
-Where and with what a report was made: enough to run it again.
-"""
+"""Deliver a report into its folder, unfinished apart from finished, with the machine it was made on."""
 
 from __future__ import annotations
 
@@ -19,6 +16,8 @@ from typing import Any
 from contactqp.errors import SceneError
 from contactqp.solving.methods import Method
 from contactqp.study.running.journal import Journal
+
+# Where and with what a report was made: enough to run it again.
 
 BASE = ("contactqp", "numpy", "scipy", "qpsolvers", "cvxpy", "matplotlib")
 # Environment variables that decide on how many threads linear algebra runs.

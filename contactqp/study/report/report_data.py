@@ -1,9 +1,4 @@
-"""All that a report says, before it is written to a page or a file.
-
-What a report knows of one case besides its rows: plain data, made once, drawn and written by others.
-
-What a report's rows come to: rates for each method, and whether anything claims to be right and is not.
-"""
+"""All that a report says, as data: the record of each case, and what the rows come to."""
 
 from __future__ import annotations
 
@@ -28,6 +23,8 @@ from contactqp.study.footprint import Footprint
 from contactqp.study.rows import COLUMNS, VERDICTS, Row, as_dicts
 from contactqp.study.statistics import Rates, method_rates, overview, overview_data
 from contactqp.study.truth import Truth
+
+# What a report knows of one case besides its rows: plain data, made once, drawn and written by others.
 
 
 @dataclass(frozen=True)
@@ -132,6 +129,9 @@ def _unmet(outcome: Judgement | Failure) -> list[str]:
         return [outcome.message]
     rows = (*outcome.expectations, *outcome.published)
     return [f"{outcome.trial}: {row.quantity}: expected {row.expected}, got {row.got}" for row in rows if not row.ok]
+
+
+# What a report's rows come to: rates for each method, and whether anything claims to be right and is not.
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,8 @@
-"""A process for one cell at a time: it may die or hang without anybody else.
+"""A process for one cell at a time, which may die or hang without harm to others.
 
 A pool, be it the standard library's or joblib's, gives up all that it has in hand when one of its processes dies,
 cannot stop one that hangs, and cannot be had within a worker of Dask. Here each thread that asks has a process of its
 own, and knows how that one ended.
-
-How a process died, in words.
-
-The other end of a `Child`: a process that runs one function after the other as it is told.
 """
 
 from __future__ import annotations
@@ -23,6 +19,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, BinaryIO
+
+# How a process died, in words.
 
 SIGNALS: Mapping[str, str] = {
     "SIGSEGV": "died of a segmentation fault",
@@ -64,6 +62,9 @@ def _name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:  # a signal without a name, as those for real time
         return f"signal {number}"
+
+
+# The other end of a `Child`: a process that runs one function after the other as it is told.
 
 
 def serve() -> None:

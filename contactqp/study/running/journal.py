@@ -1,19 +1,8 @@
-"""What a study has found so far, streamed to a file of JSON lines that survives its process.
+"""The journal of a study: cells and their results, streamed to a file of JSON lines that survives its process.
 
 The first line says with what the study runs: where that is another machine, version or setting, nothing that is kept
 is used. Every other line is the result of a cell. A line that is torn, as the process died while it was written, is no
 result. Beside the lines nothing is needed to go on.
-
-A short text that is another one where a case is another one.
-
-What a study consists of: functions with their arguments, and what became of each.
-
-Frozen dataclasses as JSON and back, by the annotations of their fields.
-
-Strings, numbers, truth values and None stay what they are; NaN and infinities too, in Python's dialect of JSON. Arrays
-and bytes become base64, tuples and lists become lists, fractions text. What is annotated as Any must be plain already.
-
-A lock on a file that ends with the process that holds it, however it ends.
 """
 
 from __future__ import annotations
@@ -39,6 +28,8 @@ import scipy.sparse as sp
 
 from contactqp.errors import SceneError
 from contactqp.model.problem import ContactProblem
+
+# A short text that is another one where a case is another one.
 
 # Bytes: two cases of one report never have the same by chance.
 SIZE = 12
@@ -70,6 +61,9 @@ def _parts(value: Any) -> list[bytes]:
     if isinstance(value, np.ndarray):
         return [str(value.shape).encode(), np.ascontiguousarray(value).tobytes()]
     return [repr(value).encode()]
+
+
+# What a study consists of: functions with their arguments, and what became of each.
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +113,12 @@ def refuse_twins(cells: Iterable[Cell]) -> None:
             raise ValueError(f"two cells are called {cell.key!r}")
         seen.add(cell.key)
 
+
+# Frozen dataclasses as JSON and back, by the annotations of their fields.
+#
+# Strings, numbers, truth values and None stay what they are; NaN and infinities too, in Python's dialect of JSON.
+# Arrays and bytes become base64, tuples and lists become lists, fractions text. What is annotated as Any must be plain
+# already.
 
 _PLAIN = {str, int, float, bool}
 _BYTES, _ARRAY, _KIND, _SHAPE = "base64", "array", "dtype", "shape"
@@ -207,6 +207,9 @@ def _text(data: bytes) -> str:
 
 def _bytes(text: str) -> bytes:
     return base64.b64decode(text, validate=True)
+
+
+# A lock on a file that ends with the process that holds it, however it ends.
 
 
 def lock(stream: BinaryIO, file: Path) -> bool:

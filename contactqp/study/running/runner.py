@@ -1,11 +1,4 @@
-"""Cells run: what a journal has is taken from it, the rest runs and is written to it as it comes.
-
-How far a study is, and how much time is left: a bar on a terminal, lines of text elsewhere.
-
-Ctrl-C and polite kills: a study that is stopped says how far it is and can go on.
-
-Where and how a study runs, as a user says it.
-"""
+"""Run cells: take from the journal what it has, run the rest, show progress, stop in order."""
 
 from __future__ import annotations
 
@@ -29,6 +22,8 @@ from contactqp.study.running.workers import Crew, Processes, ThisProcess, Worker
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
+
+# How far a study is, and how much time is left: a bar on a terminal, lines of text elsewhere.
 
 # Seconds between lines where there is no terminal.
 LINES = 10.0
@@ -142,6 +137,8 @@ def _bar() -> Any:
     columns = (texts[0], BarColumn(), MofNCompleteColumn(), texts[1])
     return Progress(*columns, console=Console(stderr=True), transient=True, refresh_per_second=REDRAWS)
 
+
+# Ctrl-C and polite kills: a study that is stopped says how far it is and can go on.
 
 # What a shell adds to the number of the signal that ended a program.
 OF_SIGNAL = 128
@@ -274,6 +271,8 @@ class _Run:
             return Crash(f"raised {type(result.error).__name__}: {result.error}")
         return Crash(result.message) if isinstance(result, Late) else result
 
+
+# Where and how a study runs, as a user says it.
 
 # Seconds of a year: no cell takes longer, and every clock counts so far.
 LONGEST = 365 * 24 * 3600.0

@@ -1,7 +1,4 @@
-"""Where cells run: executors as those of the standard library, side by side or alone.
-
-Slots that are the workers of a Dask cluster which is there already.
-"""
+"""Executors that run cells side by side: threads with child processes, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -125,6 +122,8 @@ def _crew(size: int, environment: Mapping[str, str]) -> Iterator[Crew]:
         children.close()
         executor.shutdown(wait=True)
 
+
+# Slots that are the workers of a Dask cluster which is there already.
 
 INSTALL = "pip install 'contactqp[dask]'"
 # Seconds until a scheduler must have answered.

@@ -1,19 +1,4 @@
-"""What axes are built of: chains of springs, and rows that pick unknowns.
-
-A small gap between bodies that travel far, and a wide one.
-
-A contact that is nearly open, and one that is nearly closed.
-
-Loads that are tiny and huge beside stiffness times gap.
-
-A heavy mass on a stack of light ones: the contact problem of a time step of impact.
-
-A bar whose elements shrink towards the contact.
-
-A body on a support that softens until the body floats.
-
-Soft and stiff springs in turn.
-"""
+"""Axes of stability on chains of springs and bars: gaps, loads, masses, meshes, supports and stiffness contrast."""
 
 from __future__ import annotations
 
@@ -65,6 +50,9 @@ def rows(n: int, *entries: dict[int, float]) -> Matrix:
     return E
 
 
+# A small gap between bodies that travel far, and a wide one.
+
+
 def pose_gap_ratio(gap: float) -> Posed:
     """Two chains of unit springs; their ends travel by 1 + g and by 1 and meet with a force of 1/2.
 
@@ -90,6 +78,9 @@ GAP_RATIO = Axis(
 
 SPRINGS, GAP = (3.0, 5.0, 7.0), 1.0
 FIRST_GAP, FIRST_LOAD = 0.25, 4.0
+
+
+# A contact that is nearly open, and one that is nearly closed.
 
 
 def pose_grazing(distance: float) -> Posed:
@@ -123,6 +114,8 @@ GRAZING = Axis(
 
 
 LOAD_RATIO_GAP = 0.25
+# Loads that are tiny and huge beside stiffness times gap.
+
 # The loaded chain is two unit springs in series: it travels by twice the load.
 TOUCHING = LOAD_RATIO_GAP / 2
 
@@ -145,6 +138,8 @@ LOAD_RATIO = Axis(
     about="The same two bodies under loads from nothing to far beyond what numbers can square.",
 )
 
+
+# A heavy mass on a stack of light ones: the contact problem of a time step of impact.
 
 COUNT = 8
 
@@ -175,6 +170,8 @@ MASS_RATIO = Axis(
 )
 
 
+# A bar whose elements shrink towards the contact.
+
 ELEMENTS = 10
 
 
@@ -201,6 +198,9 @@ MESH_GRADING = Axis(
 )
 
 
+# A body on a support that softens until the body floats.
+
+
 def pose_singular_stiffness(support: float) -> Posed:
     """Five nodes, unit springs, a ground spring ε, a wall: u is of size 1 and the wall carries all but ε of the load.
 
@@ -218,6 +218,9 @@ SINGULAR_STIFFNESS = Axis(
     pose=pose_singular_stiffness,
     about="A body on a soft support is pressed on a wall; at last rounding loses the support, and the body floats.",
 )
+
+
+# Soft and stiff springs in turn.
 
 
 def pose_stiffness_contrast(contrast: float) -> Posed:

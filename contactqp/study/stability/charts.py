@@ -1,9 +1,4 @@
-"""What the charts of an axis share: the place of its values, the order of the methods, sparse layouts.
-
-Curves of digits lost, with what was predicted beside them.
-
-Two tables of cells for each axis: digits lost, and how it ended; a row a method, a column a value.
-"""
+"""Charts of an axis: curves of digits lost, and heat maps of methods by values."""
 
 from __future__ import annotations
 
@@ -64,6 +59,8 @@ PREDICTED, DASHES = (
     "#767676",
     ("6px,3px", "2px,2px", "8px,2px,2px,2px", "12px,3px", "2px,6px", "12px,2px,2px,2px", "4px"),
 )
+# Curves of digits lost, with what was predicted beside them.
+
 # Names are long: they stand below, where a narrow screen has room.
 LEGEND = dict(orientation="h", yanchor="top", y=-0.2)
 HEIGHT = 560  # pixels
@@ -134,6 +131,8 @@ def _line(axis: Axis, name: str, rows: Sequence[StabilityRow]) -> tuple[str, ...
     found = {row.value: row.digits_lost_force for row in rows}
     return (name, *(short(found.get(value)) for value in axis.values))
 
+
+# Two tables of cells for each axis: digits lost, and how it ended; a row a method, a column a value.
 
 # One letter a verdict, so that no colour is needed, and one colour from Okabe's and Ito's palette; half transparent, so
 # that the letters, in the page's own colour, are seen on light and on dark pages.

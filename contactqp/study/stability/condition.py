@@ -1,7 +1,4 @@
-"""What rounding can do to a method: condition numbers of what it solves, and the errors that they predict.
-
-The linear systems that methods solve for the right set of closed contacts, as rational numbers.
-"""
+"""Condition numbers of what methods solve, exactly, and the errors that they predict."""
 
 from __future__ import annotations
 
@@ -20,6 +17,8 @@ from contactqp.study.stability.posed import Posed, Rows, fractions, rows_of
 PLAIN, SADDLE = "K", "[K Eᵀ; E 0]"
 PENALTY, PERTURBED, AUGMENTED = "K+EᵀβE", "[K Eᵀ; E -1/κ]", "[K+EᵀβE Eᵀ; E 0]"
 DELASSUS, REDUCED = "E K⁻¹ Eᵀ", "TᵀK T, E T = 0"
+# The linear systems that methods solve for the right set of closed contacts, as rational numbers.
+
 _OF_METHOD = {
     "penalty": PENALTY,
     "perturbed-lagrangian": PERTURBED,

@@ -1,13 +1,4 @@
-"""The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN.
-
-The best penalty β: where what it leaves out and what it loses to rounding are together the least.
-
-In exact arithmetic the force is λ β / (S + β): the relative error S / (S + β), about S / β, falls with β. In doubles
-λ = β (E u − g), a difference of lengths of the size of the gap: it is a multiple of β ulp(g), so that the relative
-error β ulp(g) / λ rises with β. The sum S / β + β ulp(g) / λ is least where both are equal,
-
-    β = √(S λ / ulp(g)),    error = 2 √(S ulp(g) / λ)
-"""
+"""The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN."""
 
 from __future__ import annotations
 
@@ -35,6 +26,14 @@ from contactqp.study.stability.charts import (
 from contactqp.study.stability.condition import UNIT_ROUNDOFF
 from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
 from contactqp.study.stability.rows import StabilityRow, digits_lost
+
+# The best penalty β: where what it leaves out and what it loses to rounding are together the least.
+#
+# In exact arithmetic the force is λ β / (S + β): the relative error S / (S + β), about S / β, falls with β. In doubles
+# λ = β (E u − g), a difference of lengths of the size of the gap: it is a multiple of β ulp(g), so that the relative
+# error β ulp(g) / λ rises with β. The sum S / β + β ulp(g) / λ is least where both are equal,
+#
+#     β = √(S λ / ulp(g)),    error = 2 √(S ulp(g) / λ)
 
 
 @dataclass(frozen=True)

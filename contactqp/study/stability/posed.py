@@ -1,11 +1,4 @@
-"""A problem of an axis with its truth, and how far from it an answer is.
-
-Exact answers of small problems: doubles as they stand, Gauss's elimination in Fractions, every condition checked.
-
-What a certificate that passes says itself of an error: then the error is not a silent one.
-
-An axis of difficulty: a name, its values, and a function from a value to a problem with its truth.
-"""
+"""A problem at one value of an axis: its exact truth, how far from it an answer is, and the axis itself."""
 
 from __future__ import annotations
 
@@ -24,6 +17,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.exact_algebra import ZERO, Row, dot, solutions
 from contactqp.study.truth import Errors, Truth
+
+# Exact answers of small problems: doubles as they stand, Gauss's elimination in Fractions, every condition checked.
 
 Rows = list[Row]
 
@@ -219,6 +214,8 @@ def nearest(values: Sequence[Fraction]) -> Vector:
     return np.array([x.numerator / x.denominator for x in values], dtype=float)
 
 
+# What a certificate that passes says itself of an error: then the error is not a silent one.
+
 # What the nearest doubles of a truth may add to an error that meets its bound exactly.
 ROUNDING = 1e-12
 
@@ -246,6 +243,8 @@ def stated(truth: SweptTruth, solution: Solution) -> str:
         return f"the certificate's own force bound is {float(np.max(certificate.force_bound)):.1e}"
     return ""
 
+
+# An axis of difficulty: a name, its values, and a function from a value to a problem with its truth.
 
 # Values as near as this to one are named by their distance from it.
 NEXT_TO_ONE = 1e-2

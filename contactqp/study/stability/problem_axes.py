@@ -1,15 +1,4 @@
-"""The number of contacts: few of many that close, and half of them.
-
-Coulomb's coefficient up to and past the critical one: one answer, then three.
-
-A block that nothing but friction holds on an incline: below tan α there is no equilibrium.
-
-Penalty β, perturbation κ and the augmented Lagrangian's β on the two-bar truss of the course chapter.
-
-Two contacts whose normals differ by a small angle.
-
-One beam in units of length and force of practice and beyond.
-"""
+"""Axes of stability on other problems: contact count, friction, incline, penalty, redundancy and units."""
 
 from __future__ import annotations
 
@@ -90,6 +79,8 @@ CLOSED_CONTACTS = Axis(
 )
 
 
+# Coulomb's coefficient up to and past the critical one: one answer, then three.
+
 CRITICAL = Fraction(1, 2)  # K11 / |K12|
 
 
@@ -134,6 +125,8 @@ FRICTION = Axis(
 )
 
 
+# A block that nothing but friction holds on an incline: below tan α there is no equilibrium.
+
 SLOPE = Fraction(3, 4)  # tan α
 NORMAL, TANGENT = [[3.0, -4.0]], [[4.0, 3.0]]  # along (-3, 4) / 5 and along the plane, five times as long
 
@@ -164,6 +157,8 @@ INCLINE = Axis(
     about="A block without springs on an incline: below its slope no equilibrium exists, and to say so is right.",
 )
 
+
+# Penalty β, perturbation κ and the augmented Lagrangian's β on the two-bar truss of the course chapter.
 
 STIFFNESS = ((59803.0, 6883.1), (6883.1, 77443.0))  # kN/m, as printed
 LOAD = (60.0, -100.0)  # kN
@@ -206,6 +201,9 @@ PENALTY_STIFFNESS = Axis(
 )
 
 
+# Two contacts whose normals differ by a small angle.
+
+
 def pose_redundancy(angle: float) -> Posed:
     """A node held by springs, pressed into the corner of (0, -1) and (θ, -1): u = (0, -1), λ = (3, 5) while θ > 2^-50.
 
@@ -227,6 +225,8 @@ REDUNDANCY = Axis(
     about="A node in a corner that is nearly flat: both contacts carry force, and only the angle tells them apart.",
 )
 
+
+# One beam in units of length and force of practice and beyond.
 
 # (length, force) of one metre and one newton.
 UNITS = {

@@ -1,7 +1,4 @@
-"""`contactqp report --stability`: the study run, written to a folder and told on a terminal.
-
-The study as sections of a page: headings, words, charts, tables.
-"""
+"""`contactqp report --stability`: the study run, written to a folder and told on a terminal."""
 
 from __future__ import annotations
 
@@ -38,6 +35,8 @@ from contactqp.study.stability.penalty_valley import of_truss, penalty_valley
 from contactqp.study.stability.posed import Axis
 from contactqp.study.stability.rows import COLUMNS, VERDICTS, StabilityRow, to_csv
 from contactqp.study.stability.study import StabilityStudy, as_json, grouped, lines
+
+# The study as sections of a page: headings, words, charts, tables.
 
 
 class Table(NamedTuple):

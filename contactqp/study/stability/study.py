@@ -1,7 +1,4 @@
-"""The study: its axes and rows, what they come to, as JSON and in words.
-
-Where each method is right, in words and numbers, computed from the rows of one axis.
-"""
+"""The study: its axes and rows, what they come to, as JSON and in words."""
 
 from __future__ import annotations
 
@@ -17,6 +14,8 @@ from contactqp.study.rows import aligned
 from contactqp.study.stability.penalty_valley import of_truss
 from contactqp.study.stability.posed import Axis
 from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts
+
+# Where each method is right, in words and numbers, computed from the rows of one axis.
 
 # An approximate method is called useful up to this error.
 USEFUL = 1e-3
