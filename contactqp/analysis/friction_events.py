@@ -59,7 +59,7 @@ WORDS = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Where the contacts stand at one instant."""
+    """The displacements, forces and states of the contacts at one instant."""
 
     status: Status  # (m,) as they came
     edge: NDArray[np.int8]  # (m,) e = +-1 at the edge of the cone, else 0

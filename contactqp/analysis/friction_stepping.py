@@ -66,7 +66,7 @@ Solve = Callable[[float, Array, Mask], State]
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where contacts stood at the end of a step."""
+    """The positions E_T u of contacts at the end of a step, which slips are counted from."""
 
     position: Array  # (m, d-1) E_T u
     anchored: Mask  # (m,)
@@ -135,7 +135,7 @@ def _first_touch(
 
 
 def _secant(low: State, high: State) -> float:
-    """Where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
+    """Return the fraction at which the first of the gaps negative at `high` vanishes, all being linear."""
     falls = high.overlap & (low.gap > high.gap)
     if not np.any(falls):
         return (low.fraction + high.fraction) / 2

@@ -87,7 +87,7 @@ class LazySolutions(Sequence[Solution]):
 
 @dataclass(frozen=True)
 class Energies:
-    """Of one instant, in force times length.
+    """The energies of one instant [force * length].
 
     On a path between whose instants all is linear (exact events), work = elastic + dissipated to rounding; in steps the
     difference shrinks with the steps.
@@ -163,7 +163,7 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def energies(self) -> tuple[Energies, ...]:
-        """Of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
+        """The energies of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
 
         Between exact events work = elastic + dissipated since the start. In steps, of which the friction at the end
         counts, work is at least that: no step and no cycle of steps creates energy.

@@ -140,7 +140,7 @@ def no_bounds(reason: str) -> Bounds:
 
 
 def iterated_bounds(problem: Limits, answer: Forces, way: ContactIteration) -> Bounds:
-    """Those of an answer without friction, by products and responses (`contactqp.certificate.multigrid_bounds`)."""
+    """Bound an answer without friction by products and responses (`contactqp.certificate.multigrid_bounds`)."""
     try:
         found = distances(problem, answer, way)
     except Unrepaired as reason:

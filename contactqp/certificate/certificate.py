@@ -228,7 +228,7 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
 
 
 def not_finite(frictional: bool, failures: list[str], tolerance: float, error_tolerance: float) -> Certificate:
-    """That of an answer with parts that are not finite."""
+    """Return the certificate of an answer with parts that are not finite: it fails."""
     figures: dict[str, Any] = dict.fromkeys(FIGURES, float("inf"))
     return Certificate(
         **figures,

@@ -133,7 +133,7 @@ class Resultants:
         return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
 
     def seen(self, forces: Vector) -> NDArray[np.bool_]:
-        """Where next to no force acts along a motion, what the rounding of K holds is all there is to see."""
+        """Return along which motions forces act by more than the rounding of K."""
         return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
 
     def worst(self, forces: Vector) -> float:

@@ -51,7 +51,7 @@ _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary
 def local_uniqueness(
     problem: LocalProblem, closed: NDArray[np.bool_], stuck: NDArray[np.bool_], along: Array
 ) -> Uniqueness:
-    """Of forces that close and hold contacts (m,); `along` (m, d) are the directions of force of those that slip."""
+    """Say whether the forces are the only ones; `along` (m, d) are the force directions of contacts that slip."""
     if not problem.contacts or not np.any(problem.friction > 0):
         return Uniqueness()
     notes = []

@@ -146,7 +146,7 @@ class _Systems:
         return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
 
     def sizes(self, status: NDArray[np.int8], y: Vector) -> Vector:
-        """Of every row of `signs`, what it may fail by in a solution (q,)."""
+        """Return by how much every row of `signs` may fail in a solution (q,)."""
         length, pushed = (part[0] for part in self._allowed(y[None]))
         opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
         sliding = np.flatnonzero((abs(status) == 1) & (self.mu > 0))
@@ -192,7 +192,7 @@ class _Signs:
         return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
 
     def extremes(self) -> list[Vector]:
-        """Those solutions whose signs hold that move the contacts furthest apart; none where no signs hold."""
+        """Return the solutions whose signs hold that move the contacts furthest apart; none where no signs hold."""
         from scipy.optimize import linprog
 
         size = self._allowed / DOUBTFUL
@@ -243,7 +243,7 @@ class Uniqueness:
 def uniqueness(
     problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation | None, tolerance: float
 ) -> Uniqueness:
-    """Of an answer; without friction nothing is said, `force_bound` says it."""
+    """Say whether other equilibria may exist at this load. Empty without friction, where the energy has one minimum."""
     if not problem.frictional or not problem.contacts:
         return Uniqueness()
     reason = "the bodies are not factorised as a whole"

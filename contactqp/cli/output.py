@@ -21,7 +21,7 @@ NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
 
 def console(heard: bool = True) -> Console:
-    """Where tables go; those that are not heard are made and dropped."""
+    """Return the console that tables go to; with `heard` False they are made and dropped."""
     from rich.console import Console
 
     if not heard:

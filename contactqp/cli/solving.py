@@ -124,7 +124,7 @@ def _read(
 
 
 def _failed(messages: Iterable[str]) -> Ending:
-    """Where one rank alone has no answer, the others wait for it in some exchange; this is what it ends them with."""
+    """Return the ending of a rank that alone has no answer, for which the others wait in some exchange."""
     return Ending(NOT_MET, "; ".join(messages))
 
 

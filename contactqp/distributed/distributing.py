@@ -146,10 +146,10 @@ class Portion:
 
 
 class Holder(Protocol):
-    """Where the whole is, and how a rank gets its rows of it. Collective."""
+    """The holder of a whole problem, from which each rank gets its rows. Collective."""
 
     def rows(self, counts: NDArray[np.intp], values: NDArray[Any] | None) -> NDArray[Any]:
-        """Those of this rank, of an array; counts[r] of them, in their order, are rank r's."""
+        """Return this rank's rows of an array; counts[r] of them, in their order, are rank r's."""
 
     def told(self, value: T) -> T:
         """What whoever has the whole knows of it."""
@@ -329,7 +329,7 @@ def part_of(ranks: Ranks, share: Portion) -> DistributedProblem:
 
 
 def _numbers(ranks: Ranks, values: NDArray[Any]) -> NDArray[np.int64]:
-    """Of the rows of a share, from the first on over all ranks."""
+    """Return the numbers of the rows of a share, counted over all ranks."""
     return ranks.first(len(values)) + np.arange(len(values), dtype=np.int64)
 
 

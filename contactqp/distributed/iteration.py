@@ -35,7 +35,7 @@ class Gram(Protocol):
 
 
 class SeparateGram:
-    """Of rows that share no unknowns."""
+    """The Gram matrix of rows that share no unknowns: a diagonal."""
 
     def __init__(self, entries: sp.csr_matrix, compliance: Vector) -> None:
         own = entries.multiply(entries) @ compliance
@@ -47,7 +47,7 @@ class SeparateGram:
 
 
 class SharedGram:
-    """Of any rows, on every rank. Making it and solving is collective."""
+    """The Gram matrix of any rows, on every rank. Making it and solving is collective."""
 
     def __init__(self, ranks: Ranks, entries: sp.csr_matrix, touched: NDArray[np.intp], compliance: Vector) -> None:
         self._ranks = ranks
@@ -251,7 +251,7 @@ class DistributedIteration(ContactIteration):
         residual -= self.product(x - away)
 
     def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
-        """Where bodies that float come to rest, and the contacts that hold them there; None where none floats."""
+        """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
         if not self.floating.count:
             return None
         return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))

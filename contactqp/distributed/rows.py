@@ -43,7 +43,7 @@ class Rows:
 
     @classmethod
     def over_touched(cls, rows: Any, like: Any) -> Rows:
-        """Of CSR rows over the unknowns of all ranks. Collective."""
+        """Make rows of CSR rows over the unknowns of all ranks. Collective."""
         touched, place = np.unique(rows.indices, return_inverse=True)
         shape = (len(rows.indptr) - 1, len(touched))
         return cls(sp.csr_matrix((rows.data, place.ravel(), rows.indptr), shape=shape), touched, like)

@@ -52,7 +52,7 @@ class Aggregates:
 
 
 def aggregates(comm: Any, stored: StoredRows, *, finest: bool) -> Aggregates | None:
-    """Those that GAMG makes of blocks that K couples; None where that makes nothing coarser. Collective.
+    """Return GAMG's aggregates of blocks that K couples; None where these are no coarser. Collective.
 
     Raises
     ------

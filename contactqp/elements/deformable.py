@@ -149,7 +149,7 @@ class Supported(ReadOnly):
         return _of("load", load, self.body.dimension)[self.free]
 
     def energy(self, displacement: ArrayLike) -> float:
-        """Of the body."""
+        """Return the body's energy at the displacement of its free unknowns [force * length]."""
         return self.body.energy(self.expand(displacement))
 
     def internal_force(self, displacement: ArrayLike) -> Vector:
@@ -157,7 +157,7 @@ class Supported(ReadOnly):
         return np.asarray(self.body.internal_force(self.expand(displacement))[self.free])
 
     def tangent(self, displacement: ArrayLike) -> Any:
-        """Of the free unknowns, CSC."""
+        """Return the tangent stiffness of the free unknowns, CSC [force / length]."""
         return sp.csc_array(sp.csr_array(self.body.tangent(self.expand(displacement)))[self.free][:, self.free])
 
     def support_forces(self, displacement: ArrayLike) -> Vector:
@@ -207,7 +207,7 @@ class SupportedContact:
         return ContactState(found.gap, sp.csr_array(found.normal[:, free]), tangent, found.rounding)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Of the free unknowns."""
+        """Return the contacts' part of the tangent stiffness of the free unknowns [force / length]."""
         found = self.geometry.curvature(self.support.expand(displacement), normal_force)
         free = self.support.free
         return None if found is None else sp.csc_array(sp.csr_array(found)[free][:, free])

@@ -101,7 +101,7 @@ def _check_duplicates(blocks: Sequence[Block]) -> None:
 
 
 def _check_neighbours(blocks: Sequence[Block]) -> None:
-    """Where a linear element has a quadratic neighbour, the middle node between them would hang loose."""
+    """Refuse linear elements beside quadratic ones: the middle node between them would hang loose."""
     kinds = {block.kind.facet for block in blocks if len(block)}
     if len(kinds) == len({REFERENCES[kind].linear for kind in kinds}):
         return

@@ -103,7 +103,7 @@ class NodalPressure(ReadOnly):
 
 
 def from_areas(area: Vector) -> NodalPressure:
-    """Of forces that each have an area of their own: force / area."""
+    """Return the pressures of forces that each have an area of their own: force / area."""
     each = sp.csr_array(sp.identity(len(area), format="csr"))
     return NodalPressure(each, area, 0 * each, 0 * each)
 

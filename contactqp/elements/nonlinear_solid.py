@@ -267,7 +267,7 @@ class NonlinearSolid:
 
     @cached_property
     def _at_rest(self) -> list[tuple[Block, int, Array, Array]]:
-        """Of every batch of elements: the place of its first in its block, shape gradients and weights."""
+        """Return for every batch of elements the place of its first in its block, shape gradients and weights."""
         d, found = self.body.dimension, []
         for block in self.body.mesh.blocks:
             rule, first = self.body.stiffness_rule(block), 0

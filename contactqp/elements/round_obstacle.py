@@ -246,7 +246,7 @@ class Paraboloid:
 
     @property
     def _sign(self) -> float:
-        """Of the curvature: the surface is z = -sign r^2 / (2 R)."""
+        """Return the sign of the curvature: the surface is z = -sign r^2 / (2 R)."""
         return -1.0 if self.inside else 1.0
 
     def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -150,7 +150,7 @@ def _check_header(path: Path, columns: list[str], ledger: Ledger) -> None:
 
 
 def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:
-    """Where each contact stands, by its name or its number."""
+    """Return the place of each contact, by its name or its number."""
     place: dict[str, int] = {}
     for k, name in enumerate(names):
         if name in place:

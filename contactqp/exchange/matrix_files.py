@@ -64,7 +64,7 @@ def companions() -> frozenset[str]:
 
 
 def stiffness_suffixes() -> frozenset[str]:
-    """Those of files that are a stiffness whatever they are called."""
+    """Return the suffixes of files that are a stiffness whatever they are called."""
     return frozenset(suffix for reader in READERS if reader.stiffness for suffix in reader.suffixes)
 
 

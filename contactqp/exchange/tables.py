@@ -132,7 +132,7 @@ ORIGINS = ("slip_origin", "slip_origin_2")
 
 
 class Unknowns:
-    """Where an unknown stands, by its name, also as others spell it, or where there are no names by its position."""
+    """The places of unknowns by their names, also as others spell them, or by position where there are no names."""
 
     def __init__(self, names: Sequence[str] | None, count: int) -> None:
         self.count = count

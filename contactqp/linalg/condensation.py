@@ -156,7 +156,7 @@ class Condensation:
         return self._schur_smallest_pivot() < max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     def _find_rigid_motions(self, problem: ContactProblem, touched: NDArray[np.intp]) -> None:
-        """Where the interior floats, some nodes far apart are retained as well; then S knows all rigid motions.
+        """Find the rigid motions; where the interior floats some nodes far apart are retained, so that S has them all.
 
         If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
         """
@@ -204,7 +204,7 @@ class Condensation:
         return lowest
 
     def schur_factor(self) -> DenseCholesky:
-        """Of S in its scale, made when it is first asked for.
+        """Return the Cholesky factors of S in its scale, made when first asked for.
 
         Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
         """
@@ -409,7 +409,7 @@ def _same_matrix(one: Any, other: Any) -> bool:
 
 
 def _stated_motions(problem: ContactProblem) -> RigidMotions:
-    """Those of `near_null_space` that nothing resists, a motion of one body each."""
+    """Return the motions of `near_null_space` that K does not resist, each of one body."""
     if problem.near_null_space is None:
         return RigidMotions(np.zeros((problem.dimension, 0)))
     return stated_motions(problem.stiffness_rows, problem.near_null_space)

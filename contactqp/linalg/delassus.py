@@ -69,7 +69,7 @@ def contact_compliance(problem: ContactProblem, condensation: Condensation) -> C
 
 
 def frictional_compliance(problem: ContactProblem) -> ContactCompliance:
-    """Of a problem that may not have been condensed yet."""
+    """Return the contact compliance of a problem, condensing it where that is to be done yet."""
     return contact_compliance(problem, condense(problem))
 
 
@@ -104,7 +104,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
 
 
 def _regular_inverse(J: Array, ties: int) -> Array | None:
-    """Of the joints' block; ties that depend on each other share their force. None where a body floats."""
+    """Invert the joints' block; dependent ties share their force. None where a body floats."""
     values, vectors = np.linalg.eigh(J)
     kept = abs(values) > FLOATING * np.max(abs(values), initial=1.0)
     # A singular direction among the ties alone is a tie said twice; one that moves a body is a body that floats.

@@ -248,7 +248,7 @@ def _soft_by_part(graph: Any, motions: Array) -> Array:
 
 
 def _rigid_among(graph: Any, motions: Array) -> RigidMotions:
-    """Those of some motions (n, q) that are rigid, with what K's rounding leaves of them."""
+    """Select the rigid ones of some motions (n, q), with the forces that K's rounding leaves of them."""
     if not motions.shape[1]:
         return RigidMotions(motions)
     diagonal = graph.diagonal()

@@ -227,7 +227,7 @@ class StateSystem:
 
 
 def _unresisted(motions: Array, held: Array) -> Array:
-    """Of orthonormal motions (p, q), those that no row resists."""
+    """Return combinations of orthonormal motions (p, q) that no row resists."""
     if not motions.shape[1] or not len(held):
         return motions
     _, values, rotation = np.linalg.svd(_of_unit_length(held) @ motions)

@@ -157,7 +157,7 @@ class ContactIteration(ABC):
     # Bodies that nothing but contacts holds; an iteration that knows none need not overwrite these.
 
     def rest(self, problem: Limits) -> tuple[Vector, Flags] | None:
-        """Where bodies that float come to rest, and the contacts that hold them there; None where none floats."""
+        """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
         del problem
         return None
 

@@ -46,7 +46,7 @@ class RowSizes:
 
 
 def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
-    """Those of rows with as many columns as the problem has unknowns; its own are laid out once."""
+    """Return the sizes of rows with a column an unknown; those of the problem's own rows are computed once."""
     if rows is not problem.normal and rows is not problem.tangent and rows is not problem.tie:
         return sizes_of(rows, problem.diagonal)
     made: dict[int, RowSizes] = problem._computed.row_sizes
@@ -56,7 +56,7 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
 
 
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
-    """Those of rows over unknowns with these entries K_jj."""
+    """Return the sizes of rows over unknowns with these entries K_jj."""
     compliance = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
     size = abs(rows)
     squares = size.copy()
@@ -99,7 +99,7 @@ class ContactEntries:
 
 
 def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
-    """Those of `normal` or `tangent`, laid out once for the rows."""
+    """Return the entries of the rows `normal` or `tangent`, computed once."""
     rows, made = getattr(problem, name), problem._computed.contact_entries
     if id(rows) not in made:
         made[id(rows)] = entries_of(rows, problem.contacts)
@@ -108,7 +108,7 @@ def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
 
 
 def entries_of(rows: Any, contacts: int) -> ContactEntries:
-    """Those of rows in CSR, as many for each of the contacts."""
+    """Return the entries of CSR rows, as many rows for each of the contacts."""
     width = rows.shape[0] // contacts if contacts else 1
     row = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
     places, at = np.unique(row // width * rows.shape[1] + rows.indices, return_inverse=True)
@@ -418,5 +418,5 @@ def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none:
 
 
 def _row_of_entries(rows: Any) -> NDArray[np.intp]:
-    """Of every entry of rows in CSR."""
+    """Return the row of every entry of CSR rows."""
     return np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))

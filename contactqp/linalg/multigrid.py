@@ -209,7 +209,7 @@ def _scaled_rows(product: Any, scale: Array, like: Any) -> Any:
 def largest_eigenvalue(
     product: Callable[[Array], Array], diagonal: Array, dot: Callable[[Array, Array], float] = np.dot
 ) -> float:
-    """Of D^-1 K, by Lanczos' method from a fixed random vector, with an allowance for what it has not found.
+    """Return the largest eigenvalue of D^-1 K by Lanczos' method from a fixed vector, with an allowance for the rest.
 
     `dot` is a'b, of all who have a part of the vectors.
     """

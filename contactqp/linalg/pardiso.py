@@ -115,7 +115,7 @@ class Pardiso:
             raise BackendFailed(f"pardiso: error {error.value} in phase {phase}")
 
     def _smallest_pivot(self) -> float:
-        """Of the matrix with a diagonal of ones: what elimination left of a diagonal entry, over the entry."""
+        """Return the least pivot over its diagonal entry: that of the matrix with a diagonal of ones."""
         pivots, before, error = np.zeros(self.size), np.zeros(self.size), ctypes.c_int32(0)
         _library().pardiso_getdiag(
             *(_pointer(self._handle), _pointer(pivots), _pointer(before)),

@@ -1,4 +1,4 @@
-"""Where the time of an answer goes, and what it factorises: noted while somebody asks, free of charge elsewhere."""
+"""Clocks of an answer's stages and counts of its factorisations, which cost nothing where no clock runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a problem is solved: in this process, or by an engine that is found by its name in a table here.
+"""Engines that solve a problem elsewhere than in this process, found by their names in a table.
 
 An engine's functions are imported when they are asked for; nothing below it knows the module that they are in.
 """

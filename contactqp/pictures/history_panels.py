@@ -215,7 +215,7 @@ def time_label(fields: HistoryFields, time_unit: str) -> str:
 
 
 def telling_contacts(fields: HistoryFields) -> Index:
-    """Of many contacts those that push hardest, then those that come nearest."""
+    """Return, of many contacts, those that push hardest, then those that come nearest."""
     with np.errstate(invalid="ignore"):
         push = np.nanmax(abs(fields.normal_force), axis=0, initial=0.0)
         near = np.nanmin(fields.gap, axis=0, initial=np.inf)
@@ -224,7 +224,7 @@ def telling_contacts(fields: HistoryFields) -> Index:
 
 
 def telling_unknowns(fields: HistoryFields, contacts: Index) -> Index:
-    """Of a load path the unknowns whose loads do most; of a motion those of the contacts that move most."""
+    """Return the unknowns whose loads do most work on a load path, or those of contacts that move most."""
     moved, candidates = _moved(fields), np.arange(fields.displacement.shape[1])
     tells = moved
     if fields.load is not None:
@@ -263,7 +263,7 @@ def work_of_unknowns(fields: HistoryFields) -> Vector:
 
 
 def ranked(unknowns: Index, tells: Vector) -> Index:
-    """Those that tell something, the most telling first."""
+    """Return the unknowns that move or are loaded, the largest first."""
     order = np.argsort(-tells, kind="stable")
     return unknowns[order[tells[order] > TELLS * np.max(tells, initial=0.0)]]
 

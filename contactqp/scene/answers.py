@@ -217,7 +217,7 @@ class Answer:
         return self.model.exact
 
     def displacement(self, unknown: str) -> float:
-        """Of any unknown, fixed ones included."""
+        """Return the displacement of any unknown, fixed ones included."""
         if unknown in self.exact.unknowns.fixed:
             return 0.0
         return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])

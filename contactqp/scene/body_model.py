@@ -148,7 +148,7 @@ class ContactEntries(ABC):
         return self.of_entry(name, solution.gap, np.nan)
 
     def tangential(self, name: str, values: Any) -> Vector:
-        """Of each paired node of one entry, (p, d-1); 0 where only supported nodes meet, and without friction."""
+        """Return tangential values (p, d-1) at the paired nodes of an entry; 0 at supported nodes, without friction."""
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:
             return np.zeros((len(self.contacts[self.place(name)].pairing.gap), width))

@@ -145,7 +145,7 @@ def _shown(numbers: Sequence[Number]) -> Shown:
 
 
 def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
-    """Of a matrix of ties every column has its own."""
+    """Return the unit of a claim's numbers; every column of a matrix of ties has its own."""
     return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
 
 

@@ -61,7 +61,7 @@ def mass_on_all(model: Model) -> Any:
 
 
 def free_places(model: Model) -> NDArray[np.int64]:
-    """Where the free unknowns stand among all."""
+    """Return the places of the free unknowns among all."""
     if not isinstance(model, NodeModel):
         return model.system.free
     unknowns = model.exact.unknowns

@@ -121,7 +121,7 @@ def print_courses(console: Console, judgement: Judgement) -> None:
 
 
 def _pressures(judgement: Judgement) -> Iterator[Course]:
-    """Of elastic bodies, along the axis along which a side is longest; across it the largest pressure counts."""
+    """Yield the pressures along the longest axis of each side; across it the largest one counts."""
     model, solution = judgement.model, judgement.solution
     if isinstance(model, NodeModel):
         return
@@ -148,7 +148,7 @@ def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[ND
 
 
 def _histories(judgement: Judgement) -> Iterator[Course]:
-    """Of a path or a motion: the normal force of each contact, of many their sum, and a load factor that turns."""
+    """Yield the normal force of each contact over a path or a motion (of many their sum) and turning load factors."""
     history, scene = judgement.history, judgement.scene
     if len(history) < 2:
         return

@@ -62,7 +62,7 @@ def value(scene: SceneData, quantity: Quantity) -> Fraction:
 
 
 def point(scene: SceneData, node: str) -> Numbers:
-    """Where a node stands, exactly, in the scene's unit of length."""
+    """Return the position of a node, exactly, in the scene's unit of length."""
     return np.array([value(scene, x) for x in scene.node(node).at])
 
 
@@ -88,7 +88,7 @@ class Factors:
     named: Mapping[str, Fraction] = field(default_factory=dict)
 
     def of(self, name: str | None) -> Fraction:
-        """Of the loads of that name; None is a load without one."""
+        """Return the factor of the loads of that name; None is a load without one."""
         return self.others if name is None else self.named.get(name, self.others)
 
 
@@ -98,7 +98,7 @@ def has_corners(scene: SceneData) -> bool:
 
 
 def end_time(scene: SceneData) -> Fraction:
-    """Where the path ends: 1 for each way from corner to corner."""
+    """Return the pseudo-time at which the path ends: 1 for each leg."""
     return Fraction(len(scene.path.corners) if scene.path and scene.path.corners else 1)
 
 

@@ -210,7 +210,7 @@ HISTORY = "history"
 
 @dataclass(frozen=True)
 class AnswerFiles:
-    """Where answers are drawn and written to.
+    """The files that answers are drawn and written to.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa":
 
 
 def on_all_unknowns(problem: ContactProblem, rungs: Iterable[Rung]) -> Iterator[Rung]:
-    """Those of the rungs that are tried on the whole problem too, told so.
+    """Yield the rungs that are tried on the whole problem too, marked so.
 
     All are where condensation takes away ten unknowns or more of at most 1000. With fewer to take away both ways are
     much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes minutes: up

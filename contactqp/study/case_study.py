@@ -67,7 +67,7 @@ class CaseStudy:
 
     @cached_property
     def digest(self) -> str:
-        """Of the case file and of the problem that is made of it."""
+        """The digest of the case file and of the problem that is made of it."""
         file = self.scene.file
         return digest(b"" if file is None else file.read_bytes(), self.problem)
 

@@ -42,7 +42,7 @@ class StageTime:
 
 @dataclass(frozen=True)
 class ContactCount:
-    """Of the contacts of a case, how many the solver had to do with: looked at = without partner + dropped + kept."""
+    """How many contacts the solver had to do with: looked at = without partner + dropped + kept."""
 
     looked_at: int  # nodes of the sides that may touch
     without_partner: int  # nothing is opposite, or it is out of reach: they have no row

@@ -122,7 +122,7 @@ def _look_at(history: History, model: Model) -> None:
 
 
 def contact_count(model: Model, history: History | None) -> ContactCount:
-    """Of a case that was solved."""
+    """Return the contact count of a case that was solved."""
     from contactqp.certificate.subset_bounds import candidates_of
 
     problem = model.problem

@@ -28,7 +28,7 @@ class Route:
 
     @classmethod
     def of(cls, row: Row) -> Route:
-        """That of a row."""
+        """Return the route of a row."""
         return cls(row.method, "" if row.variant == "polished" else row.variant, row.condensed == rows.WHOLE)
 
     def takes(self, row: Row) -> bool:
@@ -202,7 +202,7 @@ class Rates:
 
 
 def method_rates(all_rows: Iterable[Row], cases: Sequence[str] | None = None) -> tuple[Rates, ...]:
-    """Of every method, over some cases or all."""
+    """Return the rates of every method over some cases, or all."""
     taken = [row for row in all_rows if cases is None or row.case in cases]
     return tuple(
         _rates(name, [row for row in taken if row.method == name]) for name in dict.fromkeys(r.method for r in taken)
@@ -253,7 +253,7 @@ class Overview:
 
 
 def overview(all_rows: Sequence[Row]) -> Overview:
-    """Of the rows of a report."""
+    """Return the overview of the rows of a report."""
     cases, times = compared_cases(all_rows), route_times(all_rows)
     means = tuple(shifted_geometric_mean(found.seconds) for found in times)
     return Overview(cases, method_rates(all_rows, cases), times, means)

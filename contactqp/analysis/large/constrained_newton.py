@@ -261,15 +261,15 @@ class HeldOpen:
         return replace(state, gap=state.gap + self.offset)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Of the geometry."""
+        """Return that of the underlying geometry."""
         return self.geometry.curvature(displacement, normal_force)
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """Of the geometry."""
+        """Return that of the underlying geometry."""
         return self.geometry.slip_since(displacement, anchor)
 
     def positions(self, displacement: Vector) -> Vector:
-        """Of the geometry."""
+        """Return that of the underlying geometry."""
         return self.geometry.positions(displacement)
 
 

@@ -217,7 +217,7 @@ class LargeSolution(Solution):
 
 @dataclass(frozen=True, eq=False)
 class LimitPoint(ReadOnly):
-    """Where the load that a path carries is greatest or least."""
+    """A limit point: the load that a path carries is greatest or least there."""
 
     kind: str  # "maximum" or "minimum"
     load_factor: float
@@ -229,7 +229,7 @@ class LimitPoint(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Snap:
-    """Where load control jumps: the load factor lies between `low` and `high`."""
+    """A snap of load control, at a load factor between `low` and `high`."""
 
     low: float
     high: float
@@ -281,7 +281,7 @@ class LargeHistory(History):
 
     @property
     def iterations(self) -> tuple[tuple[NewtonIteration, ...], ...]:
-        """Of every solution, what each step of Newton's method left: squared from one to the next at the end."""
+        """What each Newton step of every solution left: squared from one to the next at the end."""
         return tuple(solution.iterations for solution in self._found)
 
     @property

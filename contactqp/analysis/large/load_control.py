@@ -153,7 +153,7 @@ class LoadControl:
         return bool(negative_on(sp.csc_array(K - least * sp.identity(K.shape[0])), self.loaded.tie))
 
     def _jump(self, before: LargeSolution, balance: Balance, t: float) -> Snap | None:
-        """Of a step whose displacement does not shrink with it."""
+        """Return the snap of a step whose displacement does not shrink with it, or None."""
         low, high = before.load_factor, t
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)

@@ -204,7 +204,7 @@ class PathEquations:
         return found if found.sense == before.sense or crossed else found.turned()
 
     def cosine(self, one: Direction, other: Direction) -> float:
-        """Of the angle between two directions."""
+        """Return the cosine of the angle between two directions."""
         return float(one.displacement @ other.displacement + self.scale**2 * one.load_factor * other.load_factor)
 
     def distance(self, one: PathPoint, other: PathPoint) -> float:

@@ -124,7 +124,7 @@ class PathFollower:
         return self._direction
 
     def _first_closed(self, touching: Mask, sense: float) -> Mask:
-        """Of contacts that touch without force, those that the load presses."""
+        """Return which of the contacts that touch without force the load presses."""
         now, path = self._point.now, self.path
         which = np.flatnonzero(touching)
         K = path.loaded.hessian(now, self._point.forces)
@@ -203,7 +203,7 @@ class PathFollower:
         raise NotConverged("contacts close and open one before the other")
 
     def _fractions(self, point: PathPoint) -> dict[int, float]:
-        """Of every contact that overlaps or pulls at a point: where, on a straight line, it began to."""
+        """Return for contacts that overlap or pull at a point where, on a straight line, they began to."""
         before, gap, force = self._point, point.now.contact.gap, point.forces.normal
         tension = TENSION * max(point.forces.largest, float(np.max(abs(point.now.internal), initial=0.0)))
         overlaps = ~self._closed & (gap < -point.now.contact.rounding)
@@ -265,7 +265,7 @@ class PathFollower:
         self._point, self._closed, self._direction = point, closed, leaving
 
     def _limit(self, end: PathPoint, pace: Pace, part: float) -> LimitPoint:
-        """Where t' vanishes between the last point and the next, by bracketing its root."""
+        """Return the limit point between the last point and the next, where t' vanishes, by bracketing."""
         from scipy.optimize import brentq
 
         if isinstance(pace, ByArc):

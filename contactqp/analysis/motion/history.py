@@ -61,7 +61,7 @@ def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:
 
 
 def energies(motion: Motion) -> Iterator[Energies]:
-    """Of every state, a block at a time.
+    """Yield the energies of every state, a block of states at a time.
 
     What the normal forces take is their work along the scheme's way. A scheme that keeps energy without contact has
     lost to the impact, or made of it, whatever else is missing after a step beside contact forces.

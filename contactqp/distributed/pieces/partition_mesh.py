@@ -23,7 +23,7 @@ SAMPLES = 128
 
 
 def ranges(ranks: Ranks, codes: Index) -> Index:
-    """Where to cut all codes into one range for each rank, about equally full: (size - 1,). Collective.
+    """Return where to cut all codes into one range a rank, about equally full: (size - 1,). Collective.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where elements come from: shapes, of which each rank makes a slab, and files, which one rank reads and deals out."""
+"""Sources of elements: shapes, of which each rank makes a slab, and files, which one rank reads and distributes."""
 
 from __future__ import annotations
 

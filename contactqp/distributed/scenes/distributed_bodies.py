@@ -305,16 +305,16 @@ class ProblemInPieces:
     frictional: bool
 
     def contact_name(self, i: int) -> str:
-        """Of a contact by its number in one process."""
+        """Return the name of a contact by its number in one process."""
         return self.contact_names[i]
 
     def dof_name(self, j: int) -> str:
-        """Of an unknown by its number in one process."""
+        """Return the name of an unknown by its number in one process."""
         return self.dof_names[j]
 
     @property
     def units(self) -> Units:
-        """Of the scene."""
+        """The units of the scene."""
         return self.part.units
 
     @property
@@ -368,7 +368,7 @@ def in_pieces(model: DistributedBodyModel, solutions: Sequence[DistributedSoluti
 
 
 def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
-    """Of a path without friction: what the loads have done and what is elastic, as `History.energies` has it."""
+    """Yield the elastic energy and the loads' work along a path without friction, as `History.energies` does."""
     work = 0.0
     for before, now in pairwise(chain(solutions[:1], solutions)):
         u, dot = now.answer.displacement, now.problem.ranks.dot

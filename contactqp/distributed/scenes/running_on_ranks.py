@@ -146,7 +146,7 @@ def _followed(
 
 
 def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedSolution) -> ContactProblem:
-    """Of one step: with its load and its slip origins."""
+    """Return the whole problem of one step: with its load and its slip origins."""
     part = solution.problem
     if part.slip_origin is None:
         return problem.replace(load=load)

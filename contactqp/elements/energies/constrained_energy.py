@@ -283,7 +283,7 @@ class ConstrainedEnergy:
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedMinimum(ReadOnly):
-    """Where the energy is least, and what its parts carry there; `minimum["x"]` is an unknown."""
+    """The minimum of a constrained energy and what its parts carry there; `minimum["x"]` is an unknown."""
 
     of: ConstrainedEnergy
     solution: Solution
@@ -307,7 +307,7 @@ class ConstrainedMinimum(ReadOnly):
 
     @property
     def multiplier(self) -> Mapping[str, float]:
-        """Of every constraint by its name; those of one-sided ones are not negative."""
+        """The multiplier of every constraint by its name; those of one-sided constraints are not negative."""
         return self._found.multiplier
 
     @cached_property

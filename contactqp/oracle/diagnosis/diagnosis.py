@@ -63,7 +63,7 @@ def _explained(evidence: Evidence) -> list[Explanation]:
 
 
 def _others(right: Solution | None) -> Iterator[Finding]:
-    """That other answers may be as right as the one that was found."""
+    """Yield the finding that other answers may be as right as the one that was found."""
     if right is None:
         return
     if SEVERAL in right.certificate.uniqueness:

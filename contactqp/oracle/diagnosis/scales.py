@@ -179,7 +179,7 @@ def scales(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
-    """Where one factor belongs to everything, and gaps do not tell, the load may have had it."""
+    """Yield the load's factor where one factor belongs to everything and gaps do not tell."""
     problem, factor = evidence.problem, next(iter(meant.values()))
     if len(set(meant.values())) > 1 or not np.any(problem.load):
         return
@@ -227,7 +227,7 @@ def _zero(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
 
 
 def _without_right(evidence: Evidence) -> Iterator[Explanation]:
-    """Where no right answer is known the certificate alone tells whether a sign or a power of ten was all."""
+    """Yield signs and powers of ten that the certificate passes, where no right answer is known."""
     force = evidence.given.normal_force
     if force is None or not np.any(force):
         return

@@ -48,7 +48,7 @@ from contactqp.solving.solve import solve
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Of the scaled system of a contact set: a, h, s and t of the module, all proven."""
+    """The proven bounds a, h, s and t of the scaled system of a contact set."""
 
     scale: Floats  # (n,) of the unknowns
     length: Floats  # (k + c,) of the ties' and contacts' rows

@@ -130,7 +130,7 @@ def _places(
     kind: str,
     called: Callable[[int], str],
 ) -> NDArray[np.intp] | None:
-    """Where each unknown or contact of the problem stands in what was given, (count,)."""
+    """Return the place (count,) of each unknown or contact of the problem in what was given."""
     if value is None:
         return None
     if isinstance(value, str) or not np.iterable(value):

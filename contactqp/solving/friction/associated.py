@@ -150,7 +150,7 @@ class _Program:
         return _Point(x, r.reshape(m, d), z[: len(self._tie)])
 
     def residual(self, point: _Point) -> Vector:
-        """Of balance, r = P_K(r - u), and ties."""
+        """Return the residual of balance, of r = P_K(r - u), and of ties."""
         balance = self._S @ point.x - self._load - self._rows.T @ point.r.ravel() + self._tie.T @ point.tie
         law = point.r - onto_cone(point.r - self._velocity(point), self.mu)
         return np.concatenate([balance, law.ravel(), self._tie @ point.x - self._value])

@@ -95,7 +95,7 @@ class Combinations:
                     yield status[b], found
 
     def _with_signs(self, status: Status, y: Vector, free: Array) -> Vector | None:
-        """Of the solutions y + free'c, one whose signs may hold."""
+        """Return one of the solutions y + free'c whose signs may hold, or None."""
         room, change, size = self._signs(status)
         if not _hold(room, change, size, y) and len(free):
             y = _within(room, change, size, y, free)
@@ -142,7 +142,7 @@ def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
 
 
 def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array) -> Vector:
-    """Of the solutions start + free'c, one whose signs hold best, no room counting beyond its size."""
+    """Return the solution start + free'c whose signs hold best, no room counting beyond its size."""
     from scipy.optimize import linprog
 
     count, slope = len(free), change @ free.T

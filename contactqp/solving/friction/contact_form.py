@@ -98,7 +98,7 @@ class ContactOperator:
 
 
 def contact_operator(problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> ContactOperator:
-    """That of a problem's stiffness and rows, made once for all loads."""
+    """Return the contact operator of a problem's stiffness and rows, made once for all loads."""
     if problem._computed.contact_operator is None:
         problem._computed.contact_operator = ContactOperator(condensation, rows)
     operator: ContactOperator = problem._computed.contact_operator

@@ -109,7 +109,7 @@ def without_contact_springs(problem: ContactProblem, solution: Solution, name: s
 def sliders(
     problem: ContactProblem, solution: Solution, penalty: ArrayLike, tangential_penalty: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Where the sliders of a penalised solution are: E_T u - l_T / beta_T, or where they stick at their origin,
+    """Return the sliders of a penalised solution: E_T u - l_T / beta_T, or where they stick their origin,
     (m, d-1) [length].
 
     They are the next step's slip origin. A slider whose contact is open hangs on a spring without force, E_T u.

@@ -259,7 +259,7 @@ class _Members:
         return value + dot(slope, self._at)
 
     def _within(self, displacement: Row) -> tuple[Affine, Region] | None:
-        """Those that have one displacement, in coordinates of their own."""
+        """Return the solutions that have one displacement, in coordinates of their own."""
         equations = [[*slope, u - value] for (value, slope), u in zip(self._moved, displacement, strict=True)]
         found = solutions(equations, len(self._found.free))
         if found is None:

@@ -129,7 +129,7 @@ class _Run:
         self._gap, self._origin, self._value = self._rows.lengths(problem)
 
     def first_bound(self) -> Vector:
-        """Where the bounds start from, scaled."""
+        """Return the friction bounds that the iteration starts from, scaled."""
         rows = self._rows
         if self._start is not None:
             return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0)

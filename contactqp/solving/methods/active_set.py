@@ -86,7 +86,7 @@ def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) ->
 
 
 def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> Vector:
-    """Where the bodies would go if they were rigid: max f'Z a over E Z a <= g, scaled; the place to anchor them.
+    """Return where rigid bodies would go, max f'Z a over E Z a <= g, scaled: the place to anchor them.
 
     Under a light load a stiff body crosses a wide gap: far more than the anchors' springs would let it go in a step.
     """

@@ -306,7 +306,7 @@ def _mean_point(times: RouteTimes, mean: float) -> dict[str, Any]:
 
 
 def overview_charts(data: ReportData) -> tuple[Chart, ...]:
-    """Of all cases; what compares methods is left out where no case was put to all of them."""
+    """Return the charts over all cases; comparisons are left out where no case was put to all methods."""
     found, wrong = overview(data.rows), silently_wrong_chart(data.rows)
     if not found.cases:
         return (wrong,)

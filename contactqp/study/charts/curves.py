@@ -145,7 +145,7 @@ def milliseconds(seconds: float | None) -> str:
 
 
 def percent(part: int, whole: int) -> str:
-    """Of nothing, nothing.
+    """Return a part of a whole in per cent; of nothing, nothing.
 
     >>> percent(1, 3), percent(0, 0)
     ('33 %', '')
@@ -377,5 +377,5 @@ TABLE = ("method", "answer", "knob", "run time [ms]")
 
 
 def cells(row: Row, stiffness: str) -> tuple[str, ...]:
-    """Of `TABLE`."""
+    """Return the cells of a row of `TABLE`."""
     return row.method, variant_name(Route.of(row)), knob_text(row, stiffness), milliseconds(row.seconds)

@@ -94,7 +94,7 @@ def _limit_text(seconds: float | None) -> str:
 
 
 def _truth_text(case: CaseRecord) -> str:
-    """Where a solution is the truth, what its own method's error does not tell."""
+    """Return a note on what a method's error does not tell where its own solution is the truth."""
     found = re.search(r"([\w-]+), proven to", case.truth)
     if found is None:
         return ""

@@ -76,7 +76,7 @@ STEPS: Mapping[str, tuple[str, ...]] = {
 
 
 def symbols_of(scheme: str) -> Iterator[StepSymbol]:
-    """Those that stand in the equations of a scheme; letters of words are none."""
+    """Yield the symbols in the equations of a scheme; letters of words are none."""
     equations = re.sub(r"\\text\{[^}]*\}", "", " ".join(STEPS.get(scheme, ())))
     tokens = set(re.findall(r"\\[a-z]+|P_N|[A-Za-z]", equations))
     yield from (symbol for symbol in SYMBOLS if symbol.latex in tokens)
@@ -182,7 +182,7 @@ def _formulas(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
 
 
 def _of_what(blocks: dict[str, str]) -> str:
-    """Where steps have matrices of their own, those are condensed."""
+    """Return which matrix is condensed: that of the steps where they have one of their own."""
     return " of the matrix of a step" if TIME in blocks or NEWTON in blocks else ""
 
 

@@ -39,7 +39,7 @@ class Sizes:
 
     @classmethod
     def of(cls, study: CaseStudy) -> Sizes:
-        """Those of the case's problem."""
+        """Return the sizes of the case's problem."""
         problem = study.problem
         tangent, dense = problem.tangent, isinstance(problem.stiffness, np.ndarray)
         return cls(
@@ -153,7 +153,7 @@ class MethodSummary:
 
 @dataclass(frozen=True)
 class Summary:
-    """Of a whole report."""
+    """The summary of a whole report."""
 
     methods: tuple[MethodSummary, ...]
     wrong_but_passed: int  # ours: must be 0
@@ -178,7 +178,7 @@ class Summary:
 
     @property
     def doubt(self) -> str:
-        """Where what is wrong may be the case; empty where no case is in doubt."""
+        """The cases that may be wrong themselves; empty where none is in doubt."""
         if not self.contradicted:
             return ""
         return f"see {', '.join(self.contradicted)}: the proven solution contradicts exact values of the case"
@@ -235,7 +235,7 @@ class ReportData:
     facts: Mapping[str, Any]  # created, machine, versions, settings, seeds
 
     def rows_of(self, case: str) -> tuple[Row, ...]:
-        """Those of one case."""
+        """Return the rows of one case."""
         return tuple(row for row in self.rows if row.case == case)
 
 

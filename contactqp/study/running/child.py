@@ -116,7 +116,7 @@ _COMMAND = (sys.executable, "-P", "-c", "from contactqp.study.running.child impo
 
 @dataclass(frozen=True)
 class Death:
-    """Of the process, before it answered."""
+    """The death of a process before it answered."""
 
     message: str
 
@@ -241,7 +241,7 @@ def _exchange(process: subprocess.Popen[bytes], order: bytes) -> Any:
 
 
 def _paths() -> list[str]:
-    """Where modules are found here."""
+    """Return the paths on which this process finds modules."""
     return [path or os.getcwd() for path in sys.path]
 
 

@@ -36,7 +36,7 @@ SIZE = 12
 
 
 def digest(file: bytes, problem: ContactProblem) -> str:
-    """Of the bytes of a case file, and of every number of its problem, some of which may come from other files."""
+    """Return a digest of a case file's bytes and of every number of its problem, whatever file these come from."""
     found = hashlib.blake2b(file, digest_size=SIZE)
     for field in fields(problem):
         if not field.name.startswith("_"):
@@ -47,7 +47,7 @@ def digest(file: bytes, problem: ContactProblem) -> str:
 
 
 def source_digest() -> str:
-    """Of the package's own source: results of code that was changed since are not mixed with new ones."""
+    """Return a digest of the package's source: results of changed code are not mixed with new ones."""
     found = hashlib.blake2b(digest_size=SIZE)
     for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(file.read_bytes())
@@ -307,7 +307,7 @@ class Journal:
             return None
 
     def changed(self, cells: Iterable[Cell]) -> Iterator[Cell]:
-        """Those of which a result was kept that is not theirs any more."""
+        """Yield the cells whose kept result is not theirs any more."""
         return (cell for cell in cells if cell.key in self._kept and self.find(cell) is None)
 
     def write(self, cell: Cell, result: Result) -> Result:

@@ -236,7 +236,7 @@ class _Run:
         self._crew, self._watcher, self._limit = crew, watcher, limit
 
     def results(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Result]]:
-        """Of all cells as they come; those whose process died are run again at the end, one by one."""
+        """Yield the results of all cells as they come; those whose process died are run again at the end."""
         suspects = []
         for cell, result in self._once(cells, self._crew.size):
             if isinstance(result, Death):
@@ -324,5 +324,5 @@ def workers_of(running: Running) -> Iterator[Workers]:
 
 
 def _cores() -> int:
-    """Those that this process may use."""
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -39,7 +39,7 @@ class Crew:
 
 
 class Workers(Protocol):
-    """Where a study runs."""
+    """The workers that a study runs on."""
 
     notes: tuple[str, ...]  # for the user
     how: str  # cells run, as far as results depend on it

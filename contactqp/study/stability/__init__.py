@@ -1,1 +1,1 @@
-"""Where methods break: axes of difficulty, each swept with exact truths, and what every method makes of them."""
+"""Numerical stability: axes of difficulty swept with exact truths, and what every method makes of them."""

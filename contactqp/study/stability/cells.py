@@ -45,7 +45,7 @@ class Cell:
 
     @property
     def arguments(self) -> tuple[str, float, str, str]:
-        """Of `stability_row`."""
+        """The arguments of `stability_row`."""
         return self.axis, self.value, self.method, self.variant
 
 

@@ -31,7 +31,7 @@ def is_logarithmic(axis: Axis) -> bool:
 
 
 def place(axis: Axis, value: float) -> float | str:
-    """Where a value is drawn: itself, or its words."""
+    """Return what a value is drawn at: itself, or its words."""
     return value if is_logarithmic(axis) else axis.label(value)
 
 

@@ -60,7 +60,7 @@ class Blocks:
         return self._bordered(top, -1 / stiffness if name == PERTURBED else ZERO)
 
     def right_hand_side(self, name: str, stiffness: Fraction) -> Row:
-        """That of the systems in u or in u and λ."""
+        """Return the right-hand side of the systems in u, or in u and λ."""
         springs = stiffness if name in (PENALTY, AUGMENTED) else ZERO
         columns = zip(*self.pushed, strict=True) if self.pushed else [()] * len(self.load)
         load = [f + springs * dot(list(p), self.gap) for f, p in zip(self.load, columns, strict=True)]

@@ -38,7 +38,7 @@ from contactqp.study.stability.rows import StabilityRow, digits_lost
 
 @dataclass(frozen=True)
 class BestPenalty:
-    """Of a single contact [force / length]."""
+    """The best penalty of a single contact [force / length]."""
 
     stiffness: float  # S, which the contact feels
     force: float  # λ
@@ -64,7 +64,7 @@ class BestPenalty:
 
 
 def of_truss() -> BestPenalty:
-    """Of Example 2.10: S = K22 − K12² / K11."""
+    """Return the best penalty of Example 2.10: S = K22 − K12² / K11."""
     (k11, k12), (_, k22) = ((Fraction(x) for x in row) for row in STIFFNESS)
     return BestPenalty(
         stiffness=float(k22 - k12 * k12 / k11),

@@ -57,7 +57,7 @@ class Section(NamedTuple):
 
 
 def stability_charts(study: StabilityStudy) -> tuple[Chart, ...]:
-    """Those of all sections."""
+    """Return the charts of all sections."""
     return tuple(chart for section in stability_sections(study) for chart in section.charts)
 
 

@@ -130,11 +130,11 @@ class StabilityStudy:
     facts: Mapping[str, Any]  # created, machine, versions, settings
 
     def rows_of(self, axis: Axis) -> tuple[StabilityRow, ...]:
-        """Those of one axis."""
+        """Return the rows of one axis."""
         return tuple(row for row in self.rows if row.axis == axis.name)
 
     def ranges(self, axis: Axis) -> tuple[SafeRange, ...]:
-        """Where each method is right."""
+        """Return the range of values in which each method is right."""
         return safe_ranges(axis, self.rows_of(axis))
 
     @property
