@@ -18,7 +18,7 @@ from contactqp.certificate.uniqueness import SEVERAL
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import STICK
-from contactqp.linalg.threads import one_blas_thread
+from contactqp.linalg.runtime import one_blas_thread
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution

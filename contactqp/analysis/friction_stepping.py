@@ -19,8 +19,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, STICK, Status
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import own_compliance
-from contactqp.linalg.stages import METHOD, POLISH, stage
-from contactqp.linalg.threads import one_blas_thread
+from contactqp.linalg.runtime import METHOD, POLISH, one_blas_thread, stage
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution

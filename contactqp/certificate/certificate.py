@@ -29,8 +29,8 @@ from contactqp.linalg.extended import Residuals, plain_residuals, residuals
 from contactqp.linalg.factorization import RigidMotions
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.measures import own_compliance, ratio
+from contactqp.linalg.runtime import CERTIFY, stage
 from contactqp.linalg.saddle import dependent_ties
-from contactqp.linalg.stages import CERTIFY, stage
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive

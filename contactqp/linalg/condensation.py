@@ -34,8 +34,8 @@ from contactqp.linalg.factorization import (
     stated_motions,
 )
 from contactqp.linalg.pardiso import NotPositive
+from contactqp.linalg.runtime import CONDENSE, RUNNING, stage
 from contactqp.linalg.schur import LARGE, eliminate
-from contactqp.linalg.stages import CONDENSE, RUNNING, stage
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate

@@ -45,7 +45,7 @@ from contactqp.linalg.factorization import (
     unit_diagonal_scale,
 )
 from contactqp.linalg.pardiso import NotPositive, Pardiso, available
-from contactqp.linalg.stages import RUNNING
+from contactqp.linalg.runtime import RUNNING
 from contactqp.model.arrays import Array, Vector
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of

@@ -1,21 +1,239 @@
-"""Pictures of elastic bodies in contact."""
+"""Draw elastic bodies in contact; in the plane filled elements and the contact pressure along the boundary."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactqp.model.arrays import Array
+from contactqp.elements.geometry import Block
+from contactqp.elements.mesh import Mesh
+from contactqp.model.arrays import Array, Index
 from contactqp.pictures import style
-from contactqp.pictures.contact_fields import ContactFields
-from contactqp.pictures.plane_drawing import contact_zone, draw_plane
+from contactqp.pictures.contact_fields import (
+    MANY,
+    BodyFields,
+    ContactFields,
+    PairingFields,
+    cuts,
+    edge_points,
+    edges,
+    pieces,
+    sample,
+)
 from contactqp.pictures.space_drawing import draw_space
 from contactqp.pictures.style import Colour, magnification, scale_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+MARGIN = 0.04
+# Of one pairing; more of them run into each other.
+MOST_ARROWS = 60
+# Contacts under force that spread over less than this part of the bodies get a window, so many times wider than they.
+SMALL_ZONE, WIDER = 0.15, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """All bodies as one set of small triangles."""
+
+    points: Array  # (q, 2), deformed
+    triangles: Index  # (t, 3)
+    values: Array  # (q,)
+
+
+def triangles(fields: ContactFields, colour: str, scale: float) -> Triangles:
+    """The deformed elements of all bodies; `values` is the displacement's magnitude or von Mises' stress."""
+    points, corners, values, first = [], [], [], 0
+    for body in fields.bodies:
+        for block in body.body.mesh.blocks:
+            parts = pieces(block.kind, cuts(block))
+            x = sample(block, body.points + scale * body.displacement, parts.points)
+            points.append(x.reshape(-1, 2))
+            values.append(_values(body, block, colour, parts.points).ravel())
+            starts = first + len(parts.points) * np.arange(len(block))
+            corners.append((starts[:, None, None] + parts.triangles).reshape(-1, 3))
+            first += len(points[-1])
+    return Triangles(np.concatenate(points), np.concatenate(corners), np.concatenate(values))
+
+
+def _values(body: BodyFields, block: Block, colour: str, points: Array) -> Array:
+    if colour == "displacement":
+        return np.asarray(np.linalg.norm(sample(block, body.displacement, points), axis=2))
+    return sample(block, body.von_mises[:, np.newaxis], points)[..., 0]
+
+
+def contact_zone(fields: ContactFields, scale: float, size: float) -> Array | None:
+    """The square [[x_low, y_low], [x_high, y_high]] around the contacts under force if it is a small part of all."""
+    places = [(p.position + scale * p.displacement)[p.force > 0] for p in fields.pairings]
+    pushed = np.concatenate([np.zeros((0, 2)), *places])
+    if len(pushed) < 2:
+        return None
+    low, high = pushed.min(axis=0), pushed.max(axis=0)
+    side = float((high - low).max())
+    if not 0 < side < SMALL_ZONE * size:
+        return None
+    return np.asarray((low + high) / 2 + WIDER * side / 2 * np.array([[-1.0], [1.0]]))
+
+
+def draw_plane(
+    axes: Any, fields: ContactFields, colour: str, scale: float, window: Array | None = None
+) -> tuple[Any, list[Any]]:
+    """Draw all bodies and contacts, or what is in the window of them.
+
+    Returns what the colour bar belongs to, and the entries of the legend.
+    """
+    bodies = np.concatenate([body.points for body in fields.bodies])
+    longest = style.ARROW * float(np.ptp(bodies if window is None else window, axis=0).max())
+    drawn = triangles(fields, colour, scale)
+    low, high = style.colour_range(drawn.values)
+    x, y = drawn.points.T
+    look: dict[str, Any] = dict(shading="gouraud", cmap=style.COLOUR_MAP, vmin=low, vmax=high, rasterized=True)
+    coloured = axes.tripcolor(x, y, drawn.triangles, drawn.values, **look)
+    seen = [drawn.points, bodies]
+    handles = [style.line_handle("undeformed", color=style.UNDEFORMED, linewidth=0.8)]
+    for body in fields.bodies:
+        _draw_outlines(axes, body, scale)
+    for pairing in fields.pairings:
+        seen += _draw_obstacle(axes, fields, pairing)
+    if any(pairing.on_obstacle for pairing in fields.pairings):
+        handles.append(style.line_handle("rigid obstacle", color=style.OBSTACLE, linewidth=2.5))
+    for under_pressure in (True, False):
+        tails, handle = _draw_arrows(axes, fields, under_pressure, scale, longest)
+        seen, handles = [*seen, *tails], [*handles, *handle]
+    handles += _draw_points(axes, fields, scale)
+    _set_axes(axes, fields, np.concatenate(seen) if window is None else window)
+    return coloured, handles
+
+
+def _draw_outlines(axes: Any, body: BodyFields, scale: float) -> None:
+    """The undeformed boundary in grey, the deformed one in black, and between elements hair lines."""
+    mesh, deformed = body.body.mesh, body.points + scale * body.displacement
+    boundary = mesh.facets_of(mesh.boundary)
+    _add_lines(axes, boundary, body.points, "undeformed", color=style.UNDEFORMED, linewidths=0.8)
+    if mesh.elements <= MANY:
+        _add_lines(axes, edges(mesh), deformed, "elements", color=style.OUTLINE, linewidths=_hair(mesh))
+    _add_lines(axes, boundary, deformed, "deformed", color=style.OUTLINE, linewidths=0.9)
+
+
+def _hair(mesh: Mesh) -> float:
+    """Thinner lines for finer meshes, so that the colour stays visible."""
+    return float(np.clip(8.0 / np.sqrt(mesh.elements), 0.06, 0.4))
+
+
+def _add_lines(axes: Any, blocks: tuple[Block, ...], points: Array, name: str, **look: Any) -> None:
+    from matplotlib.collections import LineCollection
+
+    for block in blocks:
+        axes.add_collection(
+            LineCollection(list(sample(block, points, edge_points(block))), gid=name, **look), autolim=False
+        )
+
+
+def segments(fields: ContactFields, pairing: PairingFields) -> Index:
+    """Pairs of contacts (s, 2) that are neighbours on the boundary of their body, from one node to the next."""
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for number in np.unique(pairing.body):
+        mesh = fields.bodies[number].body.mesh
+        contact = np.full(len(mesh.points), -1)
+        mine = np.flatnonzero(pairing.body == number)
+        contact[pairing.node[mine]] = mine
+        for block in mesh.facets_of(mesh.boundary):
+            here = contact[block.nodes]
+            inside = here[(here >= 0).all(axis=1)]
+            along = inside[:, [0, 2, 1]] if block.kind.name == "line3" else inside
+            found += [along[:, i : i + 2] for i in range(along.shape[1] - 1)]
+    return np.concatenate(found)
+
+
+def _draw_obstacle(axes: Any, fields: ContactFields, pairing: PairingFields) -> list[Array]:
+    """The part of a rigid obstacle that faces the contacts: x - gap n."""
+    from matplotlib.collections import LineCollection
+
+    if not pairing.on_obstacle:
+        return []
+    feet = pairing.position - pairing.initial_gap[:, np.newaxis] * pairing.direction
+    look: dict[str, Any] = dict(color=style.OBSTACLE, linewidths=2.5, capstyle="round", zorder=1.5, gid="obstacle")
+    axes.add_collection(LineCollection(list(feet[segments(fields, pairing)]), **look), autolim=False)
+    return [feet]
+
+
+def _draw_arrows(
+    axes: Any, fields: ContactFields, under_pressure: bool, scale: float, longest: float
+) -> tuple[list[Array], list[Any]]:
+    """The pressures, or the forces of contacts without area, as arrows that push the body: where they start, legend."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    chosen = [pairing for pairing in fields.pairings if (pairing.pressure is not None) == under_pressure]
+    values = [pairing.force if pairing.pressure is None else pairing.pressure for pairing in chosen]
+    largest = max((float(np.nanmax(v, initial=0.0)) for v in values), default=0.0)
+    if largest <= 0:
+        return [], []
+    tails = []
+    for pairing, value in zip(chosen, values, strict=True):
+        heads = pairing.position + scale * pairing.displacement
+        shafts = longest / largest * np.nan_to_num(value)[:, np.newaxis] * pairing.direction
+        tails.append(heads - shafts)
+        if under_pressure:
+            both = segments(fields, pairing)
+            i, j = both[np.isfinite(value[both]).all(axis=1)].T
+            bars = np.stack([heads[i], heads[j], tails[-1][j], tails[-1][i]], axis=1)
+            look: dict[str, Any] = dict(facecolor=style.PRESSURE, alpha=0.3, edgecolor="none", zorder=3, gid="pressure")
+            axes.add_collection(PolyCollection(list(bars), **look), autolim=False)
+        pushed = style.arrows_to_draw(pairing.position, value, MOST_ARROWS)
+        starts, arrows = tails[-1][pushed].T, shafts[pushed].T
+        unscaled: dict[str, Any] = dict(
+            angles="xy", scale_units="xy", scale=1.0, color=style.PRESSURE, width=0.003, zorder=3.5
+        )
+        axes.quiver(*starts, *arrows, gid="pressure arrows" if under_pressure else "force arrows", **unscaled)
+    unit = style.pressure_unit(fields.units) if under_pressure else style.force_unit(fields.units)
+    name = "contact pressure" if under_pressure else "contact force of a point"
+    label = f"{name}, longest arrow {style.number(largest)} {unit}"
+    handle = (
+        Patch(facecolor=style.PRESSURE, alpha=0.5, label=label)
+        if under_pressure
+        else style.line_handle(label, color=style.PRESSURE, marker=">")
+    )
+    return tails, [handle]
+
+
+def _draw_points(axes: Any, fields: ContactFields, scale: float) -> list[Any]:
+    """The contact points by status, with how many there are of each."""
+    if not fields.pairings:
+        return []
+    places = np.concatenate([p.position + scale * p.displacement for p in fields.pairings])
+    statuses = np.concatenate([p.status for p in fields.pairings])
+    handles = []
+    area = float(np.clip(900.0 / max(len(places), 1), 4.0, 22.0))
+    for status, marker in style.MARKERS.items():
+        at = places[statuses == status]
+        if len(at):
+            look: dict[str, Any] = dict(
+                marker=marker.shape, facecolor=marker.face, edgecolor="black", linewidths=0.6, zorder=4
+            )
+            axes.scatter(*at.T, s=area, gid=status, **look)
+            handles.append(style.marker_handle(status, style.count_label(status, len(at))))
+    return handles
+
+
+def _set_axes(axes: Any, fields: ContactFields, seen: Array) -> None:
+    unit = style.length_unit(fields.units)
+    round_ = any(body.body.model == "axisymmetric" for body in fields.bodies)
+    axes.set_xlabel(f"{'radius r' if round_ else 'x'} [{unit}]")
+    axes.set_ylabel(f"{'axis of symmetry y' if round_ else 'y'} [{unit}]")
+    axes.set_aspect("equal")
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    margin = MARGIN * max(high - low)
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    if round_ and low[0] - margin <= 0:
+        axes.axvline(0.0, color="black", linestyle="-.", linewidth=0.8, zorder=0.5)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
 
 
 # [inch]: of the longer side of the bodies, and what title, legend and colour bar add.

@@ -27,7 +27,7 @@ from contactqp.elements.solid import stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.stages import BUILD, stage
+from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution

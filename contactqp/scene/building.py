@@ -15,11 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import bar, beam, obstacle, point_mass, spring, string
+from contactqp.elements import bar, beam, obstacle, spring, string
 from contactqp.elements.exact import Number, Numbers, square_root, squared_length
 from contactqp.elements.obstacle import Plane
 from contactqp.errors import SceneError
-from contactqp.linalg.stages import BUILD, stage
+from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle as obstacle_named
 from contactqp.scene.units import KINDS, read_unit
@@ -78,7 +78,7 @@ def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
                 half = per_length * square_root(squared_length(end - start)) / 2
                 at_nodes += [(node, half) for node in segment]
     for node, mass in at_nodes:
-        yield from zip(of_node(scene, node), point_mass.weight(mass, gravity), strict=True)
+        yield from zip(of_node(scene, node), spring.weight(mass, gravity), strict=True)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:

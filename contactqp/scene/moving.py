@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contactqp.analysis.impact import impact
 from contactqp.analysis.motion.history import MotionHistory
-from contactqp.elements import point_mass
+from contactqp.elements import spring
 from contactqp.elements.exact import Number, Numbers
 from contactqp.elements.loads import bar_mass, solid_mass
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
@@ -43,7 +43,7 @@ def _element_masses(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers
                 density, area = value(scene, bar.density), value(scene, bar.area)
                 yield displacements(scene, segment), bar_mass(density, area, start, end, lumped)
     for mass in scene.masses:
-        yield of_node(scene, mass.node), point_mass.inertia(value(scene, mass.mass), len(scene.axes))
+        yield of_node(scene, mass.node), spring.inertia(value(scene, mass.mass), len(scene.axes))
 
 
 def mass_on_all(model: Model) -> Any:

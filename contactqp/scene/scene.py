@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from contactqp.analysis.history import History
 from contactqp.errors import SceneError, Unsupported
-from contactqp.linalg.stages import READ, STEPS, stage
+from contactqp.linalg.runtime import READ, STEPS, stage
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.problem import ContactProblem

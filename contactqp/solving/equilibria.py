@@ -22,8 +22,8 @@ from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Solution
+from contactqp.solving.friction.conic import interior_margin
 from contactqp.solving.friction.contact_form import ContactForm
-from contactqp.solving.friction.existence_test import interior_margin
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.friction_runs import found_by_enumeration
 from contactqp.solving.local_solving import local_equilibria

@@ -10,12 +10,12 @@ import numpy as np
 from contactqp.certificate.local_certificate import certify_local, judged
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.extended import velocity_of
-from contactqp.linalg.threads import THREADS_PAY, on_one_thread
+from contactqp.linalg.runtime import THREADS_PAY, on_one_thread
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
+from contactqp.solving.friction.conic import refuse_unbalanced
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN
 from contactqp.solving.friction.exact_local import has_local_equilibrium
-from contactqp.solving.friction.existence_test import refuse_unbalanced
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.solving.friction.local_enumeration import enumerated, not_enumerated

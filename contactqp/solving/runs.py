@@ -35,11 +35,10 @@ from contactqp.linalg.refinement import (
     shift_to_least_norm,
     without_noise,
 )
+from contactqp.linalg.runtime import POLISH, one_blas_thread, stage
 from contactqp.linalg.saddle import saddle_point
 from contactqp.linalg.scaling import nondimensional
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.stages import POLISH, stage
-from contactqp.linalg.threads import one_blas_thread
 from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work

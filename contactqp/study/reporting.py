@@ -15,8 +15,7 @@ from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
 from contactqp.study.attempt import ENOUGH, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
-from contactqp.study.charts.comparison import overview_charts
-from contactqp.study.charts.work_precision import case_charts
+from contactqp.study.charts.comparison import case_charts, overview_charts
 from contactqp.study.page.render import missing_packages, render
 from contactqp.study.report.collecting import Collector
 from contactqp.study.report.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import contactqp as cq
 from contactqp.elements.obstacle import Plane, against_plane, between_nodes, tangents
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.point_mass import inertia, weight
+from contactqp.elements.spring import inertia, weight
 from contactqp.errors import InvalidProblem
 
 DIRECTION = st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1)

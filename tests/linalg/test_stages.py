@@ -6,16 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import contactqp as cq
-from contactqp.linalg.stages import (
-    BUILD,
-    CERTIFY,
-    CONDENSE,
-    METHOD,
-    POLISH,
-    READ,
-    stage,
-    timed,
-)
+from contactqp.linalg.runtime import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, READ, stage, timed
 
 
 def chain(unknowns: int = 30) -> cq.ContactProblem:

@@ -11,7 +11,7 @@ import pytest
 import threadpoolctl
 
 import contactqp as cq
-from contactqp.linalg import threads
+from contactqp.linalg import runtime
 from tests.blocks_in_space import on_paraboloid
 
 
@@ -32,15 +32,15 @@ def test_loads_of_one_body_in_threads(solver, monkeypatch):
 
 
 def test_limits_that_overlap_are_lifted_by_the_last(monkeypatch):
-    monkeypatch.setattr(threads, "WORTHWHILE", 1)
+    monkeypatch.setattr(runtime, "WORTHWHILE", 1)
     problem = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
 
     def counts() -> list[int]:
-        return [library["num_threads"] for library in threads._openblas().info()]
+        return [library["num_threads"] for library in runtime._openblas().info()]
 
     with threadpoolctl.threadpool_limits(2, "blas"):
         before = counts()
-        first, second = threads.one_blas_thread(problem), threads.one_blas_thread(problem)
+        first, second = runtime.one_blas_thread(problem), runtime.one_blas_thread(problem)
         first.__enter__(), second.__enter__()
         assert set(counts()) <= {1}
         first.__exit__(None, None, None)

@@ -14,8 +14,7 @@ from contactqp.elements.reference import REFERENCES
 from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.pictures.contact_fields import edge_points, edges, outline_points, pieces, sample
-from contactqp.pictures.drawing import draw, figure
-from contactqp.pictures.plane_drawing import contact_zone, segments, triangles
+from contactqp.pictures.drawing import contact_zone, draw, figure, segments, triangles
 from contactqp.pictures.space_drawing import facets, fans, sharp_edges, surface
 from contactqp.pictures.style import MARKERS, arrows_to_draw, magnification
 from tests.elements.bodies import PLANE, SOLID, distorted

@@ -28,7 +28,7 @@ from contactqp.errors import (
     TimeStepWarning,
 )
 from contactqp.linalg.factorization import factorise
-from contactqp.linalg.stages import CERTIFY, METHOD, stage
+from contactqp.linalg.runtime import CERTIFY, METHOD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive

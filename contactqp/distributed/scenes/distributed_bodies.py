@@ -27,7 +27,7 @@ from contactqp.elements.solid import stress_sums
 from contactqp.elements.structure import FreeContacts, Part, Structure, free_contacts
 from contactqp.elements.structure import Support as Held
 from contactqp.errors import Unsupported
-from contactqp.linalg.stages import BUILD, stage
+from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import Units
 from contactqp.scene.body_model import (

@@ -7,8 +7,8 @@ from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.charts.curves import Chart, method_style
+from contactqp.study.stability.cells import ALL_DIGITS, CUT_OFF, STATED, StabilityRow
 from contactqp.study.stability.posed import NEXT_TO_ONE, Axis
-from contactqp.study.stability.rows import ALL_DIGITS, CUT_OFF, STATED, StabilityRow
 
 # Pixels between the words at an axis and its title.
 STANDOFF = 14

@@ -12,6 +12,7 @@ import numpy as np
 
 from contactqp.study.charts.curves import Chart
 from contactqp.study.stability import problem_axes
+from contactqp.study.stability.cells import StabilityRow, digits_lost
 from contactqp.study.stability.charts import (
     DASHES,
     HEIGHT,
@@ -25,7 +26,6 @@ from contactqp.study.stability.charts import (
 )
 from contactqp.study.stability.condition import UNIT_ROUNDOFF
 from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
-from contactqp.study.stability.rows import StabilityRow, digits_lost
 
 # The best penalty β: where what it leaves out and what it loses to rounding are together the least.
 #

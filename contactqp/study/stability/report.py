@@ -29,11 +29,20 @@ from contactqp.study.running.runner import (
 from contactqp.study.running.workers import Workers
 from contactqp.study.stability import problem_axes
 from contactqp.study.stability.axes import AXES
-from contactqp.study.stability.cells import PATIENCE, STIFFENING, cells, row_of, runnable
+from contactqp.study.stability.cells import (
+    COLUMNS,
+    PATIENCE,
+    STIFFENING,
+    VERDICTS,
+    StabilityRow,
+    cells,
+    row_of,
+    runnable,
+    to_csv,
+)
 from contactqp.study.stability.charts import digits_curves, digits_heat_map, verdict_heat_map
 from contactqp.study.stability.penalty_valley import of_truss, penalty_valley
 from contactqp.study.stability.posed import Axis
-from contactqp.study.stability.rows import COLUMNS, VERDICTS, StabilityRow, to_csv
 from contactqp.study.stability.study import StabilityStudy, as_json, grouped, lines
 
 # The study as sections of a page: headings, words, charts, tables.

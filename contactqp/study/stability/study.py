@@ -11,9 +11,9 @@ from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.rows import aligned
+from contactqp.study.stability.cells import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts
 from contactqp.study.stability.penalty_valley import of_truss
 from contactqp.study.stability.posed import Axis
-from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, short_dicts
 
 # Where each method is right, in words and numbers, computed from the rows of one axis.
 

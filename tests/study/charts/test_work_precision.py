@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from contactqp.study import rows
+from contactqp.study.charts.comparison import case_charts
 from contactqp.study.charts.curves import FLOOR, MARGIN, MARKS, Chart, log_axis
-from contactqp.study.charts.work_precision import case_charts
 from contactqp.study.report.report_data import ReportData
 from contactqp.study.truth import ABSOLUTE_FORCE
 from tests.study.charts.examples import LIMIT, report

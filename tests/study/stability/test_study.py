@@ -27,10 +27,19 @@ from contactqp.study.running.runner import Stopped
 from contactqp.study.stability import cells as cells_module
 from contactqp.study.stability import report as report_module
 from contactqp.study.stability.axes import AXES, find_axis
-from contactqp.study.stability.cells import cells, row_of, stability_row
+from contactqp.study.stability.cells import (
+    COLUMNS,
+    CUT_OFF,
+    STATED,
+    VERDICTS,
+    StabilityRow,
+    cells,
+    digits_lost,
+    row_of,
+    stability_row,
+)
 from contactqp.study.stability.charts import LETTERS
 from contactqp.study.stability.report import page_of, stability_charts, stability_sections, write_stability
-from contactqp.study.stability.rows import COLUMNS, CUT_OFF, STATED, VERDICTS, StabilityRow, digits_lost
 from contactqp.study.stability.study import StabilityStudy, grouped, lines, safe_ranges
 
 ROOT = Path(__file__).parents[3]

@@ -1,6 +1,7 @@
-"""OpenBLAS on one thread around the small dense systems of the contacts, and locks that survive a fork.
+"""Clocks of an answer's stages with counts of its factorisations, threads of BLAS, and locks that survive a fork.
 
-Two threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
+A clock costs nothing where none runs. OpenBLAS keeps to one thread around the small dense systems of the contacts: two
+threads make a Cholesky factorisation of a few hundred rows no faster, and a hundred times slower where another
 process has the second core: they wait for each other by spinning. MKL, which PARDISO runs on, keeps its threads.
 
 A lock that another thread holds while the process is forked would never be released in the child, which therefore makes
@@ -12,12 +13,85 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import cache, cached_property
 from typing import Any
 
 from contactqp.model.problem import ContactProblem
+
+READ = "read and check the file"
+BUILD = "build the problem"
+CONDENSE = "condense"
+METHOD = "method"
+POLISH = "expand and polish"
+CERTIFY = "certify"
+STEPS = "between the steps"  # of a path or a motion: tangents, predictions, events
+# In the order of the data.
+STAGES = (READ, BUILD, CONDENSE, METHOD, POLISH, CERTIFY, STEPS)
+
+
+class StageClock:
+    """Seconds by stage. Each instant belongs to the innermost stage that it is in, so that they sum to the total."""
+
+    def __init__(self) -> None:
+        self.factorisations = 0  # of the stiffness
+        self.half_substitutions = 0  # forward or backward, with one right-hand side
+        self._seconds: dict[str, float] = {}
+        self._outer: list[str] = []
+        self._stage, self._since = "", time.perf_counter()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """So far, by stage; of what is in none by the name ''."""
+        self._charge()
+        return dict(self._seconds)
+
+    @property
+    def back_substitutions(self) -> int:
+        """Right-hand sides solved, forward and backward."""
+        return (self.half_substitutions + 1) // 2
+
+    @contextmanager
+    def within(self, name: str) -> Iterator[None]:
+        """What happens meanwhile belongs to a stage, unless that has stages of its own."""
+        self._charge()
+        self._outer.append(self._stage)
+        self._stage = name
+        try:
+            yield
+        finally:
+            self._charge()
+            self._stage = self._outer.pop()
+
+    def _charge(self) -> None:
+        now = time.perf_counter()
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._since
+        self._since = now
+
+
+# The clock that runs, if one does: whoever factorises or solves adds to its counts.
+RUNNING: ContextVar[StageClock | None] = ContextVar("the clock that runs", default=None)
+_UNTIMED = nullcontext()
+
+
+@contextmanager
+def timed() -> Iterator[StageClock]:
+    """A clock for all that this thread does meanwhile."""
+    clock = StageClock()
+    token = RUNNING.set(clock)
+    try:
+        yield clock
+    finally:
+        RUNNING.reset(token)
+
+
+def stage(name: str) -> AbstractContextManager[None]:
+    """Charge what happens meanwhile to a stage, if a clock runs."""
+    clock = RUNNING.get()
+    return _UNTIMED if clock is None else clock.within(name)
 
 
 def renew_in_child(renew: Callable[[], None]) -> None:
