@@ -18,9 +18,10 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache, cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from contactqp.model.problem import ContactProblem
+if TYPE_CHECKING:
+    from contactqp.model.problem import ContactProblem
 
 READ = "read and check the file"
 BUILD = "build the problem"
