@@ -11,10 +11,7 @@ from flint import fmpq
 
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
-from contactqp.oracle.exact.complementarity import Family, lemke
-from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
-from contactqp.oracle.exact.rational import (
+from contactqp.linalg.rational import (
     NoSolution,
     column,
     fractions,
@@ -24,6 +21,9 @@ from contactqp.oracle.exact.rational import (
     solve_any,
     zeros,
 )
+from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
+from contactqp.oracle.exact.complementarity import Family, lemke
+from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
 from contactqp.oracle.exact.rational_answer import is_semidefinite
 from tests.examples import truss
 

@@ -20,9 +20,9 @@ from flint import arb, arb_mat
 
 from contactqp.elements.exact import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
+from contactqp.linalg.rational import fraction, from_fraction
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts, rounded_up
-from contactqp.oracle.exact.rational import fraction, from_fraction
 from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
 

@@ -21,11 +21,11 @@ from itertools import product
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.linalg.exact_algebra import Polyhedron
+from contactqp.linalg.rational import beside, fraction, is_zero, null_space, stack, take, zeros
 from contactqp.oracle.exact.closed_set import Combination, System, system_of
 from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
 from contactqp.oracle.exact.exact_solution import ExactEvent
-from contactqp.oracle.exact.rational import beside, fraction, is_zero, null_space, stack, take, zeros
-from contactqp.solving.friction.exact_algebra import Polyhedron
 
 # Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
 

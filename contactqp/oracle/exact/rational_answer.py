@@ -21,14 +21,7 @@ from contactqp.errors import (
     Unsupported,
 )
 from contactqp.linalg.existence import describe_motion
-from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import FreeMotion, Solution
-from contactqp.oracle.exact.closed_set import Settled, settle
-from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
-from contactqp.oracle.exact.exact_path import follow
-from contactqp.oracle.exact.exact_problem import RationalProblem, status
-from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
-from contactqp.oracle.exact.rational import (
+from contactqp.linalg.rational import (
     PRIMES,
     NoSolution,
     Undecided,
@@ -41,6 +34,13 @@ from contactqp.oracle.exact.rational import (
     take_columns,
     zeros,
 )
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import FreeMotion, Solution
+from contactqp.oracle.exact.closed_set import Settled, settle
+from contactqp.oracle.exact.coulomb import Proposal, settle_with_friction
+from contactqp.oracle.exact.exact_path import follow
+from contactqp.oracle.exact.exact_problem import RationalProblem, status
+from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
 from contactqp.solving.solve import solve
 
 # Proof that a rational stiffness is positive semidefinite, without which an equilibrium is no minimum.

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.exact_algebra import Polyhedron, solutions
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.oracle.gallery.algebra import (
@@ -28,7 +29,6 @@ from contactqp.oracle.gallery.algebra import (
     times,
     transposed,
 )
-from contactqp.solving.friction.exact_algebra import Polyhedron, solutions
 
 # Up to this size a stiffness is a dense array.
 DENSE = 128

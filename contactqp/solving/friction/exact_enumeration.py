@@ -9,6 +9,10 @@ a being motions that neither stiffness nor ties resist and H y = h what it takes
 combination of open, stick and slip either way is then a small linear system and a list of signs, as in
 `contactqp.solving.friction.enumeration`; where the system leaves something free, exact linear programs say whether the
 signs can hold, and whether what is free moves anything.
+
+The data of a frictional problem as rational numbers: its floats as they stand, or what they were rounded from.
+
+Whether a small local problem in the plane has an answer at all, in rational numbers: nothing is rounded.
 """
 
 from __future__ import annotations
@@ -23,12 +27,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arrays import own_floating_point
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
-from contactqp.solving.friction.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
-from contactqp.solving.friction.exact_data import ExactData
+
+# What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
+ROUNDED = 1e-9
+NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_origin", "tie", "tie_value")
+
+
+class ExactData:
+    """Matrices are lists of rows.
+
+    Raises
+    ------
+    InvalidProblem
+        A name is unknown, a value is no rational number, or it does not round to the problem's.
+    """
+
+    def __init__(self, problem: ContactProblem, exact: dict[str, Any]) -> None:
+        unknown = sorted(set(exact) - set(NAMES))
+        if unknown:
+            raise InvalidProblem(f"exact_equilibria: expected exact {', '.join(NAMES)}, got {unknown[0]!r}")
+        self._problem, self._exact = problem, exact
+        self.stiffness, self.normal, self.tangent, self.tie = (
+            self._matrix(name) for name in ("stiffness", "normal", "tangent", "tie")
+        )
+        self.load, self.gap, self.friction, self.slip_origin, self.tie_value = (
+            self._vector(name) for name in ("load", "gap", "friction", "slip_origin", "tie_value")
+        )
+        for i, row in enumerate(self.stiffness):
+            if any(row[j] != self.stiffness[j][i] for j in range(i)):
+                raise InvalidProblem(f"stiffness: expected exactly symmetric, row {i} is not")
+        # A contact that cannot slide has no friction to speak of.
+        still = [not any(row) and not origin for row, origin in zip(self.tangent, self.slip_origin, strict=True)]
+        self.friction = [Fraction(0) if idle else mu for idle, mu in zip(still, self.friction, strict=True)]
+
+    def _matrix(self, name: str) -> list[Row]:
+        known = getattr(self._problem, name)
+        floats = known.toarray() if hasattr(known, "toarray") else np.asarray(known)
+        flat = self._numbers(name, floats)
+        width = floats.shape[1]
+        return [flat[i * width : (i + 1) * width] for i in range(len(floats))]
+
+    def _vector(self, name: str) -> Row:
+        known = self._problem.finite_gap if name == "gap" else getattr(self._problem, name)
+        return self._numbers(name, np.asarray(known))
+
+    def _numbers(self, name: str, floats: np.ndarray[Any, Any]) -> Row:
+        if name not in self._exact:
+            return [Fraction(float(x)) for x in floats.ravel()]
+        given = self._exact[name]
+        given = np.asarray(given.toarray() if hasattr(given, "toarray") else given, dtype=object)
+        if name == "friction" and given.ndim == 0:
+            given = np.broadcast_to(given, floats.shape)
+        if given.size != floats.size:
+            raise InvalidProblem(f"{name}: expected {floats.size} exact values, got {given.size}")
+        values = [_fraction(name, x) for x in given.ravel()]
+        allowed = ROUNDED * float(np.max(abs(floats), initial=0.0))
+        for value, rounded in zip(values, floats.ravel().tolist(), strict=True):
+            if not abs(float(value) - rounded) <= allowed:
+                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {value}")
+        return values
+
+
+def _fraction(name: str, value: Any) -> Fraction:
+    try:
+        return Fraction(value)
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
+        raise InvalidProblem(f"{name}: expected rational numbers, got {value!r}") from None
+
 
 # 4^6 systems of some ten rows take tens of seconds in rational numbers.
 MOST_CONTACTS = 6
@@ -320,3 +391,50 @@ def _array(values: list[Fraction]) -> NDArray[Any]:
     array = np.empty(len(values), dtype=object)
     array[:] = values
     return array
+
+
+def has_local_equilibrium(problem: LocalProblem) -> bool:
+    """Whether some forces (r, l) satisfy V'r + R l + s = 0 and, with u = W r + V l + q, Coulomb's law at every contact.
+
+    Every combination of open, stick and slip either way is a linear system and a list of signs, decided exactly; the
+    problem is in the plane, and there are 4^m of them.
+    """
+    m, p = problem.contacts, problem.joints
+    W, V, R = (_fractions(matrix) for matrix in (problem.delassus, problem.bilateral, problem.bilateral_delassus))
+    q, s = _row(problem.offset), _row(problem.bilateral_offset)
+    mu = _row(problem.friction)
+    joints = [[*(V[i][j] for i in range(2 * m)), *R[j], s[j]] for j in range(p)]
+    velocity = [[*W[i], *V[i], q[i]] for i in range(2 * m)]  # forms in (r, l), their constant last
+    force = [[ONE if j == i else ZERO for j in range(2 * m + p + 1)] for i in range(2 * m)]
+    for states in itertools.product((OPEN, STICK, SLIP_BACK, SLIP_ON), repeat=m):
+        zero, signs = list(joints), list[Row]()
+        for i, state in enumerate(states):
+            push, rub, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
+            if state == OPEN:
+                zero += [push, rub]
+                signs.append(opens)
+                continue
+            zero += [opens, slips if state == STICK else _sum(rub, push, state * mu[i])]
+            signs.append(push)
+            signs += [_sum([-x for x in rub], push, mu[i]), _sum(rub, push, mu[i])] if state == STICK else []
+            signs += [] if state == STICK else [[state * x for x in slips]]
+        found = solutions([[*row[:-1], -row[-1]] for row in zero], 2 * m + p)
+        if found is None:
+            continue
+        images = [(value + sign[-1], slope) for sign in signs for value, slope in [found.image(sign[:-1])]]
+        if not Region(images, len(found.free)).empty:
+            return True
+    return False
+
+
+def _sum(one: Row, other: Row, factor: Fraction) -> Row:
+    return [x + factor * y for x, y in zip(one, other, strict=True)]
+
+
+def _fractions(matrix: Any) -> list[Row]:
+    dense = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)
+    return [_row(row) for row in dense]
+
+
+def _row(values: Any) -> Row:
+    return [Fraction(float(x)) for x in np.asarray(values).ravel()]

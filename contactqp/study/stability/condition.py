@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.solving.friction.exact_algebra import ONE, ZERO, Row, dot, reduced, solutions
+from contactqp.linalg.exact_algebra import ONE, ZERO, Row, dot, reduced, solutions
 from contactqp.solving.methods import Method
 from contactqp.study.stability.posed import Posed, Rows, fractions, rows_of
 
