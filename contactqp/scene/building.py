@@ -19,6 +19,7 @@ from contactqp.elements import bar, beam, obstacle, spring, string
 from contactqp.elements.exact import Number, Numbers, square_root, squared_length
 from contactqp.elements.obstacle import Plane
 from contactqp.errors import SceneError
+from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.geometry import obstacle as obstacle_named
@@ -327,8 +328,6 @@ def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRow
 #
 # (course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
 
-Rows = list[list[Fraction]]
-
 
 def tie_matrix(exact: ExactProblem, columns: Sequence[str]) -> list[Number]:
     """A on the given unknowns, row by row."""
@@ -338,7 +337,7 @@ def tie_matrix(exact: ExactProblem, columns: Sequence[str]) -> list[Number]:
 def rank(exact: ExactProblem) -> int:
     """The number of independent ties."""
     free = exact.unknowns.free
-    return len(_eliminate([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
+    return len(reduced([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
 
 
 def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
@@ -369,35 +368,17 @@ def _transformation(
     slaves = [name for name in exact.unknowns.free if name not in masters]
     order = [*slaves, *masters]
     rows = [[Fraction(tie.row.get(name, 0)) for name in order] + [Fraction(tie.value)] for tie in exact.ties]
-    reduced, pivots = _eliminate(rows, len(slaves))
+    rows, pivots = reduced(rows, len(slaves))
     if len(pivots) != len(slaves):
         raise SceneError(
             f"unknowns: expected masters that decide the {len(slaves)} others by the ties, got {list(masters)}"
         )
     T = {name: [Fraction(name == master) for master in masters] for name in masters}
     c = dict.fromkeys(masters, Fraction(0))
-    for name, row in zip(slaves, reduced, strict=False):
+    for name, row in zip(slaves, rows, strict=False):
         T[name] = [-entry for entry in row[len(slaves) : -1]]
         c[name] = row[-1]
     return T, c
-
-
-def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
-    """Gauss-Jordan on the first columns, exactly; the rows with pivots come first."""
-    rows = [list(row) for row in rows]
-    pivots: list[int] = []
-    for column in range(columns):
-        top = len(pivots)
-        found = next((i for i in range(top, len(rows)) if rows[i][column]), None)
-        if found is None:
-            continue
-        rows[top], rows[found] = rows[found], rows[top]
-        rows[top] = [entry / rows[top][column] for entry in rows[top]]
-        for i, row in enumerate(rows):
-            if i != top and row[column]:
-                rows[i] = [entry - row[column] * above for entry, above in zip(row, rows[top], strict=True)]
-        pivots.append(column)
-    return rows, pivots
 
 
 if TYPE_CHECKING:
