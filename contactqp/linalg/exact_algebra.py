@@ -1,13 +1,20 @@
-"""Linear systems and linear programs in rational numbers, small ones: rows are lists of Fractions."""
+"""Exact linear algebra by the standard library alone: elimination, solutions, inverses, ranks and linear programs.
+
+Rows are lists of Fractions, and systems small; `contactqp.linalg.rational` does the same for large ones with
+python-flint.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 Row = list[Fraction]
 ZERO, ONE = Fraction(0), Fraction(1)
+# Rows that are independent modulo a prime are independent; 2^61 - 1 is one.
+PRIME = 2**61 - 1
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ def reduced(rows: list[Row], columns: int) -> tuple[list[Row], list[int]]:
 
 
 def solutions(rows: list[Row], unknowns: int) -> Affine | None:
-    """All solutions of rows (x, 1) = 0..., each row being (a, b) of a'x = b; None where they contradict each other."""
+    """Return all solutions of the equations a'x = b, each row being (a, b); None where they contradict each other."""
     rows, pivots = reduced(rows, unknowns)
     if any(row[unknowns] for row in rows[len(pivots) :]):
         return None
@@ -65,8 +72,54 @@ def solutions(rows: list[Row], unknowns: int) -> Affine | None:
     return Affine(point, free)
 
 
+def inverse_of(matrix: list[Row]) -> list[Row] | None:
+    """Return the inverse of a square matrix, or None if the matrix is singular."""
+    n = len(matrix)
+    extended = [[*row, *(ONE if i == j else ZERO for j in range(n))] for i, row in enumerate(matrix)]
+    found, pivots = reduced(extended, n)
+    return [row[n:] for row in found] if len(pivots) == n else None
+
+
+def rank(rows: Sequence[Mapping[int, Fraction]]) -> int:
+    """Return the number of independent rows, each given by its nonzero entries.
+
+    The rank modulo a prime never exceeds the true one and costs next to nothing; where it finds fewer than all rows,
+    the same elimination counts them again in rational numbers.
+    """
+    found = _pivot_count([{j: _residue(x) for j, x in row.items()} for row in rows], modular=True)
+    return found if found == len(rows) else _pivot_count([dict(row) for row in rows], modular=False)
+
+
+def _residue(x: Fraction) -> int:
+    return x.numerator * pow(x.denominator, -1, PRIME) % PRIME
+
+
+def _pivot_count(rows: list[dict[int, Any]], modular: bool) -> int:
+    """Count the pivots of Gauss's elimination, row by row: what a row keeps beside the earlier pivots is a new one."""
+    pivots: dict[int, dict[int, Any]] = {}
+    for row in sorted(rows, key=len):
+        rest = {j: x for j, x in row.items() if x}
+        while rest:
+            lead = min(rest)
+            if lead not in pivots:
+                scale = pow(rest[lead], -1, PRIME) if modular else 1 / rest[lead]
+                pivots[lead] = {j: x * scale % PRIME if modular else x * scale for j, x in rest.items()}
+                break
+            factor = rest[lead]
+            for j, x in pivots[lead].items():
+                value = rest.get(j, 0) - factor * x
+                value = value % PRIME if modular else value
+                if value:
+                    rest[j] = value
+                else:
+                    rest.pop(j, None)
+    return len(pivots)
+
+
 class Polyhedron:
-    """{c : room_i + slope_i'c >= 0}, c (k,) free: a dictionary of the simplex method, by Bland's rule, always finite.
+    """The set {c : room_i + slope_i'c >= 0}, c (k,) free, as a dictionary of the simplex method.
+
+    Bland's rule chooses the pivots, so that every search ends.
 
     Basic variables are c and the rooms, nonbasic ones rooms that are zero; directions in which no room changes are
     left out of the search, and are `lines`.
@@ -90,11 +143,11 @@ class Polyhedron:
         self.empty = not self._feasible()
 
     def point(self) -> Row:
-        """(k,) one of its points, where it is not empty."""
+        """Return one point (k,) of the set, which must not be empty."""
         return [row[0] for row in self._rows[: self._size]]
 
     def range(self, row: Sequence[Fraction]) -> tuple[Row | None, Row | None]:
-        """The points (k,) where row'c is least and where it is largest, None where it is unbounded."""
+        """Return the points (k,) where row'c is least and where it is largest; None where it is unbounded."""
         return self._furthest([-x for x in row]), self._furthest(row)
 
     def _furthest(self, row: Sequence[Fraction]) -> Row | None:
@@ -153,7 +206,7 @@ class Polyhedron:
 
 
 class Region:
-    """{c : value + slope'c >= 0 for all forms}."""
+    """The set {c : value + slope'c >= 0 for all forms}, which may have no coordinates at all."""
 
     def __init__(self, forms: list[tuple[Fraction, Row]], size: int) -> None:
         self._forms = forms

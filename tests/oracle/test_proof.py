@@ -16,6 +16,7 @@ from contactqp.linalg.rational import (
     column,
     fractions,
     independent_rows,
+    is_semidefinite,
     matrix,
     null_space,
     solve_any,
@@ -24,7 +25,6 @@ from contactqp.linalg.rational import (
 from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
 from contactqp.oracle.exact.complementarity import Family, lemke
 from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
-from contactqp.oracle.exact.rational_answer import is_semidefinite
 from tests.examples import truss
 
 LEAST = fmpq(1, 10**40)
