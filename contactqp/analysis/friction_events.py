@@ -24,6 +24,7 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, St
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
+from contactqp.model.statuses import plane_states
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 
@@ -122,11 +123,10 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
 def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
     choices: list[tuple[int, ...]] = []
     for i in standing.undecided.tolist():
-        smooth = system.coefficient[i] <= 0
         if not standing.null[i]:
             choices.append((STICK, int(standing.edge[i])))
         else:
-            choices.append((OPEN, SLIP_ON) if smooth else (OPEN, STICK, SLIP_BACK, SLIP_ON))
+            choices.append(plane_states(system.coefficient[i]))
     return choices
 
 

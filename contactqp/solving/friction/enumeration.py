@@ -1,25 +1,21 @@
-"""Every equilibrium of a small problem with Coulomb friction: all combinations of open, stick, slip either way.
+"""Every equilibrium of a small problem with Coulomb friction in the plane, by all combinations of contact states.
 
-Each combination is a linear system (`contactqp.solving.friction.enumeration`) in the scaled forces l of contacts and
-ties and the coordinates a of rigid motions Z of the bodies,
-
-    R x = R S^+ f - W l + R Z a,   W = R S^+ R',   Z'R'l = Z'f,   A x = b,
-
-and what it gives is refined on the problem in twice double precision, which also tells whether it is an equilibrium.
-Above a critical coefficient of friction there may be none or several (Klarbring 1990).
-
-The linear systems of all combinations of open, stick, slip either way, and those among them whose signs may hold.
-
-In y = (l, j), contact forces l = (l_N, l_T) and what else is unknown (forces of ties and joints, rigid motions), all
-scaled, with R x = base + slope y the normal and tangential lengths of the contacts and H y = h what always holds,
+In y = (l, a), contact forces l_N and l_T, then forces of ties and coordinates of rigid motions, all scaled, with
+R x = base + slope y the normal and tangential lengths of the contacts and H y = h what always holds, a combination is
 
     open: l_N = l_T = 0    closed: N x = g    stick: T x = o    slip: l_T = s mu l_N,
 
-and a combination is an answer where its signs hold: g - N x >= 0 where open, l_N >= 0 where closed, |l_T| <= mu l_N
-where it sticks, s (T x - o) >= 0 where it slips. Where a system leaves forces or motions free, a linear program looks
-for signs that hold. Every sign is measured by the lengths of its own contact, which a contact that is far or has
-slipped far does not share with the others. Whether a small singular value is one or rounding cannot be told here: both
-are tried, and whoever refines the answers decides.
+and it is an answer where its signs hold: g - N x >= 0 where open, l_N >= 0 where closed, |l_T| <= mu l_N where it
+sticks, s (T x - o) >= 0 where it slips. Where a system leaves forces or motions free, a linear program looks for signs
+that hold. Every sign is measured by the lengths of its own contact, which a contact that is far or has slipped far does
+not share with the others. Whether a small singular value is one or rounding cannot be decided here: both are tried.
+
+Of a problem with the condensed compliance S^+, rigid motions Z and all rows R = [N; T; A],
+
+    R x = R S^+ f - W l + R Z a,   W = R S^+ R',   Z'R'l = Z'f,   A x = b,
+
+and what a combination gives is refined on the problem in twice double precision, which also decides whether it is an
+equilibrium. Above a critical coefficient of friction there may be none or several (Klarbring 1990).
 """
 
 from __future__ import annotations
@@ -39,7 +35,7 @@ from contactqp.linalg.friction_states import FrictionalRows, answer_in
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.statuses import OPEN, STICK, Status, all_combinations
 
 # 4^8 systems take seconds.
 MOST_CONTACTS = 8
@@ -85,11 +81,9 @@ class Combinations:
 
     def plausible(self) -> Iterator[tuple[Status, Vector]]:
         """Combinations (m,) and their y (q,) where signs hold, or miss by what may be rounding."""
-        # Without friction at a contact, slipping one way says all there is to say of a closed one.
-        choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if mu > 0 else (OPEN, SLIP_ON) for mu in self.coefficient]
-        combinations = itertools.product(*choices)
+        combinations = all_combinations(self.coefficient)
         while batch := list(itertools.islice(combinations, BATCH)):
-            yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(choices)))
+            yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(self.coefficient)))
 
     def _of_batch(self, status: Status) -> Iterator[tuple[Status, Vector]]:
         matrix, right = self._assembled(status)

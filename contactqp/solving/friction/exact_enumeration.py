@@ -10,15 +10,11 @@ combination of open, stick and slip either way is then a small linear system and
 `contactqp.solving.friction.enumeration`; where the system leaves something free, exact linear programs say whether the
 signs can hold, and whether what is free moves anything.
 
-The data of a frictional problem as rational numbers: its floats as they stand, or what they were rounded from.
-
-Whether a small local problem in the plane has an answer at all, in rational numbers: nothing is rounded.
+A local problem, V'r + R l + s = 0 and u = W r + V l + q, is decided alike: whether any combination holds.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -32,7 +28,7 @@ from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.model.statuses import OPEN, STICK, all_combinations
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
 ROUNDED = 1e-9
@@ -178,7 +174,9 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
 
 
 def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
-    members = [found for status in bodies.combinations() if (found := bodies.members(status)) is not None]
+    members = [
+        found for status in all_combinations(bodies.data.friction) if (found := bodies.members(status)) is not None
+    ]
     points: list[Row] = []
     listed = []
     for one in members:
@@ -237,10 +235,6 @@ class _Bodies:
         slope = [dot(row, [line[j] for line in self._slope[:n]]) for j in range(self.size)]
         return [*slope, dot(row, self._start[:n]) - limit]
 
-    def combinations(self) -> Iterator[tuple[int, ...]]:
-        choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if mu else (OPEN, SLIP_ON) for mu in self.data.friction]
-        return itertools.product(*choices)
-
     def members(self, status: tuple[int, ...]) -> _Members | None:
         """All equilibria in one combination, None where there are none."""
         columns = _Columns(self, status)
@@ -258,19 +252,12 @@ class _Bodies:
 
     def _signs(self, status: tuple[int, ...]) -> list[Row]:
         """Forms in y, their constant last, that are not negative."""
-        m, signs = self.m, []
-        for i, state in enumerate(status):
-            mu = self.data.friction[i]
-            if state == OPEN:
-                signs.append([-x for x in self.gap[i]])
-                continue
-            push, rub = ([ONE if j == at else ZERO for j in range(self.size + 1)] for at in (i, m + i))
-            signs.append(push)
-            if state == STICK:
-                signs += [[mu * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1)]
-            elif mu:
-                signs.append([state * x for x in self.slip[i]])
-        return signs
+        m, mu, unit = self.m, self.data.friction, self.force_rows()
+        return [
+            sign
+            for i, state in enumerate(status)
+            for sign in _signs_of_law(state, mu[i], (unit[i], unit[m + i]), [-x for x in self.gap[i]], self.slip[i])
+        ]
 
     def displacement_rows(self) -> list[Row]:
         return [[*slope, start] for slope, start in zip(self._slope, self._start, strict=True)][: len(self.data.load)]
@@ -374,6 +361,16 @@ class _Members:
         )
 
 
+def _signs_of_law(state: int, friction: Fraction, force: tuple[Row, Row], gap: Row, slip: Row) -> list[Row]:
+    """Return the forms, their constant last, that Coulomb's law keeps from being negative in one state of a contact."""
+    push, rub = force
+    if state == OPEN:
+        return [gap]
+    if state == STICK:
+        return [push, *([friction * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1))]
+    return [push, *([[state * x for x in slip]] if friction else [])]
+
+
 def _equation(form: Row) -> Row:
     """form = 0 as (a, b) of a'x = b."""
     return [*form[:-1], -form[-1]]
@@ -397,7 +394,7 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
     """Whether some forces (r, l) satisfy V'r + R l + s = 0 and, with u = W r + V l + q, Coulomb's law at every contact.
 
     Every combination of open, stick and slip either way is a linear system and a list of signs, decided exactly; the
-    problem is in the plane, and there are 4^m of them.
+    problem is in the plane, and there are at most 4^m of them.
     """
     m, p = problem.contacts, problem.joints
     W, V, R = (_fractions(matrix) for matrix in (problem.delassus, problem.bilateral, problem.bilateral_delassus))
@@ -406,19 +403,14 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
     joints = [[*(V[i][j] for i in range(2 * m)), *R[j], s[j]] for j in range(p)]
     velocity = [[*W[i], *V[i], q[i]] for i in range(2 * m)]  # forms in (r, l), their constant last
     force = [[ONE if j == i else ZERO for j in range(2 * m + p + 1)] for i in range(2 * m)]
-    for states in itertools.product((OPEN, STICK, SLIP_BACK, SLIP_ON), repeat=m):
+    for states in all_combinations(mu):
         zero, signs = list(joints), list[Row]()
         for i, state in enumerate(states):
             push, rub, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
-            if state == OPEN:
-                zero += [push, rub]
-                signs.append(opens)
-                continue
-            zero += [opens, slips if state == STICK else _sum(rub, push, state * mu[i])]
-            signs.append(push)
-            signs += [_sum([-x for x in rub], push, mu[i]), _sum(rub, push, mu[i])] if state == STICK else []
-            signs += [] if state == STICK else [[state * x for x in slips]]
-        found = solutions([[*row[:-1], -row[-1]] for row in zero], 2 * m + p)
+            zero += [push if state == OPEN else opens]
+            zero += [slips if state == STICK else rub if state == OPEN else _sum(rub, push, state * mu[i])]
+            signs += _signs_of_law(state, mu[i], (push, rub), opens, slips)
+        found = solutions([_equation(row) for row in zero], 2 * m + p)
         if found is None:
             continue
         images = [(value + sign[-1], slope) for sign in signs for value, slope in [found.image(sign[:-1])]]
