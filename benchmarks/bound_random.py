@@ -29,7 +29,7 @@ from benchmarks.exact_truth import Truth
 from benchmarks.judging import Bounded, attempt, bounded, exact_truth
 from benchmarks.problem_families import FAMILIES, family
 from benchmarks.processes import reports_of
-from contactqp.oracle.exact.rational import floats, rational
+from contactqp.linalg.rational import floats, rational
 
 SOLVABLE = tuple(name for name, entry in FAMILIES.items() if entry.solvable)
 EACH = 50  # candidates of a problem

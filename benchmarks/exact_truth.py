@@ -17,9 +17,9 @@ import flint
 import numpy as np
 from flint import arb, arb_mat, fmpq_mat
 
+from contactqp.linalg.rational import column, floats, matrix, solve_any, stack, take
 from contactqp.oracle.exact.complementarity import Reduced, reduce_problem
 from contactqp.oracle.exact.exact_problem import RationalProblem, of_floats
-from contactqp.oracle.exact.rational import column, floats, matrix, solve_any, stack, take
 
 # Bits for norms of rational vectors: their cancellation costs at most twice the digits of the condition number.
 PRECISION = 600

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.bricks import Array, Generator, beam, blocks, chain, few_bits, in_other_words, lattice, light, units
 from benchmarks.family_register import member
 from contactqp import ContactProblem
-from contactqp.oracle.exact.rational import column, floats, matrix
+from contactqp.linalg.rational import column, floats, matrix
 
 
 def _rail(rng: Generator) -> tuple[Array, Array, Array]:

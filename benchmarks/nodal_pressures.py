@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import contactqp as cq
-from contactqp.elements.facet import Surface, diameters, kind_of
 from contactqp.elements.loads import Pressure
 from contactqp.elements.material import Material
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.elements.surface import Surface, diameters, kind_of
 
 Array = NDArray[np.float64]
 MODULUS, POISSON = 1000.0, 0.3

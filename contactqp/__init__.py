@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
     from contactqp.analysis.load_path import follow_path as follow_path
-    from contactqp.analysis.motion.history import MotionHistory as MotionHistory
-    from contactqp.analysis.motion.mass import redistributed_mass as redistributed_mass
+    from contactqp.analysis.motion.mass_matrix import redistributed_mass as redistributed_mass
+    from contactqp.analysis.motion.motion_history import MotionHistory as MotionHistory
     from contactqp.certificate.critical_friction import CriticalFriction as CriticalFriction
     from contactqp.certificate.critical_friction import critical_friction as critical_friction
     from contactqp.certificate.local_certificate import acary_bremond_huber_error as acary_bremond_huber_error
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from contactqp.elements.energies.springs import PlasticHinge as PlasticHinge
     from contactqp.elements.energies.springs import Spring as Spring
     from contactqp.elements.energies.springs import Strut as Strut
-    from contactqp.elements.facet import Surface as Surface
     from contactqp.elements.mortar import pair_mortar as pair_mortar
     from contactqp.elements.node_to_segment import pair_node_to_segment as pair_node_to_segment
     from contactqp.elements.nonlinear_solid import NonlinearSolid as NonlinearSolid
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from contactqp.elements.round_obstacle import Cylinder as Cylinder
     from contactqp.elements.round_obstacle import Paraboloid as Paraboloid
     from contactqp.elements.round_obstacle import Sphere as Sphere
+    from contactqp.elements.surface import Surface as Surface
     from contactqp.errors import BackendFailed as BackendFailed
     from contactqp.errors import BackendMissing as BackendMissing
     from contactqp.errors import ContactQPError as ContactQPError
@@ -125,7 +125,7 @@ _HOME = {
     "LocalCertificate": "model.solution",
     "LocalProblem": "model.local_problem",
     "LocalSolution": "model.local_problem",
-    "MotionHistory": "analysis.motion.history",
+    "MotionHistory": "analysis.motion.motion_history",
     "NoEquilibrium": "errors",
     "NonlinearSolid": "elements.nonlinear_solid",
     "NonlinearTruss": "elements.nonlinear_truss",
@@ -147,7 +147,7 @@ _HOME = {
     "Spring": "elements.energies.springs",
     "Strut": "elements.energies.springs",
     "Supported": "elements.deformable",
-    "Surface": "elements.facet",
+    "Surface": "elements.surface",
     "TimeStepWarning": "errors",
     "Units": "model.problem",
     "Unsupported": "errors",
@@ -179,7 +179,7 @@ _HOME = {
     "read_fclib_solution": "exchange.fclib",
     "read_problem": "exchange.problem_files",
     "read_siconos": "exchange.siconos",
-    "redistributed_mass": "analysis.motion.mass",
+    "redistributed_mass": "analysis.motion.mass_matrix",
     "run": "scene.scene",
     "siconos_global_error": "certificate.local_certificate",
     "siconos_local_error": "certificate.local_certificate",

@@ -1,9 +1,21 @@
-"""Every change of state along a load path with Coulomb friction in the plane, found exactly.
+"""Every change of contact state along a load path with Coulomb friction in the plane, found exactly.
 
-While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. Where a gap,
-a contact force or the room mu l_N - |l_T| of a contact that sticks reaches zero, and at every corner of the path,
-`friction_rates` says how the contacts go on. A contact that sticks is anchored at its E_T u of the instant at which it
-began to.
+While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. An event is
+where a gap, a contact force or the margin mu l_N - |l_T| of a sticking contact reaches zero, or a corner of the path.
+From there the contacts go on by Coulomb's law in rates. A contact that sticks is anchored at its E_T u of the instant
+at which it began to.
+
+Along a leg the load grows by df. Open contacts, and those that stick inside their cone, keep their state. Those at the
+edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
+
+    l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
+
+and contacts with neither gap nor force choose among open, stick and slip by the same law for their rates:
+
+    gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
+
+Above a critical friction no choice may satisfy this (the motion snaps), or several (Klarbring 1990). Continuations that
+differ by a rigid motion that no load drives and no contact resists count as one, in which that motion rests.
 """
 
 from __future__ import annotations
@@ -24,25 +36,18 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, St
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
+from contactqp.model.statuses import plane_states
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 
-# Which way contacts with friction go on: Coulomb's law in rates, in the plane.
-#
-# Along a leg the load grows by df. Contacts that are open, and those that stick inside their cone, go on so. Those at
-# the edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
-#
-#     l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
-#
-# and contacts with neither gap nor force choose among open, stick and slip as Coulomb's law says of rates:
-#
-#     gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
-#
-# Above a critical friction there may be no choice (the motion snaps) or several (Klarbring 1990). Continuations that
-# differ by a rigid motion that no load drives and no contact resists are one, and that motion rests.
-
 # Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
 STEADY_RATE = 1e-11
+# Two events nearer than this part of a leg are one: doubles cannot order them.
+SIMULTANEOUS = 1e-12
+# Gaps, forces and rooms below this part of the largest are zero.
+NOTHING = 1e-12
+# Rates below this part of the largest are zero.
+STEADY = 1e-12
 # Rates that fail by more than this part fail by more than rounding of the data: all do where absence is claimed.
 CLEARLY = 1e-8
 # Rates that differ by this part of the largest are two continuations.
@@ -58,8 +63,183 @@ WORDS = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on
 
 
 @dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a leg on which displacements and forces are linear."""
+
+    start: float  # fraction of the leg
+    end: float
+    status: Status  # (m,)
+    anchor: Vector  # (m,) E_T u of those that stick [length]
+    answer: Answer  # at its start
+    rate: Answer  # for the whole leg
+
+    def near(self, fraction: float) -> Answer:
+        """Return the answer at a fraction of the leg, to double precision.
+
+        Where contacts are redundant, it says which of many forces go on from those at the start.
+        """
+        part, one, rate = fraction - self.start, self.answer, self.rate
+        friction = None
+        if one.friction_force is not None and rate.friction_force is not None:
+            friction = one.friction_force + part * rate.friction_force
+        return Answer(
+            one.displacement + part * rate.displacement,
+            one.normal_force + part * rate.normal_force,
+            friction,
+            one.tie_force + part * rate.tie_force,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Margins:
+    """The quantities whose sign changes at an event, (4, m): gap, force, and both margins to the cone, scaled."""
+
+    value: Array
+    kept: Mask  # which concern a contact in its state
+
+
+class ExactPath:
+    """A path followed from event to event, starting from a solution."""
+
+    def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
+        self._problem, self._condensation = problem, condense(problem)
+        self.system = system or ForceSystem(problem, self._condensation)
+        self.status = self.system.plain(combination_of(first.problem, first))
+        self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
+        self.anchor = self._position(self.answer)
+
+    def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> tuple[list[Event], list[Segment]]:
+        """Find the events of a leg, or of a part of it, from a pseudo-time on, and return its segments; times are
+        fractions of the leg.
+
+        Raises
+        ------
+        NoEquilibrium, SeveralEquilibria, NotConverged
+            No continuation, several, or too many events; with the pseudo-time.
+        """
+        zero = np.zeros(self._problem.contacts)
+        still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
+        direction = self._problem.replace(load=end - start, **still)
+        rates = self.system.lengths(direction, self._condensation.reduce_load(end - start)[0])
+        fraction, events, segments = 0.0, list[Event](), list[Segment]()
+        hit = np.zeros((4, len(zero)), dtype=bool)
+        limit = 40 * len(zero) + 40
+        for _ in range(limit):
+            standing = self._standing(hit)
+            at = f"at t = {time + lasts * fraction:.12g}"
+            status = continuation(self.system, rates, standing, self._problem, at)
+            events += self._decided(standing.status, status, fraction)
+            rate = answer_in(direction, self._condensation, self.system.rows, status, _nothing(direction))
+            self._go_on_in(status)
+            following, hit = self._next(standing, rate)
+            reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
+            segments.append(Segment(fraction, reached, status, self.anchor, self.answer, rate))
+            fraction = reached
+            load = end if fraction == 1 else start + fraction * (end - start)
+            self.answer = self.at(load, fraction, segments[-1])
+            if fraction == 1:
+                return events, segments
+        raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
+
+    def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
+        """Return the certified answer to the load at a fraction of the leg within a segment."""
+        problem = self._problem.replace(load=load, slip_origin=segment.anchor)
+        answer = answer_in(problem, self._condensation, self.system.rows, segment.status, segment.near(fraction))
+        if not holds(problem.replace(slip_origin=self._position(answer)), answer):
+            # An answer that is zero is not reached from one that is not.
+            answer = answer_in(problem, self._condensation, self.system.rows, segment.status, _nothing(problem))
+        return without_idle_friction(self.system, answer)
+
+    def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
+        """Return what happened to each contact; a contact that closes slipping yields two events."""
+        events: list[Event] = []
+        for i in np.flatnonzero(before != now).tolist():
+            kinds: list[str] = []
+            if (before[i] == OPEN) != (now[i] == OPEN):
+                kinds.append("opened" if now[i] == OPEN else "closed")
+            if now[i] != OPEN and self.system.coefficient[i] > 0 and (now[i] != STICK or before[i] != OPEN):
+                kinds.append("stick" if now[i] == STICK else "slip")
+            events += [Event(kind, i, time, self._problem.contact_name(i)) for kind in kinds]
+        return events
+
+    def _go_on_in(self, status: Status) -> None:
+        """Continue in these states; contacts that begin to stick are anchored where they are."""
+        begins = (status == STICK) & (self.status != STICK)
+        self.anchor = np.where(begins, self._position(self.answer), self.anchor)
+        self.status = status
+
+    def _standing(self, hit: Mask) -> Standing:
+        """Return which contacts have a choice: those that reached a zero, and those that are at one by their values."""
+        margins = self._margins(self.answer)
+        zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
+        closed, stuck = self.status != OPEN, self.status == STICK
+        null = np.where(closed, zero[1], zero[0])
+        edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
+        has_friction = self.system.coefficient > 0
+        edge = np.where(stuck, edge, np.where(closed & has_friction, self.status, 0))
+        return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
+
+    def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
+        """Return how far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
+        margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
+        decided = standing.null | (standing.edge != 0)
+        # What was just decided does not fall.
+        at_zero = margins.value <= 10 * NOTHING * self._sizes(margins.value)
+        falls = margins.kept & (slope < -STEADY * self._sizes(slope)) & ~(decided & at_zero)
+        ahead = np.full(slope.shape, np.inf)
+        ahead[falls] = np.maximum(margins.value[falls], 0.0) / -slope[falls]
+        nearest = float(np.min(ahead, initial=np.inf))
+        return nearest, ahead <= nearest + SIMULTANEOUS
+
+    def _margins(self, answer: Answer, rates: bool = False) -> _Margins:
+        rows, problem = self.system.rows, self._problem
+        gap = (0.0 if rates else problem.gap) - problem.normal @ answer.displacement
+        normal = answer.normal_force * rows.normal_length
+        friction = self._friction(answer) * rows.tangent_length
+        bound = self.system.coefficient * normal
+        closed, stuck = self.status != OPEN, self.status == STICK
+        value = np.array([gap / rows.normal_length, normal, bound - friction, bound + friction])
+        return _Margins(value, np.array([~closed, closed, stuck, stuck]))
+
+    def _sizes(self, values: Array) -> Array:
+        """Return the largest gap, then the largest force, (4, 1)."""
+        force = float(np.max(abs(values[1:]), initial=0.0))
+        return np.array([float(np.max(abs(values[0]), initial=0.0)), force, force, force])[:, None]
+
+    def _friction(self, answer: Answer) -> Vector:
+        return np.zeros(self._problem.contacts) if answer.friction_force is None else answer.friction_force[:, 0]
+
+    def _position(self, answer: Answer) -> Vector:
+        if self._problem.tangent is None:
+            raise ValueError("exact events with friction of a problem without tangential rows")
+        return np.asarray(self._problem.tangent @ answer.displacement)
+
+    def jump_at_start(self) -> str:
+        """Return which contact is closed at the start of the path and anchored elsewhere, in words, or ''."""
+        origin = self._problem.slip_origin
+        gap = self._problem.gap - self._problem.normal @ self.answer.displacement
+        if origin is None:
+            return ""
+        length = abs(self.anchor) + abs(origin[:, 0])
+        # A contact that carries a force at the start has slipped to where it is.
+        off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
+        if not np.any(off & (self.system.coefficient > 0)):
+            return ""
+        i = int(np.argmax(off))
+        return (
+            f"{self._problem.contact_name(i)} is closed at the start, at E_T u = {self.anchor[i]:.6g}, and slip_origin "
+            f"anchors it at {origin[i, 0]:.6g}"
+        )
+
+
+def _nothing(problem: ContactProblem) -> Answer:
+    none = np.zeros(problem.contacts)
+    return Answer(np.zeros(problem.dimension), none, none[:, None], np.zeros(problem.ties))
+
+
+@dataclass(frozen=True, eq=False)
 class Standing:
-    """The displacements, forces and states of the contacts at one instant."""
+    """The state of every contact at one instant, and which contacts have a choice."""
 
     status: Status  # (m,) as they came
     edge: NDArray[np.int8]  # (m,) e = +-1 at the edge of the cone, else 0
@@ -67,12 +247,25 @@ class Standing:
 
     @property
     def undecided(self) -> NDArray[np.intp]:
-        """Contacts that have a choice."""
+        """Return which contacts have a choice, (m,)."""
         return np.flatnonzero(self.null | (self.edge != 0))
 
 
 def continuation(system: ForceSystem, rates: Lengths, standing: Standing, problem: ContactProblem, at: str) -> Status:
-    """The combination that the contacts go on in.
+    """Find the combination of open, stick and slip in which the contacts go on.
+
+    Parameters
+    ----------
+    system : ForceSystem
+        Gaps and slips of the contacts in their forces.
+    rates : Lengths
+        Gaps and slips per unit of the leg without contact forces.
+    standing : Standing
+        The states of the contacts, and which are undecided.
+    problem : ContactProblem
+        The problem, for names in messages.
+    at : str
+        The instant, for messages.
 
     Raises
     ------
@@ -96,8 +289,8 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     for status in _combinations(standing, choices):
         answer = system.solve(status, rates)
         nearest = min(nearest, _failing(system, rates, standing, answer))
-        known = [other for other in found if _same(system, standing, answer, other, rates)]
-        if not known and _holds(system, rates, standing, answer):
+        alike = [other for other in found if _same(system, standing, answer, other, rates)]
+        if not alike and _holds(system, rates, standing, answer):
             found.append(answer)
     names = _named(problem, standing.undecided)
     if not found and nearest <= CLEARLY:
@@ -122,11 +315,10 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
 def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
     choices: list[tuple[int, ...]] = []
     for i in standing.undecided.tolist():
-        smooth = system.coefficient[i] <= 0
         if not standing.null[i]:
             choices.append((STICK, int(standing.edge[i])))
         else:
-            choices.append((OPEN, SLIP_ON) if smooth else (OPEN, STICK, SLIP_BACK, SLIP_ON))
+            choices.append(plane_states(system.coefficient[i]))
     return choices
 
 
@@ -138,7 +330,7 @@ def _combinations(standing: Standing, choices: list[tuple[int, ...]]) -> Iterato
 
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
-    """(m,) by how much rates fail; -inf where there is no choice."""
+    """Return by how much the rates of each contact fail, (m,); -inf where a contact has no choice."""
     coefficient, e = system.coefficient, standing.edge
     at_null = answer.worst(coefficient)
     at_edge = np.where(
@@ -153,7 +345,7 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
 
 
 def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
-    """By how much a combination is no answer, or its signs fail, of the largest rate."""
+    """Return by how much a combination fails as an answer or in its signs, as a part of the largest rate."""
     size = _size(answer, rates)
     wrong = max(float(np.max(_wrong(system, standing, answer), initial=0.0)), answer.left)
     return wrong / size if size > 0 else float(np.where(wrong > 0, np.inf, 0.0))
@@ -166,13 +358,13 @@ def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: Comb
 def _same(
     system: ForceSystem, standing: Standing, one: CombinationAnswer, other: CombinationAnswer, rates: Lengths
 ) -> bool:
-    """Whether two continuations are one but for motions that no load drives and no contact resists."""
+    """Say whether two continuations differ at most by motions that no load drives and no contact resists."""
     loaded = ~standing.null & (standing.status != OPEN)
     return system.same(one, other, loaded, DISTINCT * max(_size(one, rates), _size(other, rates)))
 
 
 def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | None:
-    """Newton's method on the undecided contacts, from how they came."""
+    """Run Newton's method on the undecided contacts, started from the states in which they came."""
     m, status, seen = system.contacts, standing.status.copy(), set()
     for _ in range(QUICK_STEPS):
         if status.tobytes() in seen:
@@ -190,7 +382,7 @@ def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | 
 
 
 def _resting(system: ForceSystem, rates: Lengths, standing: Standing, status: Status) -> Status:
-    """The same continuation, contacts at their edge that do not slip called stuck."""
+    """Return the same continuation with contacts at their edge that do not slip called stuck."""
     answer = system.solve(status, rates)
     still = (standing.edge != 0) & ~standing.null & (abs(answer.slip) <= STEADY_RATE * _size(answer, rates))
     resting = np.where(still, STICK, status).astype(np.int8)
@@ -211,185 +403,3 @@ def _named(problem: ContactProblem, contacts: NDArray[np.intp]) -> str:
     names = [problem.contact_name(i) for i in contacts.tolist()]
     more = len(names) - NAMES_IN_A_MESSAGE
     return (", ".join(names[:NAMES_IN_A_MESSAGE]) or "no contact") + (f" and {more} more" if more > 0 else "")
-
-
-# Two events nearer than this part of a leg are one: doubles cannot order them.
-SIMULTANEOUS = 1e-12
-# Gaps, forces and rooms below this part of the largest are zero.
-NOTHING = 1e-12
-# Rates below this part of the largest are zero.
-STEADY = 1e-12
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """A part of a leg on which all is linear."""
-
-    start: float  # fraction of the leg
-    end: float
-    status: Status  # (m,)
-    anchor: Vector  # (m,) E_T u of those that stick [length]
-    answer: Answer  # at its start
-    rate: Answer  # for the whole leg
-
-    def near(self, fraction: float) -> Answer:
-        """The answer at a fraction, to what doubles add up to.
-
-        Where contacts are redundant, it says which of many forces go on from those at the start.
-        """
-        part, one, rate = fraction - self.start, self.answer, self.rate
-        friction = None
-        if one.friction_force is not None and rate.friction_force is not None:
-            friction = one.friction_force + part * rate.friction_force
-        return Answer(
-            one.displacement + part * rate.displacement,
-            one.normal_force + part * rate.normal_force,
-            friction,
-            one.tie_force + part * rate.tie_force,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Margins:
-    """What changes its sign at an event, (4, m): gap, force, and the rooms on both sides of the cone, scaled."""
-
-    value: Array
-    kept: Mask  # which concern a contact in its state
-
-
-class ExactPath:
-    """The walk from event to event, from a solution on."""
-
-    def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
-        self._problem, self._way = problem, condense(problem)
-        self.system = system or ForceSystem(problem, self._way)
-        self.status = self.system.plain(combination_of(first.problem, first))
-        self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
-        self.anchor = self._position(self.answer)
-
-    def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> tuple[list[Event], list[Segment]]:
-        """The events of one leg, or a part of it, from a pseudo-time on; their times are fractions. Its segments.
-
-        Raises
-        ------
-        NoEquilibrium, SeveralEquilibria, NotConverged
-            No continuation, several, or too many events; with the pseudo-time.
-        """
-        zero = np.zeros(self._problem.contacts)
-        still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
-        direction = self._problem.replace(load=end - start, **still)
-        rates = self.system.lengths(direction, self._way.reduce_load(end - start)[0])
-        fraction, events, segments = 0.0, list[Event](), list[Segment]()
-        hit = np.zeros((4, len(zero)), dtype=bool)
-        limit = 40 * len(zero) + 40
-        for _ in range(limit):
-            standing = self._standing(hit)
-            at = f"at t = {time + lasts * fraction:.12g}"
-            status = continuation(self.system, rates, standing, self._problem, at)
-            events += self._decided(standing.status, status, fraction)
-            rate = answer_in(direction, self._way, self.system.rows, status, _nothing(direction))
-            self._go_on_in(status)
-            following, hit = self._next(standing, rate)
-            reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
-            segments.append(Segment(fraction, reached, status, self.anchor, self.answer, rate))
-            fraction = reached
-            load = end if fraction == 1 else start + fraction * (end - start)
-            self.answer = self.at(load, fraction, segments[-1])
-            if fraction == 1:
-                return events, segments
-        raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
-
-    def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
-        """The answer to the load at a fraction of the leg, within a segment, to the last digits."""
-        problem = self._problem.replace(load=load, slip_origin=segment.anchor)
-        answer = answer_in(problem, self._way, self.system.rows, segment.status, segment.near(fraction))
-        if not holds(problem.replace(slip_origin=self._position(answer)), answer):
-            # An answer that is zero is not reached from one that is not.
-            answer = answer_in(problem, self._way, self.system.rows, segment.status, _nothing(problem))
-        return without_idle_friction(self.system, answer)
-
-    def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
-        """What happened to each contact; one that closes slipping does both at once."""
-        events: list[Event] = []
-        for i in np.flatnonzero(before != now).tolist():
-            kinds: list[str] = []
-            if (before[i] == OPEN) != (now[i] == OPEN):
-                kinds.append("opened" if now[i] == OPEN else "closed")
-            if now[i] != OPEN and self.system.coefficient[i] > 0 and (now[i] != STICK or before[i] != OPEN):
-                kinds.append("stick" if now[i] == STICK else "slip")
-            events += [Event(kind, i, time, self._problem.contact_name(i)) for kind in kinds]
-        return events
-
-    def _go_on_in(self, status: Status) -> None:
-        """Contacts that stick now and did not are anchored where they are."""
-        begins = (status == STICK) & (self.status != STICK)
-        self.anchor = np.where(begins, self._position(self.answer), self.anchor)
-        self.status = status
-
-    def _standing(self, hit: Mask) -> Standing:
-        """Which contacts have a choice: those that reached a zero, and those that are at one by their values."""
-        margins = self._margins(self.answer)
-        zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
-        closed, stuck = self.status != OPEN, self.status == STICK
-        null = np.where(closed, zero[1], zero[0])
-        edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
-        rubs = self.system.coefficient > 0
-        edge = np.where(stuck, edge, np.where(closed & rubs, self.status, 0))
-        return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
-
-    def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
-        """How far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
-        margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
-        decided = standing.null | (standing.edge != 0)
-        # What was just decided does not fall.
-        at_zero = margins.value <= 10 * NOTHING * self._sizes(margins.value)
-        falls = margins.kept & (slope < -STEADY * self._sizes(slope)) & ~(decided & at_zero)
-        ahead = np.full(slope.shape, np.inf)
-        ahead[falls] = np.maximum(margins.value[falls], 0.0) / -slope[falls]
-        nearest = float(np.min(ahead, initial=np.inf))
-        return nearest, ahead <= nearest + SIMULTANEOUS
-
-    def _margins(self, answer: Answer, rates: bool = False) -> _Margins:
-        rows, problem = self.system.rows, self._problem
-        gap = (0.0 if rates else problem.gap) - problem.normal @ answer.displacement
-        normal = answer.normal_force * rows.normal_length
-        friction = self._friction(answer) * rows.tangent_length
-        bound = self.system.coefficient * normal
-        closed, stuck = self.status != OPEN, self.status == STICK
-        value = np.array([gap / rows.normal_length, normal, bound - friction, bound + friction])
-        return _Margins(value, np.array([~closed, closed, stuck, stuck]))
-
-    def _sizes(self, values: Array) -> Array:
-        """(4, 1) the largest gap, then the largest force."""
-        force = float(np.max(abs(values[1:]), initial=0.0))
-        return np.array([float(np.max(abs(values[0]), initial=0.0)), force, force, force])[:, None]
-
-    def _friction(self, answer: Answer) -> Vector:
-        return np.zeros(self._problem.contacts) if answer.friction_force is None else answer.friction_force[:, 0]
-
-    def _position(self, answer: Answer) -> Vector:
-        if self._problem.tangent is None:
-            raise ValueError("exact events with friction of a problem without tangential rows")
-        return np.asarray(self._problem.tangent @ answer.displacement)
-
-    def jump_at_start(self) -> str:
-        """Which contact is closed at the start of the path and anchored where it is not, or nothing."""
-        origin = self._problem.slip_origin
-        gap = self._problem.gap - self._problem.normal @ self.answer.displacement
-        if origin is None:
-            return ""
-        length = abs(self.anchor) + abs(origin[:, 0])
-        # A contact that carries a force at the start has slipped to where it is.
-        off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
-        if not np.any(off & (self.system.coefficient > 0)):
-            return ""
-        i = int(np.argmax(off))
-        return (
-            f"{self._problem.contact_name(i)} is closed at the start, at E_T u = {self.anchor[i]:.6g}, and slip_origin "
-            f"anchors it at {origin[i, 0]:.6g}"
-        )
-
-
-def _nothing(problem: ContactProblem) -> Answer:
-    none = np.zeros(problem.contacts)
-    return Answer(np.zeros(problem.dimension), none, none[:, None], np.zeros(problem.ties))

@@ -1,4 +1,14 @@
-"""Load paths with Coulomb friction from one exact event to the next, jumps, and the paths of penalty methods."""
+"""Load paths with Coulomb friction: in steps, or from one exact event to the next.
+
+A step starts from where the one before left its contacts. Afterwards it is followed again from event to event
+(`friction_events`): where that finds no continuation, the step has jumped to an equilibrium beyond; where it finds
+several, or where several equilibria exist at the end of the step, the step has chosen one. Both are noted.
+
+Penalty methods give contacts a stiffness: they solve Coulomb's law of bodies with springs at their contacts
+(`contactqp.solving.friction.contact_springs`). Their path is that of these bodies, in steps or by exact events. The
+history shows the bodies without the springs: a solution is what the method itself makes of `solution.problem`, whose
+slip origin is where the sliders were at the instant before, or where they stick.
+"""
 
 from __future__ import annotations
 
@@ -10,89 +20,50 @@ from typing import Any
 import numpy as np
 
 from contactqp.analysis.friction_events import ExactPath, Segment
-from contactqp.analysis.friction_stepping import FrictionSteps, refuse_options
-from contactqp.analysis.history import Event, History, LazySolutions
+from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
+from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
 from contactqp.certificate.figures import holds
 from contactqp.certificate.subset_bounds import first_candidates
 from contactqp.certificate.uniqueness import SEVERAL
-from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import STICK
+from contactqp.linalg.iteration import iterated
 from contactqp.linalg.runtime import one_blas_thread
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.contact_springs import with_contact_springs, without_contact_springs
 from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction_runs import FrictionRun
-from contactqp.solving.methods import Method
+from contactqp.solving.methods import Method, Settings, find, refuse_arguments, refuse_unsupported
 from contactqp.solving.methods.augmented_lagrangian import default_penalty
 
-# Where the steps of a load path with friction jump: no way leads continuously through the step, or several do.
-#
-# From the state at its start a step is followed again from event to event (`friction_events`). Where that finds no
-# continuation the step has jumped to an equilibrium beyond; where it finds several, or several equilibria exist at the
-# end of the step, the step has chosen one.
-
+# Arguments of `solve`, and their values unless stated.
+DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
+ARGUMENTS = tuple(DEFAULTS)
 SAID_BEFORE = "follow_path: "
-
-
-def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """One text for every step that jumps or chooses, and one for every run of steps with several equilibria."""
-    reason = _not_followed(problem)
-    if reason:
-        yield f"whether steps jump was not examined: {reason}"
-    else:
-        with problem.lock, one_blas_thread(problem):
-            system = ForceSystem(problem, condense(problem))
-            for i in range(len(steps) - 1):
-                found = _through(problem, system, steps[i], steps[i + 1], (times[i], times[i + 1]))
-                if found:
-                    yield f"step to t = {times[i + 1]:.12g}: {found}"
-    yield from _several(steps, times)
-
-
-def _not_followed(problem: ContactProblem) -> str:
-    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
-        return "two tangential rows a contact"
-    return "too many contacts" if first_candidates(problem) is not None else ""
-
-
-def _through(
-    problem: ContactProblem, system: ForceSystem, before: Solution, now: Solution, times: tuple[float, float]
-) -> str:
-    """What stops the way through one step, or nothing."""
-    start, end = times
-    path = ExactPath(problem, before, system)
-    jump = path.jump_at_start() if start == 0 else ""
-    if jump:
-        return f"it jumps; {jump}"
-    try:
-        path.leg(before.problem.load, now.problem.load, start, end - start)
-    except NoEquilibrium as error:
-        return f"it jumps; {str(error).removeprefix(SAID_BEFORE)}"
-    except SeveralEquilibria as error:
-        return f"it chooses; {str(error).removeprefix(SAID_BEFORE)}"
-    except NotConverged as error:
-        return f"whether it jumps was not found out; {str(error).removeprefix(SAID_BEFORE)}"
-    return ""
-
-
-def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """Runs of steps at whose loads the certificate knows of other equilibria."""
-    known = [i > 0 and SEVERAL in solution.certificate.uniqueness for i, solution in enumerate(steps)]
-    for several, run in groupby(range(len(known)), key=known.__getitem__):
-        places = list(run)
-        if several:
-            first, last = times[places[0]], times[places[-1]]
-            when = f"t = {first:.12g}" if first == last else f"t = {first:.12g} to {last:.12g}"
-            yield f"{when}: several equilibria exist at this load, and a step takes one of them"
+# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
+STIFFEST = 1e6
 
 
 def follow_with_friction(
     problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str, options: dict[str, Any]
 ) -> History:
-    """The legs from corner to corner, in so many steps each and, if exactly, at every event.
+    """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        A problem with tangential rows.
+    corners : sequence of (n,) arrays
+        The loads at the corners of the path, the start included [force].
+    count : int
+        Steps of each leg.
+    exactly : bool
+        Whether every event is found exactly, and is an instant of its own.
+    method, options : str, dict
+        As for `solve`.
 
     Raises
     ------
@@ -135,14 +106,14 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
 
 
 class _Instants(LazySolutions):
-    """Solutions at instants between which all is linear, certified when they are looked at."""
+    """The solutions at instants of a path that is linear between them; each is certified on first access."""
 
     def __init__(self, first: Solution) -> None:
         super().__init__([first])
         self._displacement = first.displacement
 
     def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
-        """The answer to the problem's load in a segment; its slip counts from the instant before.
+        """Append the answer to the problem's load in a segment; its slip counts from the instant before.
 
         At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
         seen by the signs.
@@ -158,15 +129,149 @@ class _Instants(LazySolutions):
         self._displacement = answer.displacement
 
 
-# Load paths of the penalty methods with Coulomb friction: the path of the bodies on contact springs, and its sliders.
-#
-# A method that gives contacts a stiffness solves Coulomb's law of bodies with springs at their contacts
-# (`contactqp.solving.friction.contact_springs`): its path is theirs, in steps or from one exact event to the next. The
-# history shows the bodies: a solution is what the method itself makes of `solution.problem`, whose slip origin is where
-# the sliders were at the instant before, or where they stick.
+class FrictionSteps(LazySolutions):
+    """The solutions at the steps of a path; each is refined, expanded and certified on first access.
 
-# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
-STIFFEST = 1e6
+    The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
+    at the step before or from where it closed within the step. A contact that is open at the end of a step has no
+    anchor; its slip origin is its E_T u of the step before and says nothing.
+    """
+
+    _before: State
+    _anchors: Anchors
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        if problem.slip_origin is None:
+            raise ValueError("a path with friction of a problem without tangential rows")
+        super().__init__()
+        self._problem = problem
+        self._stepper = _stepper(problem, method, options)
+        self._leg = -1
+        self._states: list[tuple[Mask, Mask]] = []
+        nothing = np.zeros(problem.dimension)
+        self._stepper.turn(nothing, nothing)
+        origin = problem.slip_origin
+        with one_blas_thread(problem):
+            state = self._stepper.solve(1.0, origin, np.zeros(problem.contacts, dtype=bool))
+        # A contact that is closed and carries nothing is where the caller anchored it.
+        at_rest = state.touching & ~state.pushes
+        self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.position), state.touching))
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Begin the leg from one corner of the load to the next."""
+        self._stepper.turn(start, end)
+        self._leg += 1
+        self._before = replace(self._before, fraction=0.0)
+
+    def go_to(self, fraction: float) -> None:
+        """Take one more step, to the load at a fraction of the leg.
+
+        Raises
+        ------
+        NoEquilibrium, SeveralEquilibria, NotConverged
+            As `solve`, with the pseudo-time.
+        """
+        try:
+            with one_blas_thread(self._problem):
+                state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
+                self._keep(state, Anchors(state.position, state.touching))
+        except (NoEquilibrium, SeveralEquilibria) as error:
+            raise type(error)(f"follow_path: at t = {self._leg + fraction:.6g}: {error}") from error
+        except NotConverged as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotConverged(message, error.history, error.solution) from error
+        except NotCertified as error:
+            message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
+            raise NotCertified(message, error.solution) from error
+
+    def _keep(self, state: State, anchors: Anchors) -> None:
+        self._before = state = self._stepper.accept(state)
+        self._anchors = anchors
+        self.append(state.step)
+        self._states.append((state.pushes, state.slides))
+
+    def changes(self, times: Sequence[float]) -> Iterator[Event]:
+        """Return every change of contact state, at the first step that shows it."""
+        return contact_changes(self._states, times, self._problem.contact_name)
+
+
+def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
+    """Raise on options that `solve` refuses, and on a warm start, which the path provides itself."""
+    if options.get("algorithm") == "associated":
+        raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
+    if "warm_start" in options:
+        raise InvalidProblem("warm_start: a path starts each step from the one before")
+    known = {name: options[name] for name in ARGUMENTS if name in options}
+    refuse_arguments(**(DEFAULTS | known))
+    others = {name: value for name, value in options.items() if name not in (*ARGUMENTS, "algorithm")}
+    refuse_unsupported(problem, chosen, Settings(options=others), options.get("algorithm"))
+
+
+def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
+    """Choose Newton's method on the contact unknowns in the plane, unless options, method or size demand `solve`."""
+    chosen = find(method)
+    if not chosen.exact or not chosen.semidefinite:
+        raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
+    refuse_options(problem, chosen, options)
+    limited = options.get("max_iter") is not None or options.get("time_limit") is not None
+    in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
+    whole = iterated(problem) or first_candidates(problem) is not None
+    own = chosen.solve_friction is not None  # systems of stick and slip
+    if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
+        return PlaneStepper(problem, method, {**options, "algorithm": None})
+    return SolveStepper(problem, method, options)
+
+
+def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
+    """Return one note for every step that jumps or chooses, and one for every run of steps with several equilibria."""
+    reason = _not_followed(problem)
+    if reason:
+        yield f"whether steps jump was not examined: {reason}"
+    else:
+        with problem.lock, one_blas_thread(problem):
+            system = ForceSystem(problem, condense(problem))
+            for i in range(len(steps) - 1):
+                found = _through(problem, system, steps[i], steps[i + 1], (times[i], times[i + 1]))
+                if found:
+                    yield f"step to t = {times[i + 1]:.12g}: {found}"
+    yield from _several(steps, times)
+
+
+def _not_followed(problem: ContactProblem) -> str:
+    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        return "two tangential rows a contact"
+    return "too many contacts" if first_candidates(problem) is not None else ""
+
+
+def _through(
+    problem: ContactProblem, system: ForceSystem, before: Solution, now: Solution, times: tuple[float, float]
+) -> str:
+    """Return what stops the path through one step, or None."""
+    start, end = times
+    path = ExactPath(problem, before, system)
+    jump = path.jump_at_start() if start == 0 else ""
+    if jump:
+        return f"it jumps; {jump}"
+    try:
+        path.leg(before.problem.load, now.problem.load, start, end - start)
+    except NoEquilibrium as error:
+        return f"it jumps; {str(error).removeprefix(SAID_BEFORE)}"
+    except SeveralEquilibria as error:
+        return f"it chooses; {str(error).removeprefix(SAID_BEFORE)}"
+    except NotConverged as error:
+        return f"whether it jumps was not found out; {str(error).removeprefix(SAID_BEFORE)}"
+    return ""
+
+
+def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
+    """Return the runs of steps at whose loads the certificate finds other equilibria."""
+    known = [i > 0 and SEVERAL in solution.certificate.uniqueness for i, solution in enumerate(steps)]
+    for several, run in groupby(range(len(known)), key=known.__getitem__):
+        places = list(run)
+        if several:
+            first, last = times[places[0]], times[places[-1]]
+            when = f"t = {first:.12g}" if first == last else f"t = {first:.12g} to {last:.12g}"
+            yield f"{when}: several equilibria exist at this load, and a step takes one of them"
 
 
 def follow_on_springs(
@@ -177,7 +282,16 @@ def follow_on_springs(
     chosen: Method,
     options: dict[str, Any],
 ) -> History:
-    """As `follow_with_friction`, of a method whose `springs` names the stiffnesses of its contacts.
+    """Follow a path, as `follow_with_friction`, by a method whose `springs` names the stiffnesses of its contacts.
+
+    Parameters
+    ----------
+    problem, corners, count, exactly
+        As for `follow_with_friction`.
+    chosen : Method
+        A method whose `springs` names its stiffnesses.
+    options : dict
+        Its options, these stiffnesses among them.
 
     Raises
     ------
@@ -203,7 +317,9 @@ def follow_on_springs(
 
 
 def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:
-    """Rates of forces are differences of motions times the stiffness, and signs of rates are what a path goes by."""
+    """Raise for springs too stiff: rates of forces are differences of motions times the stiffness, and a path
+    follows signs of rates.
+    """
     own = default_penalty(problem, problem.normal, 1.0)
     ratio = np.broadcast_to(np.asarray(stiffness, dtype=float), own.shape) / own
     if np.any(ratio > STIFFEST):
@@ -216,7 +332,7 @@ def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: st
 
 @dataclass(frozen=True, eq=False)
 class _WithoutSprings:
-    """The bodies at one instant, without the springs with which they were followed."""
+    """One instant of the bodies without the springs with which they were followed."""
 
     problem: ContactProblem
     on_springs: Sequence[Solution]
@@ -224,7 +340,7 @@ class _WithoutSprings:
     name: str  # of the method
 
     def finish(self) -> Solution:
-        """What the method itself makes of the instant, certified."""
+        """Return what the method itself makes of the instant, certified."""
         on_springs, n = self.on_springs[self.instant], self.problem.dimension
         whole = on_springs.problem
         with self.problem.lock, one_blas_thread(self.problem):

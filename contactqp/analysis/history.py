@@ -1,4 +1,10 @@
-"""Histories: solutions along a load path or in time, certified when looked at, with their energies and events."""
+"""A sequence of solutions in time or along a load path, with its energies and its events.
+
+Solutions are certified on first access (`LazySolutions`). The events of a frictionless leg are found exactly: while no
+contact changes its state, displacements and forces are linear in the load. At a load where contacts have neither gap
+nor force, which of them close follows from the contact problem in rates: contacts that carry force stay closed, those
+without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
+"""
 
 from __future__ import annotations
 
@@ -14,75 +20,18 @@ from numpy.typing import NDArray
 from contactqp.errors import ContactQPError, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.refinement import OnSet, answer_on
-from contactqp.model.arrays import Indices, Vector, own_floating_point
+from contactqp.model.arrays import Indices, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find
 
-# Solutions in time or along a load path that cost their certificate only when they are looked at.
-
-
-class Unfinished(Protocol):
-    """An answer that may not have been looked at."""
-
-    def finish(self) -> Solution:
-        """Refine, expand and certify it, unless that is done."""
-
-
-@dataclass(frozen=True)
-class Refused:
-    """An answer that was refused when it was looked at, and is refused again."""
-
-    error: ContactQPError
-
-    def finish(self) -> NoReturn:
-        """Raise the error."""
-        raise self.error
-
-
-def looked_at(solutions: Sequence[Solution]) -> Sequence[Solution]:
-    """Return the solutions, all of them looked at; those that are refused stay so, where they are looked at again."""
-    kept: list[Unfinished | Solution] = []
-    for k in range(len(solutions)):
-        try:
-            kept.append(solutions[k])
-        except ContactQPError as error:
-            kept.append(Refused(error))
-    return LazySolutions(kept)
-
-
-class LazySolutions(Sequence[Solution]):
-    """Answers in order, each finished when it is first looked at, and once; a slice is a list, all of it finished.
-
-    What `finish` raises is raised where the solution is looked at, and again the next time. A finished answer is let go
-    of: the solution takes its place.
-    """
-
-    def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
-        self._steps: list[Unfinished | Solution] = list(steps)
-
-    def append(self, step: Unfinished | Solution) -> None:
-        """One more at the end."""
-        self._steps.append(step)
-
-    def __len__(self) -> int:
-        return len(self._steps)
-
-    @overload
-    def __getitem__(self, index: int) -> Solution: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
-
-    @own_floating_point
-    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        step = self._steps[index]
-        solution = step if isinstance(step, Solution) else step.finish()
-        self._steps[index] = solution
-        return solution
+# Two events nearer than this part of a leg are one: doubles cannot order them.
+SIMULTANEOUS = 1e-12
+# Rates below this part of the largest are zero.
+STEADY = 1e-12
+# Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
+TRIED_ONE_BY_ONE = 12
 
 
 @dataclass(frozen=True)
@@ -102,13 +51,13 @@ class Energies:
 
     @property
     def total(self) -> float:
-        """Elastic and kinetic energy."""
+        """Return the sum of elastic and kinetic energy."""
         return self.elastic + self.kinetic
 
 
 @dataclass(frozen=True)
 class Event:
-    """One contact changes its state."""
+    """A change of state of one contact."""
 
     kind: str  # "closed", "opened", "stick" (a contact that slipped), "slip" (one that stuck, or that closes slipping)
     contact: int
@@ -119,7 +68,7 @@ class Event:
 class History(ReadOnly, Sequence[Solution]):
     """The solutions at `times`, the start included, and what happened between them.
 
-    Solutions may be a sequence that expands each one, with its certificate, when it is looked at. With friction each
+    Solutions may be a sequence that expands each one, with its certificate, on first access. With friction each
     solution's problem has the slip origin of its step, E_T u of the instant before or where the contact closed since;
     with contact springs, where their sliders were then.
     `linear` says that nothing changes its state between two instants.
@@ -141,7 +90,7 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def events(self) -> tuple[Event, ...]:
-        """The changes of contact state, in the order of their times.
+        """Return the changes of contact state, ordered by time.
 
         "closed" and "opened" say that l_N > 0 begins and ends; "slip" that s = E_T u - slip_origin leaves zero, at a
         contact that stuck or that closes; "stick" that a contact that slipped does so no more.
@@ -151,7 +100,7 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def notes(self) -> tuple[str, ...]:
-        """With friction in steps: where a step has jumped, and where it has taken one of several answers.
+        """Return where a step with friction has jumped, and where it has taken one of several answers.
 
         Each step is followed again from event to event from the state at its start, which costs what exact events
         cost. "It jumps" says that no rates continue the path at the load that is named, a snap: the step ends at an
@@ -163,7 +112,8 @@ class History(ReadOnly, Sequence[Solution]):
     @cached_property
     @own_floating_point
     def energies(self) -> tuple[Energies, ...]:
-        """The energies of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has dissipated.
+        """Return the energies of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has
+        dissipated.
 
         Between exact events work = elastic + dissipated since the start. In steps, of which the friction at the end
         counts, work is at least that: no step and no cycle of steps creates energy.
@@ -194,24 +144,26 @@ class History(ReadOnly, Sequence[Solution]):
 
     @property
     def displacements(self) -> NDArray[np.float64]:
-        """(steps, n) [length]."""
+        """Return the displacements (steps, n) [length]."""
         return read_only(np.array([solution.displacement for solution in self]))
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
-        """(steps, m) [force], positive in compression."""
+        """Return the normal forces (steps, m) [force], positive in compression."""
         return read_only(np.array([solution.normal_force for solution in self]))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
-        """(steps, m, d-1) [force], or None without tangential rows."""
+        """Return the friction forces (steps, m, d-1) [force], or None without tangential rows."""
         if any(solution.friction_force is None for solution in self):
             return None
         return read_only(np.array([solution.friction_force for solution in self]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is copied or pickled: every solution looked at, events and notes found, or why they are not."""
-        found: dict[str, Any] = dict(_solutions=looked_at(self._solutions), _find_events=_found(lambda: self.events))
+        """Finish every solution and find events and notes, or the errors that they raise, before copying or
+        pickling.
+        """
+        found: dict[str, Any] = dict(_solutions=finish_all(self._solutions), _find_events=_found(lambda: self.events))
         if self._find_energies is not None:
             found["_find_energies"] = _found(lambda: self.energies)
         return self.__dict__ | found | dict(_find_notes=_found(lambda: self.notes))
@@ -220,8 +172,33 @@ class History(ReadOnly, Sequence[Solution]):
         return f"History({len(self)} solutions, times {self.times[0]:g} to {self.times[-1]:g})"
 
 
+def contact_changes(
+    states: Iterable[tuple[Mask, Mask]], times: Iterable[float], name: Callable[[int], str]
+) -> Iterator[Event]:
+    """Yield every change of contact state, at the first instant that shows it.
+
+    Parameters
+    ----------
+    states : iterable of pairs of (m,) masks
+        Which contacts push, and which of them slide, at each instant.
+    times : iterable of float
+        The time of each instant; the first one has no events.
+    name : function
+        The name of a contact by its number.
+    """
+    instants = zip(states, times, strict=True)
+    for ((pushed, slid), _), ((pushes, slides), time) in pairwise(instants):
+        for i in np.flatnonzero((pushed != pushes) | (slid != slides)).tolist():
+            if pushed[i] != pushes[i]:
+                yield Event("closed" if pushes[i] else "opened", i, time, name(i))
+            if pushes[i] and slid[i] != slides[i]:
+                yield Event("slip" if slides[i] else "stick", i, time, name(i))
+
+
 def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
-    """Return what finds it again without looking: it itself, or the error that looking ended in."""
+    """Return a function that gives the result again without computing it, or raises the error that finding it
+    raised.
+    """
     try:
         return partial(tuple, find())
     except ContactQPError as error:
@@ -229,7 +206,7 @@ def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
 
 
 def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:
-    """Energies of a quasi-static sequence.
+    """Return the energies of a quasi-static sequence.
 
     The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between. In
     steps with friction, whose dissipation is taken at their end, it is f_b'v - v'Kv/2, v = u_b - u_a: the same where
@@ -249,7 +226,8 @@ def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[En
 
 
 def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
-    """l_T . s, s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends where all is linear.
+    """Return l_T . s with s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends on linear
+    steps.
 
     Coulomb's law, which the certificate holds, leaves no contact less than zero; what is less is rounding.
     """
@@ -261,23 +239,71 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
     return float(np.sum(np.maximum(np.sum(force * slip, axis=1), 0.0)))
 
 
-# Changes of contact state along one leg of a load path, found exactly.
-#
-# While no contact changes its state, displacements and forces are linear in the load. At a load where contacts have
-# neither gap nor force, which of them close follows from the contact problem in rates: contacts that carry force stay
-# closed, those without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
+class Unfinished(Protocol):
+    """An answer that may still have to be refined, expanded and certified."""
 
-# Two events nearer than this part of a leg are one: doubles cannot order them.
-SIMULTANEOUS = 1e-12
-# Rates below this part of the largest are zero.
-STEADY = 1e-12
-# Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
-TRIED_ONE_BY_ONE = 12
+    def finish(self) -> Solution:
+        """Refine, expand and certify the answer, unless that is done."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An answer that was refused on first access, and is refused again."""
+
+    error: ContactQPError
+
+    def finish(self) -> NoReturn:
+        """Raise the error with which the answer was refused."""
+        raise self.error
+
+
+def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
+    """Return the solutions, all of them finished; those that are refused raise their error again on access."""
+    kept: list[Unfinished | Solution] = []
+    for k in range(len(solutions)):
+        try:
+            kept.append(solutions[k])
+        except ContactQPError as error:
+            kept.append(Refused(error))
+    return LazySolutions(kept)
+
+
+class LazySolutions(Sequence[Solution]):
+    """Answers in order, each finished once, on first access; a slice is a list of finished solutions.
+
+    What `finish` raises is raised on first access, and again the next time. The solution takes the place of the
+    finished answer, which is freed.
+    """
+
+    def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
+        self._steps: list[Unfinished | Solution] = list(steps)
+
+    def append(self, step: Unfinished | Solution) -> None:
+        """Add one answer at the end."""
+        self._steps.append(step)
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @overload
+    def __getitem__(self, index: int) -> Solution: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Solution]: ...
+
+    @own_floating_point
+    def __getitem__(self, index: int | slice) -> Solution | Sequence[Solution]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        step = self._steps[index]
+        solution = step if isinstance(step, Solution) else step.finish()
+        self._steps[index] = solution
+        return solution
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """One instant: contacts that carry force, contacts with neither gap nor force."""
+    """The contacts at one instant: those that carry force, and those with neither gap nor force."""
 
     fraction: float
     closed: Indices
@@ -285,10 +311,22 @@ class _State:
 
 
 def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: Solution, method: str) -> list[Event]:
-    """Every event of one leg, its time counted from 0 at the start of the leg to 1 at its end."""
+    """Return every event of one leg, with times from 0 at the start of the leg to 1 at its end.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        A problem without friction.
+    start, end : (n,) arrays
+        The loads at both ends of the leg [force].
+    first : Solution
+        The solution at its start.
+    method : str
+        The name of an exact method.
+    """
     if not find(method).exact:
         raise Unsupported(f"{method}: exact events (it is approximate by design); give steps instead")
-    way = condense(problem)
+    condensation = condense(problem)
     direction = problem.replace(load=end - start, gap=np.zeros(problem.contacts), tie_value=np.zeros(problem.ties))
     undecided = np.array(first.certificate.grazing, dtype=np.intp)
     carrying = np.setdiff1d(np.flatnonzero(first.normal_force > 0), undecided)
@@ -296,9 +334,9 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
     events: list[Event] = []
     limit = 20 * problem.contacts + 20
     for _ in range(limit):
-        chosen, rates = _rates(direction, way, state)
+        chosen, rates = _rates(direction, condensation, state)
         events += _decided(state, chosen)
-        here = answer_on(problem.replace(load=start + state.fraction * (end - start)), way, chosen)
+        here = answer_on(problem.replace(load=start + state.fraction * (end - start)), condensation, chosen)
         following = _next_state(state, chosen, here, rates)
         if following is None:
             return events
@@ -307,7 +345,7 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
 
 
 def _decided(state: _State, chosen: Indices) -> list[Event]:
-    """The events at a state: undecided contacts that were open close, those that carried force open."""
+    """Return the events at a state: undecided contacts that were open close, those that carried force open."""
     events = []
     for i in state.undecided:
         was_closed, is_closed = i in state.closed, i in chosen
@@ -316,34 +354,34 @@ def _decided(state: _State, chosen: Indices) -> list[Event]:
     return events
 
 
-def _rates(direction: ContactProblem, way: Condensation, state: _State) -> tuple[Indices, OnSet]:
-    """The closed contacts just after a state, and the rates of displacement and force."""
+def _rates(direction: ContactProblem, condensation: Condensation, state: _State) -> tuple[Indices, OnSet]:
+    """Return the closed contacts just after a state, and the rates of displacement and force."""
     certain = np.setdiff1d(state.closed, state.undecided)
     trial, seen = certain, set()
     while trial.tobytes() not in seen:
         seen.add(trial.tobytes())
-        rates = _rates_on(direction, way, trial)
+        rates = _rates_on(direction, condensation, trial)
         tension, closing = _wrong_rates(state, trial, rates)
         if not tension.size and not closing.size:
             return trial, rates
         trial = np.union1d(np.setdiff1d(trial, tension), closing).astype(np.intp)
     for subset in _subsets(state.undecided):
         trial = np.union1d(certain, np.array(subset, dtype=np.intp)).astype(np.intp)
-        rates = _rates_on(direction, way, trial)
+        rates = _rates_on(direction, condensation, trial)
         if not any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
             return trial, rates
     raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
 
 
 def _subsets(contacts: Indices) -> chain[tuple[int, ...]]:
-    few = contacts[:TRIED_ONE_BY_ONE]
-    return chain.from_iterable(combinations(few, size) for size in range(len(few) + 1))
+    subset = contacts[:TRIED_ONE_BY_ONE]
+    return chain.from_iterable(combinations(subset, size) for size in range(len(subset) + 1))
 
 
-def _rates_on(direction: ContactProblem, way: Condensation, closed: Indices) -> OnSet:
-    rates = answer_on(direction, way, closed)
-    load, inner = way.reduce_load(direction.load)
-    if np.any(rates.saddle.drive(load, way.reduced_size(direction, inner))):
+def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Indices) -> OnSet:
+    rates = answer_on(direction, condensation, closed)
+    load, inner = condensation.reduce_load(direction.load)
+    if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))):
         raise Unsupported(
             "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
         )
@@ -360,7 +398,9 @@ def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, 
 
 
 def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet) -> _State | None:
-    """The next fraction at which an open gap or a contact force reaches zero, and all contacts that do so there."""
+    """Return the next fraction at which an open gap or a contact force reaches zero, with all contacts that do so
+    there.
+    """
     count = len(here.gap)
     is_closed = np.isin(np.arange(count), chosen)
     value = np.where(is_closed, here.normal_force.double(), here.gap.double())

@@ -1,4 +1,4 @@
-"""Histories of problems with rows that constrain nothing: they are made without these, and told of all rows."""
+"""Histories of problems with rows that constrain nothing: found without these rows, and shown with all of them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Event, History, LazySolutions
-from contactqp.analysis.motion.history import MotionHistory, Moving
+from contactqp.analysis.motion.motion_history import MotionHistory, Moving
 from contactqp.certificate.idle_rows import ActingRows
 from contactqp.errors import NotCertified
 from contactqp.model.solution import Solution
 
 
 def of_all_rows(rows: ActingRows, history: History) -> History:
-    """A path of the problem with the rows that act, as one of the whole problem."""
+    """Return a path of the problem without idle rows as a path of the whole problem."""
     solutions = LazySolutions(_Instant(rows, history, k) for k in range(len(history)))
     return History(
         solutions,
@@ -31,14 +31,14 @@ def of_all_rows(rows: ActingRows, history: History) -> History:
 
 @dataclass(frozen=True, eq=False)
 class _Instant:
-    """One solution of a history, told of all rows when it is looked at."""
+    """One solution of a history, extended to all rows on first access."""
 
     rows: ActingRows
     history: History
     number: int
 
     def finish(self) -> Solution:
-        """The solution.
+        """Return the solution of the whole problem.
 
         Raises
         ------
@@ -46,15 +46,17 @@ class _Instant:
             As the history; `solution` is that of the whole problem.
         """
         try:
-            return _told(self.rows, self.history[self.number])
+            return _certified_on_all_rows(self.rows, self.history[self.number])
         except NotCertified as error:
             if isinstance(error.solution, Solution):
-                error.solution = _told(self.rows, error.solution)
+                error.solution = _certified_on_all_rows(self.rows, error.solution)
             raise
 
 
-def _told(rows: ActingRows, found: Solution) -> Solution:
-    """The certificate of a motion is that of the step, which has the rows that act alone."""
+def _certified_on_all_rows(rows: ActingRows, found: Solution) -> Solution:
+    """Extend a solution to all rows; the certificate of a motion stays that of its step, which has the acting rows
+    alone.
+    """
     here = rows.at(found.problem)
     whole: Solution = replace(found, **here.forces(found)) if isinstance(found, Moving) else here.solution(found)
     return whole
@@ -65,7 +67,7 @@ def _events(rows: ActingRows, history: History) -> Iterator[Event]:
 
 
 class MotionOfAllRows(MotionHistory):
-    """A motion that was made without the rows that constrain nothing."""
+    """A motion that was found without the rows that constrain nothing."""
 
     def __init__(self, rows: ActingRows, history: MotionHistory) -> None:
         History.__init__(
@@ -80,7 +82,7 @@ class MotionOfAllRows(MotionHistory):
         self._rows, self._history = rows, history
 
     def resume(self, duration: float) -> MotionHistory:
-        """This motion and how it goes on, as `MotionHistory.resume`."""
+        """Continue this motion, as `MotionHistory.resume`."""
         return MotionOfAllRows(self._rows, self._history.resume(duration))
 
     def __copy__(self) -> MotionHistory:
@@ -96,16 +98,16 @@ class MotionOfAllRows(MotionHistory):
 
     @property
     def normal_forces(self) -> NDArray[np.float64]:
-        """(steps, m) [force], positive in compression."""
+        """Return the normal forces (steps, m) [force], positive in compression."""
         return np.asarray(self._rows.normal(self._history.normal_forces))
 
     @property
     def friction_forces(self) -> NDArray[np.float64] | None:
-        """(steps, m, d-1) [force], or None without friction."""
+        """Return the friction forces (steps, m, d-1) [force], or None without friction."""
         force = self._history.friction_forces
         return None if force is None else np.asarray(self._rows.friction(force))
 
     @property
     def tie_forces(self) -> NDArray[np.float64]:
-        """(steps, k) [force]."""
+        """Return the tie forces (steps, k) [force]."""
         return np.asarray(self._rows.tie(self._history.tie_forces))

@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.analysis.idle_history import MotionOfAllRows
-from contactqp.analysis.motion.history import MotionHistory
-from contactqp.analysis.motion.mass import massless, read_mass, redistributed_mass, touched
-from contactqp.analysis.motion.run import MotionRun
-from contactqp.analysis.motion.schemes import SCHEMES, Kind, Knobs
-from contactqp.analysis.motion.schemes.scheme import Body
+from contactqp.analysis.motion.mass_matrix import massless, read_mass, redistributed_mass, touched
+from contactqp.analysis.motion.motion_history import MotionHistory
+from contactqp.analysis.motion.schemes import SCHEMES, find
+from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSettings
+from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, refuse_other
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
-from contactqp.solving.methods import find
+from contactqp.solving.methods import find as find_method
 
 # A start may overlap or miss a tie by this part of the lengths that meet there.
 ROUNDING = 1e-9
@@ -43,7 +43,7 @@ def impact(
     method: str = "active-set",
     **options: Any,
 ) -> MotionHistory:
-    """The motion of bodies with contact and impact from a displacement and a velocity.
+    """Compute the motion of bodies with contact and impact from a displacement and a velocity.
 
         M dv/dt + K u + E_N'l_N + E_T'l_T + A'nu = f,    E_N u <= g,  l_N >= 0,  l_N (g - E_N u) = 0,    A u = b
 
@@ -121,8 +121,8 @@ def impact(
     12.0
     """
     refuse_other("impact", problem, ContactProblem)
-    kind = _kind(scheme)
-    knobs = _knobs(kind, scheme, theta, restitution, penalty)
+    entry = find(scheme)
+    settings = _settings(entry, theta, restitution, penalty)
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
     if time_step**2 < np.finfo(float).tiny:
@@ -146,22 +146,21 @@ def impact(
     n = problem.dimension
     u, v = read_vector("displacement", displacement, n), read_vector("velocity", velocity, n)
     _refuse_start(problem, u, v)
-    chosen = find(method)
-    if not chosen.exact:
+    if not find_method(method).exact:
         raise Unsupported(f"{method}: approximate by design; contact springs are the scheme 'penalty'")
-    if scheme == "penalty" and problem.frictional:
-        raise Unsupported("penalty: friction with contact springs; take an exact scheme")
-    M = _mass(kind, scheme, read_mass(mass, n), problem)
+    if not entry.friction and problem.frictional:
+        raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
+    M = _mass(entry, read_mass(mass, n), problem)
     body = Body(problem, M, float(time_step))
-    run = MotionRun(kind.make(body, knobs), _loads(problem, load), float(start_time), method, options)
-    if kind.explicit:
-        run.mind_critical_step(penalty)
+    run = MotionRun(entry.make(body, settings), _loads(problem, load), float(start_time), method, options)
+    if entry.explicit:
+        run.check_critical_step(penalty)
     run.start(u, v)
     return run.lasting(duration)
 
 
 def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHistory:
-    """The motion of a problem by that of the problem without the rows that constrain nothing."""
+    """Return the motion of a problem, found on the problem without the rows that constrain nothing."""
     rows.refuse_conflict()
     try:
         return MotionOfAllRows(rows, impact(rows.problem, *start, **given))
@@ -171,28 +170,23 @@ def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHis
         raise
 
 
-def _kind(scheme: str) -> Kind:
-    if not isinstance(scheme, str) or scheme not in SCHEMES:
-        raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
-    return SCHEMES[scheme]
-
-
-def _knobs(kind: Kind, scheme: str, theta: Any, restitution: Any, penalty: Any) -> Knobs:
+def _settings(entry: SchemeEntry, theta: Any, restitution: Any, penalty: Any) -> SchemeSettings:
+    """Return what the user has chosen; InvalidProblem for numbers out of range or that the scheme does not take."""
     for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
         if not is_number(value) or not low <= value <= 1:
             raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {value!r}")
     given = {"theta": theta != 0.5, "restitution": restitution != 0.0, "penalty": penalty is not None}
     for name, is_given in given.items():
-        if is_given and name not in kind.knobs:
+        if is_given and name not in entry.knobs:
             takers = ", ".join(other for other, its in SCHEMES.items() if name in its.knobs)
-            raise InvalidProblem(f"{name}: the scheme {scheme!r} has none; {takers} take one")
+            raise InvalidProblem(f"{name}: the scheme {entry.name!r} has none; {takers} take one")
     if penalty is not None:
         refuse_not_positive("penalty", penalty)
-    return Knobs(float(theta), float(restitution), None if penalty is None else float(penalty))
+    return SchemeSettings(float(theta), float(restitution), None if penalty is None else float(penalty))
 
 
 def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
-    """A start outside of the constraints has no motion."""
+    """Raise InvalidProblem for a start outside of the constraints, from which there is no motion."""
     room = problem.gap - problem.normal @ u
     size = abs(problem.normal) @ abs(u) + abs(problem.gap)
     if np.any(room < -ROUNDING * size):
@@ -204,13 +198,13 @@ def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
             raise InvalidProblem(f"{name}: tie {int(np.argmax(missed))} is missed by {np.max(missed):.6g} at the start")
 
 
-def _mass(kind: Kind, scheme: str, M: Any, problem: ContactProblem) -> Any:
-    """The mass that a scheme steps with."""
+def _mass(entry: SchemeEntry, M: Any, problem: ContactProblem) -> Any:
+    """Return the mass that a scheme steps with, taken from the contacts where it asks for that."""
     bare = massless(M)
-    if not kind.bare:
-        if kind.explicit and np.any(bare):
+    if not entry.massless_contacts:
+        if entry.explicit and np.any(bare):
             raise InvalidProblem(
-                f"mass: {scheme} needs mass at every unknown; {problem.dof_name(int(np.argmax(bare)))} has none"
+                f"mass: {entry.name} needs mass at every unknown; {problem.dof_name(int(np.argmax(bare)))} has none"
             )
         return M
     touching = np.zeros(problem.dimension, dtype=bool)

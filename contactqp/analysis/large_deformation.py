@@ -9,12 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from contactqp.analysis.large.constrained_newton import NewtonSettings
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LoadedBody
 from contactqp.analysis.large.load_control import LoadControl, Program
-from contactqp.analysis.large.newton_step import NewtonSettings
 from contactqp.analysis.large.path_following import PathControl
+from contactqp.elements.checked_arrays import positive_number, real_number
 from contactqp.elements.deformable import ContactGeometry, Deformable
-from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
@@ -48,7 +48,7 @@ def large_deformation(
     max_iter: int = 50,
     **options: Any,
 ) -> LargeHistory:
-    """Equilibria of a body at large displacements along a load path.
+    """Find the equilibria of a body at large displacements along a load path.
 
         min  W(u) - f'u   subject to   gap(u) >= 0,  A u = b,
 
@@ -230,10 +230,10 @@ def _program(loaded: LoadedBody, loads: Sequence[ArrayLike], tie_values: Any, st
 
 
 def _times(start: Vector | LargeSolution, end: int, steps: int) -> list[float]:
-    """Load factors of the start and of the steps that are left."""
+    """Return the load factors of the start and of the remaining steps."""
     first = start.load_factor if isinstance(start, LargeSolution) else 0.0
     grid = [leg + (i + 1) / steps for leg in range(end) for i in range(steps)]
-    left = [t for t in grid if t > first * (1 + 1e-12)]
-    if not left:
+    remaining = [t for t in grid if t > first * (1 + 1e-12)]
+    if not remaining:
         raise InvalidProblem(f"start: expected a load factor below {end}, got {first:.6g}")
-    return [first, *left]
+    return [first, *remaining]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.friction_path import follow_on_springs, follow_with_friction
-from contactqp.analysis.history import Event, History, LazySolutions, events_of_leg
+from contactqp.analysis.history import Event, History, LazySolutions, contact_changes, events_of_leg
 from contactqp.analysis.idle_history import of_all_rows
 from contactqp.certificate.idle_rows import acting_rows
 from contactqp.certificate.subset_bounds import first_candidates
@@ -74,7 +74,7 @@ def follow_path(
     History
         The start and every step (``steps=40`` gives 41 solutions on one leg), and every event; a contact that closes
         and slips at once has two. Where all contacts are condensed onto, a step runs on the contact unknowns; it is
-        polished, expanded and certified when it is looked at, and refused then if it must be. Very many contacts,
+        polished, expanded and certified on first access, and refused then if it must be. Very many contacts,
         bodies that are not factorised, and friction with two tangential directions are solved step by step at once.
 
     Raises
@@ -87,8 +87,8 @@ def follow_path(
         snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it: `History.notes`
         says where they have jumped.
     SeveralEquilibria
-        With friction and exact events, several rates continue the path, above a critical coefficient. They are told
-        apart where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
+        With friction and exact events, several rates continue the path, above a critical coefficient. They are found
+        where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
         follow one, and `History.notes` says so.
     NotConverged, NotCertified
         As `solve`.
@@ -124,13 +124,13 @@ def follow_path(
             if chosen.springs is not None:
                 return follow_on_springs(problem, corners, int(count), events == "exact", chosen, options)
             return follow_with_friction(problem, corners, int(count), events == "exact", method, options)
-        return _walked(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
+        return _follow_steps(_Steps(problem, method, options), problem, corners, int(count), events == "exact", method)
 
 
-def _walked(
+def _follow_steps(
     solutions: _Steps, problem: ContactProblem, corners: Sequence[Vector], count: int, exactly: bool, method: str
 ) -> History:
-    """The legs from corner to corner, in so many steps each and, if exactly, at every event."""
+    """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event."""
     times, found = [0.0], []
     for leg, (start, end) in enumerate(pairwise(corners)):
         solutions.turn(start, end)
@@ -146,7 +146,7 @@ def _walked(
 
 
 class _Steps(LazySolutions):
-    """The solutions along a path; polished, expanded and certified when they are looked at."""
+    """The solutions along a path; each is polished, expanded and certified on first access."""
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         super().__init__()
@@ -157,14 +157,14 @@ class _Steps(LazySolutions):
         self._step(np.zeros(problem.dimension))
 
     def turn(self, start: Vector, end: Vector) -> None:
-        """Set out from one corner to the next."""
+        """Begin the leg from one corner of the load to the next."""
         self._leg = start, end
         if not self._whole:
-            way = condense(self._problem)
-            self._reduced = way.reduce_load(start), way.reduce_load(end)
+            condensation = condense(self._problem)
+            self._reduced = condensation.reduce_load(start), condensation.reduce_load(end)
 
     def go_to(self, fraction: float) -> None:
-        """One more step, to the load at a fraction of the leg."""
+        """Take one more step, to the load at a fraction of the leg."""
         start, end = self._leg
         load = end if fraction == 1 else start + fraction * (end - start)
         if not self._whole:
@@ -194,9 +194,6 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
 
 
 def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
-    """Contacts that carry a force at one step and none at the one before, or the other way round."""
-    for (before, now), time in zip(pairwise(solutions), times[1:], strict=True):
-        was, carries = before.normal_force > 0, now.normal_force > 0
-        for i in np.flatnonzero(was != carries):
-            kind = "closed" if carries[i] else "opened"
-            yield Event(kind, int(i), time, now.problem.contact_name(int(i)))
+    """Return the contacts that carry a force at one step and none at the one before, or the reverse."""
+    states = ((solution.normal_force > 0, np.zeros(len(solution.normal_force), dtype=bool)) for solution in solutions)
+    return contact_changes(states, times, lambda i: solutions[0].problem.contact_name(i))

@@ -13,7 +13,6 @@ of all combinations of open, stick and slip have one sign. For one contact that 
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +25,7 @@ from contactqp.linalg.iteration import iterated
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.statuses import OPEN, STICK, Status, all_combinations
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300
@@ -36,8 +36,6 @@ MOST_COMBINED = 6
 SINGULAR = 1e-12
 # Singular values of this part of the largest are zero.
 SINGULAR_SYSTEM = 1e-11
-
-OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
 
 
 @computes
@@ -174,13 +172,12 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     return float(0.5 * np.sqrt(np.prod(list(norms))))
 
 
-def combinations(mu: Vector) -> NDArray[np.int8]:
-    """(c, m) of OPEN, STICK, SLIP_BACK, SLIP_ON; without friction, slipping says all of a closed contact."""
-    choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if value > 0 else (OPEN, SLIP_ON) for value in mu]
-    return np.array(list(itertools.product(*choices)), dtype=np.int8).reshape(-1, len(mu))
+def combinations(mu: Vector) -> Status:
+    """Return all combinations of the contacts' states as an array (c, m)."""
+    return np.array(list(all_combinations(mu)), dtype=np.int8).reshape(-1, len(mu))
 
 
-def system_matrices(W: Array, mu: Vector, status: NDArray[np.int8]) -> Array:
+def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
     """(c, 2m, 2m): l_N = 0 or (W l)_N, then l_T = 0, (W l)_T or l_T - s mu l_N, contact by contact."""
     m = len(mu)
     unit = np.eye(2 * m).reshape(m, 2, 2 * m)

@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.certificate.critical_friction import (
-    OPEN,
     SINGULAR_SYSTEM,
-    STICK,
     CriticalFriction,
     combinations,
     critical,
@@ -38,6 +36,7 @@ from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb_cone import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Violations
+from contactqp.model.statuses import OPEN, STICK
 
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5

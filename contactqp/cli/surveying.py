@@ -130,8 +130,6 @@ def gallery_command(
     if as_json:
         print_json([summary(known) for known in chosen])
     elif listed:
-        # MERGED
-
         print_gallery(console(), chosen)
     elif folder is not None:
         click.echo(f"written: {write_gallery(folder, chosen)}, {len(chosen)} problems")

@@ -1,6 +1,8 @@
-"""The mesh in an Abaqus or CalculiX input file: NODE, ELEMENT, NSET, ELSET and SURFACE, all else passed over.
+"""Meshes from Abaqus and CalculiX input files, and from the cells of other programs.
 
-Keywords and formats: Abaqus keywords reference guide; face numbers S1, S2, ...: Abaqus elements guide.
+An input file is read by its keywords NODE, ELEMENT, NSET, ELSET and SURFACE; all others are passed over. Its cells, and
+those of any other file, become a Mesh: which are elements, which are sides, and which belong to one part. Keywords and
+formats: Abaqus keywords reference guide; face numbers S1, S2, ...: Abaqus elements guide.
 """
 
 from __future__ import annotations
@@ -14,11 +16,21 @@ from numpy.typing import NDArray
 
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import KINDS, REFERENCES
+from contactqp.elements.reference_elements import KINDS, REFERENCES
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 
-# From the cells of other programs to a Mesh: which are elements, which are sides, and which belong to one part.
+LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
+MOST_GENERATED = 10**7
+# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
+_TYPES = (
+    (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
+    (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
+    (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
+)
+# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
+_HEX_FACES = (4, 5, 2, 1, 3, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +54,7 @@ class Cells:
 
 
 def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """The mesh of one body.
+    """Return the mesh of one body.
 
     The cells of the highest dimension are the elements. A group of cells one dimension lower is a side where it lies on
     the boundary; every other group is a set of nodes. Points in 3D with plane elements must have one and the same z,
@@ -91,10 +103,10 @@ def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected:
 
 
 def _imported_elements(source: Cells, dimension: int, part: str | None) -> dict[str, Index]:
-    """The nodes of the elements, kind by kind."""
+    """Return the nodes of the elements, kind by kind."""
     if part is not None and part not in source.groups:
-        known = ", ".join(map(repr, sorted(source.groups))) or "none"
-        raise InvalidProblem(f"mesh: there is no group {part!r}; it has {known}")
+        names = ", ".join(map(repr, sorted(source.groups))) or "none"
+        raise InvalidProblem(f"mesh: there is no group {part!r}; it has {names}")
     found: dict[str, list[Index]] = {}
     for i, (kind, nodes) in enumerate(source.cells):
         chosen = nodes if part is None else nodes[source.groups[part][i]]
@@ -108,7 +120,9 @@ def _imported_elements(source: Cells, dimension: int, part: str | None) -> dict[
 
 
 def _side(mesh: Mesh, name: str, cells: Sequence[tuple[str, Index]], *, whole: bool) -> Index:
-    """The boundary facets among these cells, (p, 2); with `whole` all the facets must be there, or none."""
+    """Return the boundary facets among these cells, (p, 2); with `whole` all of them must be on the boundary, or
+    none are returned.
+    """
     lower = [(k, nodes) for k, nodes in cells if k != "node" and REFERENCES[k].dimension == mesh.dimension - 1]
     rows = [mesh.find_facets(nodes, kind) for kind, nodes in lower]
     row = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
@@ -131,22 +145,9 @@ def _flat(points: NDArray[np.float64], dimension: int) -> NDArray[np.float64]:
     return points[:, :2]
 
 
-LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
-MOST_GENERATED = 10**7
-# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
-_TYPES = (
-    (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
-    (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
-    (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
-    (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
-)
-# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
-_HEX_FACES = (4, 5, 2, 1, 3, 0)
-
-
 @dataclass
 class _Reading:
-    """What has been read so far; names are in upper case, as Abaqus does not distinguish."""
+    """The parts of a file read so far; names are in upper case, as Abaqus does not distinguish."""
 
     labels: list[Index] = field(default_factory=list)
     points: list[NDArray[np.float64]] = field(default_factory=list)
@@ -157,7 +158,7 @@ class _Reading:
 
 
 def read_abaqus(text: str) -> Cells:
-    """The cells of an input file with one part.
+    """Read the cells of an input file with one part.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def read_abaqus(text: str) -> Cells:
 
 
 def _sections(text: str) -> Iterator[tuple[str, dict[str, str], list[str]]]:
-    """Each keyword with its options and its data lines."""
+    """Yield each keyword with its options and its data lines."""
     lines = [line.strip().upper() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith("**")]
     starts = [i for i, line in enumerate(lines) if line.startswith("*")]
@@ -256,7 +257,7 @@ def _members(sets: dict[str, Index], options: dict[str, str], lines: list[str]) 
 
 
 def _generated(line: str) -> Index:
-    """The labels of ``first, last, step``; the step is 1 unless stated."""
+    """Return the labels of ``first, last, step``; the step is 1 unless stated."""
     words = [word.strip() for word in line.rstrip(",").split(",")]
     if len(words) not in (2, 3) or not all(_is_label(word) for word in words) or words[2:] == ["0"]:
         raise InvalidProblem(f"GENERATE: expected a first and a last label and a positive step, got {line!r}")
@@ -271,7 +272,7 @@ def _is_label(word: str) -> bool:
 
 
 def _labels(sets: dict[str, Index], word: str) -> Index:
-    """A label, or the members of a set that is known by now; instance names in front are passed over."""
+    """Return a label, or the members of a set that stands further up; instance names in front are passed over."""
     name = word.rpartition(".")[2]
     if _is_label(name):
         return np.array([int(name)])
@@ -342,7 +343,7 @@ def _refuse_twice(what: str, labels: Index) -> None:
 
 
 def _places(what: str, labels: Index, wanted: Index) -> Index:
-    """The places of labels among all of them."""
+    """Return the places of labels among all of them."""
     order = np.argsort(labels)
     place = np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)
     missing = labels[order[place]] != wanted

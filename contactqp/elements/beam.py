@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 
 
 def stiffness(modulus: Number, area: Number, inertia: Number, start: Numbers, end: Numbers) -> Numbers:
-    """K = R' K_local R, cubic bending and linear stretching.
+    """Return K = R' K_local R of cubic bending and linear stretching.
 
         K_local = [[ a,    0,    0, -a,    0,    0],        a = E A / L
                    [ 0,  12b,  6bL,  0, -12b,  6bL],        b = E I / L^3
@@ -43,7 +43,7 @@ def stiffness(modulus: Number, area: Number, inertia: Number, start: Numbers, en
 
 
 def displacements(start: Numbers, end: Numbers, ends: Numbers, at: Numbers) -> Numbers:
-    """The (k, 2) displacements along the axis of an unloaded beam, from those of its ends.
+    """Return the (k, 2) displacements along the axis of an unloaded beam, from those of its ends.
 
     Linear along the beam; across it the cubic that has the deflections and slopes of the ends,
 
@@ -89,7 +89,7 @@ def _local(a: Number, b: Number, length: Number) -> Numbers:
 
 
 def _rotation(d: Numbers, length: Number) -> Numbers:
-    """From global to local unknowns: [[c, s, 0], [-s, c, 0], [0, 0, 1]] for each node."""
+    """Return the rotation from global to local unknowns: [[c, s, 0], [-s, c, 0], [0, 0, 1]] for each node."""
     c, s = d[0] / length, d[1] / length
     block = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     return np.kron(np.eye(2, dtype=int), block)

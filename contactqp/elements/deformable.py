@@ -1,4 +1,8 @@
-"""The protocols of a deformable body and of its contacts, which anyone's code can meet, and bodies held by supports."""
+"""The protocols by which a large deformation knows a body and its contacts, and bodies with supports.
+
+Any code can meet the protocols `Deformable` and `ContactGeometry`. A body some of whose unknowns are supported is again
+a deformable body, of the free unknowns.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.reading import real_array, real_number
+from contactqp.elements.checked_arrays import real_array, real_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector, computes
 from contactqp.model.problem_data import ReadOnly, is_whole, read_only
@@ -27,21 +31,21 @@ class Deformable(Protocol):
 
     @property
     def dimension(self) -> int:
-        """n, the number of unknowns."""
+        """Return the number of unknowns n."""
 
     def energy(self, displacement: Vector) -> float:
-        """The elastic energy [force * length], zero at rest."""
+        """Return the elastic energy [force * length], zero at rest."""
 
     def internal_force(self, displacement: Vector) -> Vector:
-        """Its gradient (n,) [force]: the loads that hold the body there."""
+        """Return the gradient of the energy (n,) [force]: the loads that hold the body there."""
 
     def tangent(self, displacement: Vector) -> Any:
-        """Its Hessian (n, n), sparse or dense, symmetric [force / length]."""
+        """Return the Hessian of the energy (n, n), sparse or dense, symmetric [force / length]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactState:
-    """Contacts as they are at one displacement; to first order E_N (u_new - u) <= gap and slip E_T (u_new - u).
+    """The contacts at one displacement; to first order E_N (u_new - u) <= gap and slip E_T (u_new - u).
 
     Attributes
     ----------
@@ -63,30 +67,30 @@ class ContactState:
 
 @runtime_checkable
 class ContactGeometry(Protocol):
-    """Who can touch whom, in the current configuration."""
+    """The contacts of a body in its current configuration."""
 
     @property
     def contacts(self) -> int:
-        """m."""
+        """Return the number of contacts m."""
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps and rows at a displacement; InvalidProblem where a pair is lost."""
+        """Return gaps and rows at a displacement; InvalidProblem where a contact has lost its pair."""
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """- sum over the contacts of l_N times the Hessian of the gap, (n, n) [force / length]; None: not known.
+        """Return minus the sum over the contacts of l_N times the Hessian of the gap, (n, n) [force / length], or
+        None where it is not known.
 
         It is what the contact forces add to the tangent as their directions turn. Without it Newton's method converges
         linearly wherever the obstacle is curved.
         """
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1): how far each contact has moved from its anchor (m, d) along the tangents of now [length]."""
+        """Return how far each contact has moved from its anchor (m, d) along the current tangents, (m, d-1)
+        [length].
+        """
 
     def positions(self, displacement: Vector) -> Vector:
-        """(m, d): where the contacts are [length]: anchors of a slip."""
-
-
-# A deformable body some of whose unknowns are held: what is left is a body of the free ones.
+        """Return where the contacts are, (m, d) [length]: anchors of a slip."""
 
 
 @computes
@@ -129,39 +133,40 @@ class Supported(ReadOnly):
 
     @cached_property
     def free(self) -> Index:
-        """The place in the body's u of each unknown, ascending."""
+        """Return the place in the body's u of each free unknown, ascending."""
         return read_only(np.setdiff1d(np.arange(self.body.dimension), list(self.held)).astype(np.int64))
 
     @property
     def dimension(self) -> int:
-        """How many unknowns are free."""
+        """Return the number of free unknowns."""
         return len(self.free)
 
     def expand(self, displacement: ArrayLike) -> Vector:
-        """The u of the body from that of the free unknowns."""
+        """Return the u of the body from that of the free unknowns."""
         u = np.zeros(self.body.dimension)
         u[list(self.held)] = list(self.held.values())
         u[self.free] = _of("displacement", displacement, self.dimension)
         return u
 
     def restrict(self, load: ArrayLike) -> Vector:
-        """Loads on the free unknowns, from those on all of the body's."""
+        """Return the loads on the free unknowns from those on all of the body's."""
         return _of("load", load, self.body.dimension)[self.free]
 
     def energy(self, displacement: ArrayLike) -> float:
-        """Return the body's energy at the displacement of its free unknowns [force * length]."""
+        """Return the strain energy of the body at these displacements [force * length]."""
         return self.body.energy(self.expand(displacement))
 
     def internal_force(self, displacement: ArrayLike) -> Vector:
-        """At the free unknowns."""
+        """Return the gradient of the energy at the free unknowns [force]."""
         return np.asarray(self.body.internal_force(self.expand(displacement))[self.free])
 
     def tangent(self, displacement: ArrayLike) -> Any:
-        """Return the tangent stiffness of the free unknowns, CSC [force / length]."""
+        """Return the Hessian of the energy at the free unknowns, CSC [force / length]."""
         return sp.csc_array(sp.csr_array(self.body.tangent(self.expand(displacement)))[self.free][:, self.free])
 
     def support_forces(self, displacement: ArrayLike) -> Vector:
-        """What the supports do to the body, at held unknowns; zero at free ones: (n of the body,) [force].
+        """Return what the supports do to the body, (n of the body,) [force]: forces at supported unknowns, zero at
+        free ones.
 
         Loads and contact forces that act on held unknowns go straight into the supports and are not in it.
         """
@@ -170,7 +175,7 @@ class Supported(ReadOnly):
         return force
 
     def contact(self, geometry: ContactGeometry) -> SupportedContact:
-        """A contact geometry over the body's unknowns, as one over the free ones."""
+        """Return a contact geometry over the body's unknowns as one over the free unknowns."""
         return SupportedContact(self, geometry)
 
 
@@ -191,31 +196,31 @@ class SupportedContact:
 
     @property
     def contacts(self) -> int:
-        """m."""
+        """Return the number of contacts m."""
         return self.geometry.contacts
 
     @property
     def dimension(self) -> int:
-        """How many unknowns are free."""
+        """Return the number of free unknowns."""
         return self.support.dimension
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps, and the rows of the free unknowns."""
+        """Return the gaps, and the rows of the free unknowns."""
         found = self.geometry.state(self.support.expand(displacement))
         free = self.support.free
         tangent = None if found.tangent is None else sp.csr_array(found.tangent[:, free])
         return ContactState(found.gap, sp.csr_array(found.normal[:, free]), tangent, found.rounding)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Return the contacts' part of the tangent stiffness of the free unknowns [force / length]."""
+        """Return the curvature on the free unknowns, or None where it is not known."""
         found = self.geometry.curvature(self.support.expand(displacement), normal_force)
         free = self.support.free
         return None if found is None else sp.csc_array(sp.csr_array(found)[free][:, free])
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1)."""
+        """Return the slips (m, d-1) since the anchors [length]."""
         return self.geometry.slip_since(self.support.expand(displacement), anchor)
 
     def positions(self, displacement: Vector) -> Vector:
-        """(m, d)."""
+        """Return where the contacts are, (m, d) [length]."""
         return self.geometry.positions(self.support.expand(displacement))

@@ -1,4 +1,7 @@
-"""Elements in space: Jacobians, gradients and surface normals of many at once, and the boundary of a mesh."""
+"""From reference elements to space: Jacobians, gradients and normals of many elements at once; boundaries of meshes.
+
+A facet is on the boundary where it belongs to one element only; facets are found by the nodes that they have.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.reference import REFERENCES, Quadrature, Reference
+from contactqp.elements.reference_elements import REFERENCES, Quadrature, Reference
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly
@@ -21,7 +24,7 @@ BATCH = 2**22
 
 @dataclass(frozen=True, eq=False)
 class Block(ReadOnly):
-    """Elements of one kind: their reference element, and nodes (E, n) of int in its order."""
+    """The elements of one kind: their reference element, and nodes (E, n) of int in its order."""
 
     kind: Reference
     nodes: NDArray[np.int64]
@@ -31,7 +34,7 @@ class Block(ReadOnly):
 
 
 def batches(block: Block, numbers: int) -> Iterator[Block]:
-    """The block piece by piece, so many elements at a time that `numbers` for each of them come to BATCH."""
+    """Yield the block in pieces, so many elements at a time that `numbers` for each of them come to BATCH."""
     step = max(1, BATCH // numbers)
     for start in range(0, len(block), step):
         yield Block(block.kind, block.nodes[start : start + step])
@@ -39,7 +42,7 @@ def batches(block: Block, numbers: int) -> Iterator[Block]:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """E elements of one kind in space, seen at q points of the reference element.
+    """The geometry of E elements of one kind in space at q points of the reference element.
 
     Parameters
     ----------
@@ -56,17 +59,17 @@ class Geometry:
 
     @cached_property
     def shape(self) -> NDArray[np.float64]:
-        """N_i: (q, n)."""
+        """Return N_i, (q, n)."""
         return self.kind.shape(self.points)
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """x = N_i x_i: (E, q, d) [length]."""
+        """Return x = N_i x_i, (E, q, d) [length]."""
         return np.asarray(np.matmul(self.shape, self.corners))
 
     @cached_property
     def jacobian(self) -> NDArray[np.float64]:
-        """J_ab = dx_a / dxi_b: (E, q, d, dimension of the kind) [length]."""
+        """Return J_ab = dx_a / dxi_b, (E, q, d, dimension of the kind) [length]."""
         gradient = self.kind.gradient(self.points)
         q, n, k = gradient.shape
         flat = np.moveaxis(gradient, 1, 2).reshape(q * k, n) @ self.corners
@@ -74,18 +77,20 @@ class Geometry:
 
     @cached_property
     def determinant(self) -> NDArray[np.float64]:
-        """det J: (E, q); negative where an element is turned inside out."""
+        """Return det J, (E, q); negative where an element is turned inside out."""
         return np.asarray((self.jacobian[..., 0] * _cofactors(self.jacobian)[..., 0]).sum(axis=-1))
 
     @property
     def gradient(self) -> NDArray[np.float64]:
-        """dN_i/dx_a = dN_i/dxi_b (J^-1)_ba: (E, q, n, d) [1/length]."""
+        """Return dN_i/dx_a = dN_i/dxi_b (J^-1)_ba, (E, q, n, d) [1/length]."""
         inverse_transposed = _cofactors(self.jacobian) / self.determinant[..., None, None]
         return np.asarray(np.matmul(self.kind.gradient(self.points), np.swapaxes(inverse_transposed, 2, 3)))
 
     @property
     def normal(self) -> NDArray[np.float64]:
-        """Normals of facets, as long as the facet is large: n dA = normal dxi, (E, q, d). Out of the body (Surface)."""
+        """Return the normals of facets, as long as the facet is large: n dA = normal dxi, (E, q, d). They point out
+        of the body (Surface).
+        """
         if self.kind.dimension == 1:
             t = self.jacobian[..., 0]
             return np.stack([t[..., 1], -t[..., 0]], axis=-1)
@@ -93,12 +98,12 @@ class Geometry:
 
 
 def at_rule(block: Block, points: NDArray[np.float64], rule: Quadrature) -> Geometry:
-    """The block's elements at the points of a quadrature rule; `points` are the coordinates of all nodes."""
+    """Return the block's elements at the points of a quadrature rule; `points` are the coordinates of all nodes."""
     return Geometry(block.kind, points[block.nodes], rule.points)
 
 
 def sum_at_nodes(block: Block, values: NDArray[np.float64], nodes: int) -> NDArray[np.float64]:
-    """What the elements (E, n, c) bring to each of the nodes, summed up: (nodes, c)."""
+    """Sum at each of the nodes what the elements (E, n, c) bring to it: (nodes, c)."""
     at = block.nodes.ravel()
     columns = [
         np.bincount(at, weights=values[..., column].ravel(), minlength=nodes) for column in range(values.shape[-1])
@@ -107,7 +112,7 @@ def sum_at_nodes(block: Block, values: NDArray[np.float64], nodes: int) -> NDArr
 
 
 def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
-    """det(J) J^-T of (..., d, d) matrices, d = 2 or 3, column by column from the other columns."""
+    """Return det(J) J^-T of (..., d, d) matrices, d = 2 or 3, column by column from the other columns."""
     if J.shape[-1] == 2:
         (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
         return np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-1)
@@ -115,11 +120,8 @@ def _cofactors(J: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack(columns, axis=-1)
 
 
-# The boundary of a mesh: facets that belong to one element only, and finding facets by their nodes.
-
-
 def boundary(blocks: Sequence[Block]) -> Index:
-    """The (p, 2) pairs (element, local facet) of the facets that belong to one element only.
+    """Return the (p, 2) pairs (element, local facet) of the facets that belong to one element only.
 
     Raises
     ------
@@ -146,7 +148,8 @@ def boundary(blocks: Sequence[Block]) -> Index:
 
 
 def facet_keys(facets: Index, kind: str) -> Index:
-    """What tells facets apart whatever their turn: their smallest corners in ascending order, (p, 2) or (p, 3).
+    """Return keys that tell facets apart whatever their turn: their smallest corners in ascending order, (p, 2) or
+    (p, 3).
 
     Two faces of a mesh that share three corners are one face, so three corners are enough for four.
     """
@@ -155,7 +158,7 @@ def facet_keys(facets: Index, kind: str) -> Index:
 
 
 def find(facets: Index, among: Index) -> Index:
-    """For each row of `facets` (keys) its place in `among` (distinct keys), or -1."""
+    """Return, for each row of `facets` (keys), its place in `among` (distinct keys), or -1."""
     order, new = groups(np.concatenate([among, facets]))
     group = np.empty(len(order), dtype=np.int64)
     group[order] = np.cumsum(new) - 1
@@ -165,7 +168,7 @@ def find(facets: Index, among: Index) -> Index:
 
 
 def groups(keys: Index) -> tuple[Index, NDArray[np.bool_]]:
-    """An order that puts equal rows side by side, and where in it a new row begins."""
+    """Return an order that puts equal rows side by side, and where in it a new row begins."""
     base = int(keys.max(initial=0)) + 1
     if keys.min(initial=0) >= 0 and base ** keys.shape[1] <= np.iinfo(np.int64).max:
         packed = keys @ base ** np.arange(keys.shape[1])  # one number a row sorts five times as fast

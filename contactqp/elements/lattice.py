@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from contactqp.elements.geometry import Block
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import KINDS, REFERENCES, Reference
+from contactqp.elements.reference_elements import KINDS, REFERENCES, Reference
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A block of cells.
+    """A block of cells of the integer lattice, and the keys of its nodes.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Patch:
     fixed: Mapping[int, int] = field(default_factory=dict)
 
     def keys(self, components: int) -> Index:
-        """(2 c_0 + 1, ..., components)."""
+        """Return the keys of the lattice nodes, (2 c_0 + 1, ..., components)."""
         shape = tuple(len(axis) for axis in self.axes)
         keys = np.zeros((*shape, components), dtype=np.int64)
         for column, values in zip(self.columns, np.meshgrid(*self.axes, indexing="ij"), strict=True):
@@ -53,7 +53,7 @@ class Patch:
         return keys
 
     def ends(self, components: int) -> tuple[Index, Index]:
-        """The smallest and the largest value of each component of its keys."""
+        """Return the smallest and the largest value of each component of the keys."""
         low = np.zeros(components, dtype=np.int64)
         low[list(self.fixed)] = list(self.fixed.values())
         high = low.copy()
@@ -62,7 +62,7 @@ class Patch:
         return low, high
 
     def part(self, part: int, parts: int) -> Patch | None:
-        """One of several equal slabs of cells across its longest direction; None where there are fewer cells."""
+        """Return one of several equal slabs of cells across the longest direction; None where there are fewer cells."""
         along = int(np.argmax([len(axis) for axis in self.axes]))
         count = (len(self.axes[along]) - 1) // 2
         begin, end = (count * (part + i) // parts for i in range(2))
@@ -75,7 +75,7 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """A mesh before it is made: all of it or the part of one of several processes.
+    """A mesh before it is made: all of it, or the part of one of several processes.
 
     Nodes are numbered in the order of their keys, so that every part has the numbers of the whole.
 
@@ -111,24 +111,26 @@ class Lattice:
 
     @property
     def reference(self) -> Reference:
-        """The kind of element."""
+        """Return the kind of element."""
         return REFERENCES[self.kind]
 
     @cached_property
     def frame(self) -> tuple[Index, tuple[int, ...]]:
-        """The lowest value of each component of the keys, and how many values it may have."""
+        """Return the lowest value of each component of the keys, and how many values it may have."""
         components = 1 + max(column for patch in self.patches for column in (*patch.columns, *patch.fixed))
         ends = np.array([patch.ends(components) for patch in self.patches])
         low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
         return low, tuple(int(n) for n in high - low + 1)
 
     def keys(self, codes: Index) -> Index:
-        """The keys (N, components) that these codes stand for."""
+        """Return the keys (N, components) that these codes stand for."""
         low, shape = self.frame
         return np.stack(np.unravel_index(codes, shape), axis=1) + low
 
     def elements(self, part: int = 0, parts: int = 1) -> Index:
-        """The codes (E, n) of the elements' nodes, which are ordered as the keys are; or an equal part of them."""
+        """Return the codes (E, n) of the elements' nodes, which are ordered as the keys are; or an equal part of
+        them.
+        """
         low, shape = self.frame
         found = [np.zeros((0, len(self.reference.nodes)), dtype=np.int64)]
         for patch in self.patches:
@@ -139,11 +141,11 @@ class Lattice:
         return np.concatenate(found)
 
     def on_side(self, name: str, codes: Index) -> NDArray[np.bool_]:
-        """Which of these nodes lie on a side."""
+        """Return which of these nodes lie on a side."""
         return self.sides[name](self.keys(codes))
 
     def mesh(self) -> Mesh:
-        """All of it.
+        """Return the whole mesh.
 
         Raises
         ------
@@ -163,7 +165,7 @@ class Lattice:
 
 
 def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
-    """Elements (E, n) of a patch whose lattice nodes have these numbers."""
+    """Return the elements (E, n) of a patch whose lattice nodes have these numbers."""
     d = nodes.ndim
     counts = [(length - 1) // 2 for length in nodes.shape]
     cells = np.empty((int(np.prod(counts)), *(3,) * d), dtype=np.int64)
@@ -184,7 +186,9 @@ def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
 
 
 def _simplices(kind: Reference, turned: tuple[bool, ...]) -> list[Index]:
-    """Places (n, d) in the 3^d nodes of a cell of each simplex in it, its directions reversed where `turned`."""
+    """Return the places (n, d) in the 3^d nodes of a cell of each simplex in it, its directions reversed where
+    `turned`.
+    """
     found = []
     d = kind.dimension
     for path in itertools.permutations(range(d)):

@@ -1,7 +1,8 @@
-"""Consistent nodal loads and masses of bodies: f_i is the integral of N_i times what acts on the body.
+"""Loads on bodies as consistent nodal forces, and mass matrices.
 
-In plane problems the integrals carry the body's thickness, in axial symmetry the full circle 2 pi r. A load that varies
-is a function of the points (p, d), evaluated at the quadrature points.
+f_i is the integral of N_i times what acts on the body. In plane problems the integrals carry the body's thickness, in
+axial symmetry the full circle 2 pi r. A load that varies is a function of the points (p, d), evaluated at the
+quadrature points. A consistent mass matrix is the integral of rho N_i N_j, a lumped one a diagonal of the same masses.
 """
 
 from __future__ import annotations
@@ -14,92 +15,26 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.geometry import Block, Geometry, at_rule, sum_at_nodes
 from contactqp.elements.material import measure
 from contactqp.elements.membrane import Membrane
-from contactqp.elements.reading import real_array
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 from contactqp.elements.solid import Body, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
-
-# Mass matrices: consistent, the integral of rho N_i N_j, and lumped, a diagonal of the same masses.
-
-
-def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool = False) -> Numbers:
-    """M = (rho A L / 6) [[2 I, I], [I, 2 I]], lumped (rho A L / 2) [[I, 0], [0, I]].
-
-    Parameters
-    ----------
-    density, area : Fraction or float
-        rho [force time^2 / length^4], A [length^2].
-    start, end : (dimension,) arrays
-        The two nodes [length].
-    lumped : bool
-
-    Returns
-    -------
-    (2 dimension, 2 dimension) array [force time^2 / length] on (u_start, u_end): a bar has inertia along and across
-    itself. Exact where all data are and L is rational.
-
-    >>> bar_mass(6.0, 1.0, [0.0], [2.0]).tolist()
-    [[4.0, 2.0], [2.0, 4.0]]
-    """
-    d = np.asarray(end) - np.asarray(start)
-    part = density * area * square_root(squared_length(d)) / 6
-    weights = np.array([[3, 0], [0, 3]] if lumped else [[2, 1], [1, 2]])
-    M: Numbers = part * np.kron(weights, np.eye(len(d), dtype=int))
-    return M
-
-
-def solid_mass(body: Body, lumped: bool = False) -> Any:
-    """M of an elastic body: (N d, N d) CSC, symmetric positive definite [force time^2 / length].
-
-    Consistent, M_ij = integral of rho N_i N_j, with the body's thickness, or of the full circle. Lumped, the diagonal
-    of each element's consistent matrix, scaled to the element's mass: positive for every kind of element, where sums of
-    rows are not (Hinton, Rock and Zienkiewicz 1976). Of linear triangles, tetrahedra and rectangles both are the same.
-
-    Raises
-    ------
-    InvalidProblem
-        The material has no density.
-    """
-    if not body.material.density > 0:
-        raise InvalidProblem(f"{body.name}: a mass needs a density > 0, {body.material.name} has none")
-    nodes = len(body.mesh.points)
-    blocks = [_element_masses(body, block) for block in body.mesh.blocks]
-    if lumped:
-        total = np.zeros(nodes)
-        for block, masses in zip(body.mesh.blocks, blocks, strict=True):
-            share = np.einsum("eii->ei", masses)
-            share = share * (masses.sum(axis=(1, 2)) / share.sum(axis=1))[:, None]
-            total += np.bincount(block.nodes.ravel(), weights=share.ravel(), minlength=nodes)
-        scalar = sp.diags(total)
-    else:
-        where = pattern([block.nodes for block in body.mesh.blocks], nodes)
-        scalar = assemble(where, np.concatenate([masses.ravel() for masses in blocks])[np.newaxis, np.newaxis])
-    return sp.csc_array(sp.kron(scalar, sp.identity(body.dimension)))
-
-
-def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:
-    """The integrals of rho N_i N_j over each element, (E, n, n), symmetric to the last digit."""
-    geometry, weights = body.integration(block, block.kind.fine_rule)
-    weighted = weights[:, :, None] * (body.material.density * geometry.shape)
-    masses = np.matmul(np.swapaxes(weighted, 1, 2), geometry.shape)
-    return np.asarray((masses + np.swapaxes(masses, 1, 2)) / 2)
-
 
 Field = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 
 class Load(Protocol):
-    """What acts on a body; `body` is its name."""
+    """A load on a body, whose name is `body`."""
 
     @property
     def body(self) -> str: ...
 
     def forces(self, body: Body) -> Vector:
-        """(N d,) nodal forces [force]."""
+        """Return the (N d,) nodal forces [force]."""
         ...
 
 
@@ -238,7 +173,7 @@ class PointLoad:
 
 
 def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> NDArray[np.int64]:
-    """The nodes that a name, a number or numbers stand for, each once.
+    """Return the nodes that a name, a number or numbers stand for, each once.
 
     Raises
     ------
@@ -254,7 +189,18 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
 
 
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
-    """The value of a field at (..., d) positions: (..., *shape).
+    """Return the values of a field at (..., d) positions: (..., *shape).
+
+    Parameters
+    ----------
+    what : str
+        What a message calls the field.
+    value : array or function
+        One value for all positions, or a function from (p, d) points to (p, *shape).
+    positions : (..., d) array
+        Where the field is evaluated [length].
+    shape : tuple of int
+        The shape of one value.
 
     Raises
     ------
@@ -272,7 +218,7 @@ def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, .
 
 
 def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry], Vector]) -> Vector:
-    """f_i = sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
+    """Return f_i, the sum over elements or facets and points of N_i w density, times the body's measure: (N d,).
 
     `density` is (E, q, d), per area or volume of the reference element.
     """
@@ -284,3 +230,66 @@ def _integrated(body: Body, blocks: Sequence[Block], density: Callable[[Geometry
         at_points = density(geometry) * weights[..., None]
         total += sum_at_nodes(block, np.matmul(geometry.shape.T, at_points), len(body.mesh.points))
     return total.ravel()
+
+
+def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool = False) -> Numbers:
+    """Return M = (rho A L / 6) [[2 I, I], [I, 2 I]], or lumped (rho A L / 2) [[I, 0], [0, I]].
+
+    Parameters
+    ----------
+    density, area : Fraction or float
+        rho [force time^2 / length^4], A [length^2].
+    start, end : (dimension,) arrays
+        The two nodes [length].
+    lumped : bool
+
+    Returns
+    -------
+    (2 dimension, 2 dimension) array [force time^2 / length] on (u_start, u_end): a bar has inertia along and across
+    itself. Exact where all data are and L is rational.
+
+    >>> bar_mass(6.0, 1.0, [0.0], [2.0]).tolist()
+    [[4.0, 2.0], [2.0, 4.0]]
+    """
+    d = np.asarray(end) - np.asarray(start)
+    part = density * area * square_root(squared_length(d)) / 6
+    weights = np.array([[3, 0], [0, 3]] if lumped else [[2, 1], [1, 2]])
+    M: Numbers = part * np.kron(weights, np.eye(len(d), dtype=int))
+    return M
+
+
+def solid_mass(body: Body, lumped: bool = False) -> Any:
+    """Return M of an elastic body: (N d, N d) CSC, symmetric positive definite [force time^2 / length].
+
+    Consistent, M_ij = integral of rho N_i N_j, with the body's thickness, or of the full circle. Lumped, the diagonal
+    of each element's consistent matrix, scaled to the element's mass: positive for every kind of element, where sums of
+    rows are not (Hinton, Rock and Zienkiewicz 1976). Of linear triangles, tetrahedra and rectangles both are the same.
+
+    Raises
+    ------
+    InvalidProblem
+        The material has no density.
+    """
+    if not body.material.density > 0:
+        raise InvalidProblem(f"{body.name}: a mass needs a density > 0, {body.material.name} has none")
+    nodes = len(body.mesh.points)
+    blocks = [_element_masses(body, block) for block in body.mesh.blocks]
+    if lumped:
+        total = np.zeros(nodes)
+        for block, masses in zip(body.mesh.blocks, blocks, strict=True):
+            share = np.einsum("eii->ei", masses)
+            share = share * (masses.sum(axis=(1, 2)) / share.sum(axis=1))[:, None]
+            total += np.bincount(block.nodes.ravel(), weights=share.ravel(), minlength=nodes)
+        scalar = sp.diags(total)
+    else:
+        where = pattern([block.nodes for block in body.mesh.blocks], nodes)
+        scalar = assemble(where, np.concatenate([masses.ravel() for masses in blocks])[np.newaxis, np.newaxis])
+    return sp.csc_array(sp.kron(scalar, sp.identity(body.dimension)))
+
+
+def _element_masses(body: Body, block: Block) -> NDArray[np.float64]:
+    """Return the integrals of rho N_i N_j over each element, (E, n, n), symmetric to the last digit."""
+    geometry, weights = body.integration(block, block.kind.fine_rule)
+    weighted = weights[:, :, None] * (body.material.density * geometry.shape)
+    masses = np.matmul(np.swapaxes(weighted, 1, 2), geometry.shape)
+    return np.asarray((masses + np.swapaxes(masses, 1, 2)) / 2)

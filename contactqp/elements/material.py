@@ -1,4 +1,4 @@
-"""Isotropic linear elasticity: strains of nodal displacements, and stresses in the plane, axial symmetry and space.
+"""Isotropic linear elasticity: from displacements to strains, and from strains to stresses.
 
 Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz, xy, yz, zx), shear strains doubled
 (gamma_xy = 2 eps_xy). A model keeps those strains that can differ from zero:
@@ -7,6 +7,8 @@ Strains and stresses stand in the order of VTK's symmetric tensors, (xx, yy, zz,
     plane-stress    (xx, yy, xy)       sigma_zz = 0
     axisymmetric    (xx, yy, zz, xy)   x is the radius, y the axis, zz the hoop direction
     3d              all six
+
+Strains are eps = B u of the nodal displacements u; integrals over a body carry its measure.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.elements.checked_arrays import positive_number, real_number
 from contactqp.elements.geometry import Geometry
-from contactqp.elements.reading import positive_number, real_number
 from contactqp.errors import InvalidProblem
 
 Model = Literal["plane-strain", "plane-stress", "axisymmetric", "3d"]
@@ -29,6 +31,15 @@ STRAINS: dict[str, tuple[int, ...]] = {
     "axisymmetric": (0, 1, 2, 3),
     "3d": (0, 1, 2, 3, 4, 5),
 }
+# (strain, axis of the displacement, axis of the derivative); the strains are numbered as in material.STRAINS.
+_PLANE = ((0, 0, 0), (1, 1, 1), (2, 0, 1), (2, 1, 0))
+_DERIVATIVES = {
+    "plane-strain": _PLANE,
+    "plane-stress": _PLANE,
+    "axisymmetric": ((0, 0, 0), (1, 1, 1), (3, 0, 1), (3, 1, 0)),
+    "3d": ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1), (3, 1, 0), (4, 1, 2), (4, 2, 1), (5, 0, 2), (5, 2, 0)),
+}
+HOOP = 2
 
 
 @dataclass(frozen=True)
@@ -68,16 +79,16 @@ class Material:
 
     @property
     def lame_lambda(self) -> float:
-        """lambda = E nu / ((1 + nu) (1 - 2 nu)) [force / length^2]."""
+        """Return lambda = E nu / ((1 + nu) (1 - 2 nu)) [force / length^2]."""
         return self.modulus * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
 
     @property
     def lame_mu(self) -> float:
-        """mu = E / (2 (1 + nu)), the shear modulus [force / length^2]."""
+        """Return mu = E / (2 (1 + nu)), the shear modulus [force / length^2]."""
         return self.modulus / (2 * (1 + self.poisson))
 
     def constitutive(self, model: Model) -> NDArray[np.float64]:
-        """D in sigma = D eps for the strains of the model: (3, 3), (4, 4) or (6, 6) [force / length^2].
+        """Return D in sigma = D eps for the strains of the model: (3, 3), (4, 4) or (6, 6) [force / length^2].
 
         >>> Material(modulus=2.0, poisson=0.0).constitutive("plane-stress").tolist()
         [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]
@@ -85,7 +96,9 @@ class Material:
         return self.stress_matrix(model)[list(STRAINS[model])]
 
     def stress_matrix(self, model: Model) -> NDArray[np.float64]:
-        """All six stresses from the strains of the model, (6, number of strains): those of D, and sigma_zz."""
+        """Return the matrix of all six stresses from the strains of the model, (6, number of strains): D, and
+        sigma_zz.
+        """
         # In plane stress eps_zz = -lambda / (lambda + 2 mu) (eps_xx + eps_yy) leaves this lambda to the plane.
         reduced = 2 * self.lame_lambda * self.lame_mu / (self.lame_lambda + 2 * self.lame_mu)
         D = np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0]) * self.lame_mu
@@ -96,21 +109,8 @@ class Material:
         return matrix
 
 
-# Strains from nodal displacements: the matrices B in eps = B u, and the measure that integrals over a body carry.
-
-# (strain, axis of the displacement, axis of the derivative); the strains are numbered as in material.STRAINS.
-_PLANE = ((0, 0, 0), (1, 1, 1), (2, 0, 1), (2, 1, 0))
-_DERIVATIVES = {
-    "plane-strain": _PLANE,
-    "plane-stress": _PLANE,
-    "axisymmetric": ((0, 0, 0), (1, 1, 1), (3, 0, 1), (3, 1, 0)),
-    "3d": ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1), (3, 1, 0), (4, 1, 2), (4, 2, 1), (5, 0, 2), (5, 2, 0)),
-}
-HOOP = 2
-
-
 def strain_matrix(geometry: Geometry, model: Model) -> NDArray[np.float64]:
-    """B of E elements at q points: (E, q, strains, n d), unknowns node by node [1/length].
+    """Return B of E elements at q points, unknowns node by node: (E, q, strains, n d) [1/length].
 
     eps_aa = du_a/dx_a, gamma_ab = du_a/dx_b + du_b/dx_a; in axial symmetry also eps_hoop = u_r / r.
     """
@@ -125,7 +125,9 @@ def strain_matrix(geometry: Geometry, model: Model) -> NDArray[np.float64]:
 
 
 def strains(geometry: Geometry, model: Model, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-    """B u of E elements at q points from the displacements (E, n, d) of their nodes, without B: (E, q, strains) [-]."""
+    """Return B u of E elements at q points from the displacements (E, n, d) of their nodes, without forming B: (E,
+    q, strains) [-].
+    """
     derivative = np.matmul(np.swapaxes(displacement, 1, 2)[:, None], geometry.gradient)
     eps = np.zeros((*derivative.shape[:2], len(STRAINS[model])))
     for strain, axis, along in _DERIVATIVES[model]:
@@ -136,7 +138,7 @@ def strains(geometry: Geometry, model: Model, displacement: NDArray[np.float64])
 
 
 def measure(positions: NDArray[np.float64], model: Model, thickness: float) -> NDArray[np.float64]:
-    """What an integral over the plane is multiplied by, (E, q): the thickness, 1 in 3D, 2 pi r in axial symmetry.
+    """Return the factor of an integral over the plane, (E, q): the thickness, 1 in 3D, 2 pi r in axial symmetry.
 
     Axisymmetric forces are thus those of the full circle.
     """

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.facet import Surface
+from contactqp.elements.checked_arrays import positive_number
 from contactqp.elements.geometry import at_rule
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reading import positive_number
 from contactqp.elements.solid import assemble, pattern
+from contactqp.elements.surface import Surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 
@@ -52,22 +52,22 @@ class Membrane:
 
     @property
     def axes(self) -> str:
-        """The axes that a node moves along."""
+        """Return the axes that a node moves along."""
         return "z"
 
     @property
     def size(self) -> int:
-        """How many unknowns the membrane has: N."""
+        """Return the number of unknowns N."""
         return len(self.mesh.points)
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """The nodes in space, (N, 3) with z = 0 [length]."""
+        """Return the nodes in space, (N, 3) with z = 0 [length]."""
         return np.column_stack([self.mesh.points, np.zeros(self.size)])
 
     @cached_property
     def stiffness(self) -> Any:
-        """K_ij = T times the integral of grad N_i . grad N_j: (N, N) CSC [force / length]."""
+        """Return K_ij, T times the integral of grad N_i . grad N_j: (N, N) CSC [force / length]."""
         where = pattern([block.nodes for block in self.mesh.blocks], self.size)
         entries = []
         for block in self.mesh.blocks:
@@ -79,11 +79,11 @@ class Membrane:
         return assemble(where, np.concatenate(entries)[np.newaxis, np.newaxis])
 
     def rigid_motions(self) -> NDArray[np.float64]:
-        """(N, 1): the one motion that costs no energy, all nodes alike."""
+        """Return the one motion that costs no energy, all nodes alike, (N, 1)."""
         return np.ones((self.size, 1))
 
     def areas(self) -> NDArray[np.float64]:
-        """What belongs to each node, (N,) [length^2].
+        """Return the area that belongs to each node, (N,) [length^2].
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Membrane:
 
     @property
     def surface(self) -> Surface:
-        """Its elements as facets in space; their nodes' only unknowns, along z, stand apart.
+        """Return its elements as facets in space, with the nodes' only unknowns, along z.
 
         Raises
         ------

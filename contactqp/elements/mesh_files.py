@@ -1,4 +1,4 @@
-"""Meshes from files and from scikit-fem."""
+"""Meshes from files, by meshlane or by the reader of Abaqus files, and from scikit-fem."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from contactqp.elements.abaqus import Cells, mesh_from_cells, read_abaqus
 from contactqp.elements.geometry import Block, at_rule
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import REFERENCES, Reference
+from contactqp.elements.reference_elements import REFERENCES, Reference
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.model.arrays import Index
 
@@ -28,7 +28,7 @@ LONGEST_REASON = 200
 
 
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
+    """Read a mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
 
 
 def mesh_from_meshlane(mesh: Any, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """A mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
+    """Make a mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
     return mesh_from_cells(_cells_of_meshlane(mesh), part=part, drop_unconnected=drop_unconnected)
 
 
 def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
-    """A mesh from a scikit-fem mesh of triangles, quadrilaterals, tetrahedra or hexahedra, linear or quadratic.
+    """Make a mesh from a scikit-fem mesh of triangles, quadrilaterals, tetrahedra or hexahedra, linear or quadratic.
 
     Its boundaries become sides and its subdomains groups of elements. scikit-fem does not turn its elements in one
     sense: those with a negative Jacobian are mirrored, which changes the order of their nodes only.
@@ -105,13 +105,13 @@ def _read_by_meshlane(file: Path) -> Any:
         meshlane = importlib.import_module("meshlane")
     except ImportError:
         raise BackendMissing(f"reading {file.name} needs meshlane: pip install 'contactqp[solids]'") from None
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
             return meshlane.read(file)
     except (SystemExit, Exception) as error:
         # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
-        reason = said.getvalue().strip() or f"{type(error).__name__}: {error}"
+        reason = printed.getvalue().strip() or f"{type(error).__name__}: {error}"
         raise InvalidProblem(f"meshlane cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
 
 
@@ -119,8 +119,8 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
     cells = []
     for block in mesh.cells:
         if block.type not in MESHIO_KINDS:
-            known = ", ".join(MESHIO_KINDS)
-            raise InvalidProblem(f"mesh: expected cells of {known}, got {block.type}")
+            kinds = ", ".join(MESHIO_KINDS)
+            raise InvalidProblem(f"mesh: expected cells of {kinds}, got {block.type}")
         kind, nodes = MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)
         width = 1 if kind == "node" else len(REFERENCES[kind].nodes)
         if nodes.ndim != 2 or nodes.shape[1] != width:  # what is left of a file that is cut off
@@ -143,7 +143,7 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
 
 
 def _physical(mesh: Any, tags: Any) -> dict[str, list[Index]]:
-    """Gmsh's physical groups from the tags of the cells: tags are counted for each dimension by itself."""
+    """Return Gmsh's physical groups from the tags of the cells: tags are counted for each dimension by itself."""
     names = {(int(tag), int(dimension)): name for name, (tag, dimension) in mesh.field_data.items()}
     groups: dict[str, list[Index]] = {}
     for i, (block, values) in enumerate(zip(mesh.cells, tags, strict=True)):
@@ -162,12 +162,12 @@ def _is_flag(values: Any) -> bool:
 
 
 def _unit(kind: Reference) -> NDArray[np.float64]:
-    """The nodes with the square and the cube on [0, 1]^d, as scikit-fem has them."""
+    """Return the nodes with the square and the cube on [0, 1]^d, as scikit-fem has them."""
     return (kind.nodes + 1) / 2 if kind.linear.startswith(("quad", "hex")) else kind.nodes
 
 
 def _match(kind: Reference, points: NDArray[np.float64]) -> list[int]:
-    """For each node of the kind its place among the points; shorter where a node is not among them."""
+    """Return, for each node of the kind, its place among the points; shorter where a node is not among them."""
     if points.shape[1] != kind.dimension:
         return []
     near = abs(_unit(kind)[:, None] - points).max(axis=2) < 1e-9

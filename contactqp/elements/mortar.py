@@ -7,7 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.facet import (
+from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
+from contactqp.elements.nodal_pressure import from_areas
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.surface import (
     Surface,
     check_apart,
     check_distances,
@@ -16,10 +20,6 @@ from contactqp.elements.facet import (
     kind_of,
     middle_normals,
 )
-from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
-from contactqp.elements.nodal_pressure import from_areas
-from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.tributary import faceting_notes, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, own_floating_point
@@ -116,7 +116,7 @@ def pair_mortar(
 
 @dataclass(frozen=True, eq=False)
 class _Covers:
-    """Which master facets cover which slave facets, and the integrals over the common parts."""
+    """The master facets that cover slave facets, and the integrals over the common parts."""
 
     slave: Places
     master: Places
@@ -148,7 +148,9 @@ def _refuse_overlap(slave: Surface, master: Surface, covers: _Covers, overlap: f
 
 
 def _multiplier_functions(slave: Surface, covers: _Covers) -> Array:
-    """T of psi_i = sum_j T_ij N_j on each slave facet, (p, k, k): 1 but where nodes hand their part to the others."""
+    """Return T of psi_i = sum_j T_ij N_j on each slave facet, (p, k, k): the identity but where nodes hand their
+    part to the others.
+    """
     k = slave.facets.shape[1]
     touched = slave.facets[covers.slave]
     covered = np.bincount(touched.ravel(), covers.over.shape.ravel(), minlength=len(slave.points))
@@ -191,14 +193,16 @@ def _assemble(slave: Surface, master: Surface, covers: _Covers, n: int) -> Pairi
 
 
 def _summed(nodes: Places, values: Array, body: Surface) -> Array:
-    """The values (s, k, c) of facets added up at their nodes (s, k): (N, c)."""
+    """Return the values (s, k, c) of facets added up at their nodes (s, k): (N, c)."""
     total = np.zeros((len(body.points), values.shape[2]))
     np.add.at(total, nodes, values)
     return total
 
 
 def _entries(facet: Places, columns: Places, weight: Array, body: Surface) -> tuple[Places, Places, Array, Places]:
-    """The slave facet, the place of the row's node in it, the weight, and the unknowns of each of weight's entries."""
+    """Return the slave facet, the place of the row's node in it, the weight, and the unknowns of each of weight's
+    entries.
+    """
     count, k, others = weight.shape
     facets = np.repeat(facet, k * others)
     rows = np.tile(np.repeat(np.arange(k), others), count)
@@ -217,7 +221,8 @@ def _unit(slave: Surface, nodes: Places, vectors: Array) -> Array:
 
 
 def _turned(tangents: Array, start: Array, end: Array) -> Array:
-    """The tangents (q, d-1, d) of the normals `start`, turned with them into the normals `end`, (q, d): t.start = 0.
+    """Return the tangents (q, d-1, d) of the normals `start`, turned with them into the normals `end`, (q, d):
+    t.start = 0.
 
     The smallest rotation that turns a into b maps t to t - (t.b) (a + b) / (1 + a.b).
     """

@@ -1,7 +1,9 @@
-"""Mortar segments: what a slave facet and a master facet have in common.
+"""Mortar segments: the common parts of slave and master facets, and the integrals of a mortar over them.
 
 Each slave facet has an auxiliary plane (in 2D a line): through its centre, across its normal n there. Master facets are
 projected onto it along n and clipped with the slave facet (Puso & Laursen 2004; in 2D: Wriggers 2006, section 9.3).
+Many pairs of convex polygons are clipped at once: they are (P, V, 2) arrays of vertices, counter-clockwise; those with
+fewer than V vertices repeat their last one.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contactqp.elements.facet import (
+from contactqp.elements.nearest_facet import bounding_balls, overlapping_balls
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.surface import (
     FacetKind,
     Surface,
     diameters,
@@ -24,73 +28,26 @@ from contactqp.elements.facet import (
     tangent_vectors,
     triangle_quadrature,
 )
-from contactqp.elements.nearest_facet import bounding_balls, overlapping_balls
-from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 
-# What two convex polygons in a plane have in common, for many pairs at once.
-#
-# Polygons are (P, V, 2) arrays of vertices, counter-clockwise; those with fewer than V vertices repeat their last one.
-
-
-def clip(polygons: Array, windows: Array) -> Array:
-    """The intersection of each polygon with the convex window of the same place, (P, W, 2).
-
-    One edge of the windows after the other cuts off what lies on its right (Sutherland & Hodgman 1974). An empty
-    intersection is a polygon without area.
-    """
-    for start in range(windows.shape[1]):
-        a, b = windows[:, start, np.newaxis], windows[:, (start + 1) % windows.shape[1], np.newaxis]
-        polygons = _cut(polygons, _cross(b - a, polygons - a))
-    return polygons
-
-
-def _cut(polygons: Array, side: Array) -> Array:
-    """Keep where side >= 0; side is linear along the edges, (P, V)."""
-    kept = side >= 0
-    crossing = kept != np.roll(kept, -1, axis=1)
-    rise = side - np.roll(side, -1, axis=1)
-    part = np.where(crossing, side / np.where(crossing, rise, 1.0), 0.0)[:, :, np.newaxis]
-    cuts = polygons + part * (np.roll(polygons, -1, axis=1) - polygons)
-    vertices = np.stack([polygons, cuts], axis=2).reshape(len(polygons), 2 * polygons.shape[1], 2)
-    valid = np.stack([kept, crossing], axis=2).reshape(len(polygons), 2 * polygons.shape[1])
-    count = valid.sum(axis=1)
-    order = np.argsort(~valid, axis=1, kind="stable")
-    last = np.maximum(count - 1, 0)[:, np.newaxis]
-    places = np.minimum(np.arange(max(int(count.max(initial=0)), 3)), last)
-    chosen = np.take_along_axis(order, places, axis=1)
-    return np.take_along_axis(vertices, chosen[:, :, np.newaxis], axis=1)
-
-
-def areas(polygons: Array) -> Array:
-    """Positive for counter-clockwise polygons, (P,)."""
-    from_first = polygons - polygons[:, :1]
-    twice: Array = _cross(from_first, np.roll(from_first, -1, axis=1)).sum(axis=1)
-    return twice / 2
-
-
-def triangles(polygons: Array) -> Array:
-    """The fan from the first vertex, (P, V-2, 3, 2)."""
-    first = np.broadcast_to(polygons[:, :1], polygons[:, 1:-1].shape)
-    return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return product
-
-
-# What a mortar integrates over the segments of two surfaces.
-
 Places = NDArray[np.int64]
-
 # Facets face each other when their normals are within 60 degrees of opposite: -cos 60.
 FACING = -0.5
 # Common parts below this part of the slave facet are rounding.
 SLIVER = 1e-12
 # Balls searched at a time: some 100 MB.
 BLOCK = 20_000
+# Points at a time: some 100 MB.
+INTEGRALS_BLOCK = 200_000
+# Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere
+# shape functions are no polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
+# would vanish, and the error falls as b^(2 points), b = (max J - min J) / (max J + min J) (Bernstein 1912: 1 / b is the
+# sum of the half axes of the largest ellipse without the branch point). So many points keep it below 1e-13.
+GAUSS_POINTS = (3, 5, 7, 10, 16, 24, 32)
+QUADRATURE_ERROR, AFFINE = 1e-13, 1e-10
+NEWTON_STEPS = 50
+CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +64,7 @@ class Segments:
 
 
 def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[Segments]:
-    """All segments between two surfaces of linear facets, some slave facets at a time.
+    """Return all segments between two surfaces of linear facets, computed for some slave facets at a time.
 
     Parameters
     ----------
@@ -142,7 +99,7 @@ def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[S
 def _candidates(
     positions: Array, others: Array, normals: Array, master: Surface, reach: float | None
 ) -> Iterator[tuple[Places, Places]]:
-    """Master facets whose balls touch the tube that a slave facet's ball sweeps along its normal."""
+    """Return the master facets whose balls touch the tube that a slave facet's ball sweeps along its normal."""
     centres, radii = bounding_balls(positions)
     other_centres, other_radii = bounding_balls(others)
     if reach is None:
@@ -169,7 +126,7 @@ def _candidates(
 
 
 def _common(mine: Array, theirs: Array) -> Array:
-    """Intervals (s, 2, 1) or polygons (s, V, 2) that both facets cover."""
+    """Return the intervals (s, 2, 1) or polygons (s, V, 2) that both facets cover."""
     if mine.shape[2] == 1:
         low = np.maximum(mine.min(axis=1), theirs.min(axis=1))
         high = np.minimum(mine.max(axis=1), theirs.max(axis=1))
@@ -178,12 +135,12 @@ def _common(mine: Array, theirs: Array) -> Array:
 
 
 def _sizes(common: Array) -> Array:
-    """Lengths or areas, (s,)."""
+    """Return the lengths or areas of segments, (s,)."""
     return common[:, 1, 0] - common[:, 0, 0] if common.shape[2] == 1 else areas(common)
 
 
 def _refuse_double_cover(slave: Surface, master: Surface, s: Places, m: Places, common: Array, size: Array) -> None:
-    """Common parts of one slave facet must not overlap."""
+    """Refuse common parts of one slave facet that overlap."""
     middle = common.mean(axis=1)
     radii = np.linalg.norm(common - middle[:, np.newaxis], axis=2).max(axis=1, initial=0.0)
     # One more coordinate keeps the slave facets apart.
@@ -201,21 +158,11 @@ def _refuse_double_cover(slave: Surface, master: Surface, s: Places, m: Places, 
         )
 
 
-# Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere
-# shape functions are no polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
-# would vanish, and the error falls as b^(2 points), b = (max J - min J) / (max J + min J) (Bernstein 1912: 1 / b is the
-# sum of the half axes of the largest ellipse without the branch point). So many points keep it below 1e-13.
-GAUSS_POINTS = (3, 5, 7, 10, 16, 24, 32)
-QUADRATURE_ERROR, AFFINE = 1e-13, 1e-10
-# Points at a time: some 100 MB.
-INTEGRALS_BLOCK = 200_000
-NEWTON_STEPS = 50
-CONVERGED = 1e-12
-
-
 @dataclass(frozen=True, eq=False)
 class Integrals:
-    """Over each of s segments: N are the slave facet's shape functions, M the master's, dA is the plane's."""
+    """The integrals over each of s segments: N are the slave facet's shape functions, M the master's, dA is the
+    plane's.
+    """
 
     shape: Array  # (s, k) int N_i dA
     mass: Array  # (s, k, k) int N_i N_j dA
@@ -224,12 +171,12 @@ class Integrals:
     least_gap: Array  # (s,) the smallest gap at a Gauss point [length]
 
     def only(self, keep: NDArray[np.bool_]) -> Integrals:
-        """Over some of the segments."""
+        """Return the integrals over some of the segments."""
         return Integrals(**{f.name: getattr(self, f.name)[keep] for f in fields(self)})
 
 
 def integrate(slave: FacetKind, master: FacetKind, segments: Segments) -> Integrals:
-    """Integrals over all segments, exact for lines, triangles and parallelograms.
+    """Return the integrals over all segments, exact for lines, triangles and parallelograms.
 
     Raises
     ------
@@ -251,7 +198,7 @@ def integrate(slave: FacetKind, master: FacetKind, segments: Segments) -> Integr
 
 
 def _summed(owner: Places, cells: Integrals, s: int) -> Integrals:
-    """The integrals over segments from those over their cells."""
+    """Return the integrals over segments from those over their cells."""
     total = sp.csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(s, len(owner)))
     least = np.full(s, np.inf)
     np.minimum.at(least, owner, cells.least_gap)
@@ -264,7 +211,9 @@ def _summed(owner: Places, cells: Integrals, s: int) -> Integrals:
 
 
 def _cells(common: Array) -> tuple[Places, Array, Array]:
-    """Intervals or triangles: the segment each belongs to (c,), its vertices (c, d, d-1), its length or area (c,)."""
+    """Return intervals or triangles: the segment each belongs to (c,), its vertices (c, d, d-1), its length or area
+    (c,).
+    """
     if common.shape[2] == 1:
         return np.arange(len(common)), common, common[:, 1, 0] - common[:, 0, 0]
     fans = triangles(common)
@@ -274,7 +223,7 @@ def _cells(common: Array) -> tuple[Places, Array, Array]:
 
 
 def _gauss_points(cells: Array, sizes: Array, points: int) -> tuple[Array, Array]:
-    """(c, q, d-1) and weights (c, q)."""
+    """Return Gauss points (c, q, d-1) and weights (c, q)."""
     if cells.shape[2] == 1:
         xi, weight = np.polynomial.legendre.leggauss(points)
         barycentric = np.stack([(1 - xi) / 2, (1 + xi) / 2], axis=1)
@@ -302,12 +251,12 @@ def _over_cells(
 
 
 def joined(parts: list[Integrals]) -> Integrals:
-    """The integrals of several lists of segments, one after the other."""
+    """Return the integrals of several lists of segments, one after the other."""
     return Integrals(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Integrals)})
 
 
 def _distortion(corners: Array) -> Array:
-    """(max J - min J) / (max J + min J) over the corners of quadrilaterals; 0 for lines and triangles, (s,)."""
+    """Return (max J - min J) / (max J + min J) over the corners of quadrilaterals, 0 for lines and triangles, (s,)."""
     if corners.shape[1] < 4:
         return np.zeros(len(corners))
     ahead = np.roll(corners, -1, axis=1) - corners
@@ -318,7 +267,8 @@ def _distortion(corners: Array) -> Array:
 
 
 def _shape_at(kind: FacetKind, corners: Array, at: Array) -> Array:
-    """The shape functions at points (c, q, d-1) of the plane, where facets have corners (c, k, d-1): (c, q, k).
+    """Return the shape functions at points (c, q, d-1) of the plane, where facets have corners (c, k, d-1): (c, q,
+    k).
 
     The reference coordinates are found by Newton's method; one step for lines, triangles and parallelograms.
     """
@@ -333,3 +283,50 @@ def _shape_at(kind: FacetKind, corners: Array, at: Array) -> Array:
             return shape
         xi = xi + step
     raise InvalidProblem(f"mortar: a {kind.name} is so warped that its projection along the slave's normal is folded")
+
+
+def clip(polygons: Array, windows: Array) -> Array:
+    """Return the intersection of each polygon with the convex window of the same place, (P, W, 2).
+
+    One edge of the windows after the other cuts off what lies on its right (Sutherland & Hodgman 1974). An empty
+    intersection is a polygon without area.
+    """
+    for start in range(windows.shape[1]):
+        a, b = windows[:, start, np.newaxis], windows[:, (start + 1) % windows.shape[1], np.newaxis]
+        polygons = _cut(polygons, _cross(b - a, polygons - a))
+    return polygons
+
+
+def _cut(polygons: Array, side: Array) -> Array:
+    """Cut away where side < 0; side is linear along the edges, (P, V)."""
+    kept = side >= 0
+    crossing = kept != np.roll(kept, -1, axis=1)
+    rise = side - np.roll(side, -1, axis=1)
+    part = np.where(crossing, side / np.where(crossing, rise, 1.0), 0.0)[:, :, np.newaxis]
+    cuts = polygons + part * (np.roll(polygons, -1, axis=1) - polygons)
+    vertices = np.stack([polygons, cuts], axis=2).reshape(len(polygons), 2 * polygons.shape[1], 2)
+    valid = np.stack([kept, crossing], axis=2).reshape(len(polygons), 2 * polygons.shape[1])
+    count = valid.sum(axis=1)
+    order = np.argsort(~valid, axis=1, kind="stable")
+    last = np.maximum(count - 1, 0)[:, np.newaxis]
+    places = np.minimum(np.arange(max(int(count.max(initial=0)), 3)), last)
+    chosen = np.take_along_axis(order, places, axis=1)
+    return np.take_along_axis(vertices, chosen[:, :, np.newaxis], axis=1)
+
+
+def areas(polygons: Array) -> Array:
+    """Return the areas of polygons, positive where counter-clockwise, (P,)."""
+    from_first = polygons - polygons[:, :1]
+    twice: Array = _cross(from_first, np.roll(from_first, -1, axis=1)).sum(axis=1)
+    return twice / 2
+
+
+def triangles(polygons: Array) -> Array:
+    """Return the fan of triangles from the first vertex, (P, V-2, 3, 2)."""
+    first = np.broadcast_to(polygons[:, :1], polygons[:, 1:-1].shape)
+    return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product

@@ -1,4 +1,8 @@
-"""Find the facet of a surface that is nearest to a point, and the closest point on it."""
+"""The facet of a surface that is nearest to a point, among those that face it; and where the surface ends.
+
+Candidates are found by balls that overlap, in n log n for facets of any sizes. The closest point of a facet is found
+for straight, bilinear and quadratic facets alike.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contactqp.elements.facet import (
+from contactqp.elements.surface import (
     FacetKind,
     Surface,
     diameters,
@@ -22,164 +26,7 @@ from contactqp.elements.facet import (
 from contactqp.elements.tributary import kinks
 from contactqp.model.arrays import Array
 
-# Which facets can be near which points: balls that overlap, in n log n for facets of any sizes.
-
 Places = NDArray[np.int64]
-
-
-def overlapping_balls(points: Array, reach: Array, centres: Array, radii: Array) -> tuple[Places, Places]:
-    """All (i, j) with |points_i - centres_j| <= reach_i + radii_j, ordered by i, then j.
-
-    Parameters
-    ----------
-    points, centres : (p, d) and (q, d) arrays [length]
-    reach, radii : (p,) and (q,) arrays [length], not negative
-        One tree for each power of two of the radii, so that a few large balls do not widen every search.
-    """
-    found_i, found_j = [np.array([], dtype=np.int64)], [np.array([], dtype=np.int64)]
-    size = np.frexp(radii)[1]
-    for exponent in np.unique(size):
-        group = np.flatnonzero(size == exponent)
-        near = cKDTree(centres[group]).query_ball_point(points, reach + radii[group].max())
-        count = np.array([len(some) for some in near], dtype=np.int64)
-        i = np.repeat(np.arange(len(points)), count)
-        j = group[np.concatenate([np.asarray(some, dtype=np.int64) for some in near])] if len(i) else found_j[0]
-        keep = np.linalg.norm(points[i] - centres[j], axis=1) <= reach[i] + radii[j]
-        found_i.append(i[keep])
-        found_j.append(j[keep])
-    i, j = np.concatenate(found_i), np.concatenate(found_j)
-    order = np.lexsort((j, i))
-    return i[order], j[order]
-
-
-def bounding_balls(positions: Array) -> tuple[Array, Array]:
-    """Centres (p, d) and radii (p,) of balls that hold facets with nodes at `positions` (p, k, d) [length].
-
-    A facet is in the hull of its nodes as long as no shape function is negative; those of quadratic facets are down to
-    -1/8 on lines, so that the distance to the farthest node is doubled for them.
-    """
-    centres = positions.mean(axis=1)
-    radii = np.linalg.norm(positions - centres[:, np.newaxis], axis=2).max(axis=1)
-    linear = positions.shape[1] == 2 if positions.shape[2] == 2 else positions.shape[1] <= 4
-    return centres, radii * (1.0 if linear else 2.0)
-
-
-# The point of a facet that is closest to a given point, for straight, bilinear and quadratic facets alike.
-
-NEWTON_STEPS = 50
-HALVINGS = 20
-# In reference coordinates, whose size is one: rounding of a quadratic's minimiser.
-CONVERGED = 1e-13
-# A foot this far outside the reference element counts as inside: it is on the edge but for rounding.
-EDGE = 1e-10
-# Where a foot may wander on its way, in reference coordinates.
-FAR = 2.0
-
-
-@dataclass(frozen=True, eq=False)
-class Foot:
-    """The closest points of q facets to q points."""
-
-    xi: Array  # (q, d-1) reference coordinates
-    position: Array  # (q, d)
-    distance: Array  # (q,) [length]
-
-
-def closest_point(kind: FacetKind, positions: Array, points: Array) -> Foot:
-    """min |x - X(xi)| over the closed facet: the foot of the perpendicular if it is inside, else the best of the edges.
-
-    Newton's method with the second derivatives of the facet, Gauss-Newton where they make it indefinite, halved until
-    the distance falls, from the best of the nodes and the centre (Konyukhov & Schweizerhof 2013, section 3).
-
-    Parameters
-    ----------
-    kind : FacetKind
-    positions : (q, k, d) array
-        The facets' nodes [length].
-    points : (q, d) array [length]
-    """
-    axes = kind.nodes.shape[1]
-    everywhere = np.full(axes, FAR)
-    samples = np.vstack([kind.centre, kind.nodes])
-    inner = _minimise(kind, positions, points, np.zeros(axes), np.eye(axes), samples, -everywhere, everywhere)
-    best = _foot(kind, positions, points, inner)
-    distance = np.where(kind.inside(inner, EDGE), best.distance, np.inf)
-    xi, position = best.xi, best.position
-    for edge in kind.edges:
-        start, along = kind.nodes[edge[0]], (kind.nodes[edge[-1]] - kind.nodes[edge[0]])[np.newaxis]
-        ends = np.zeros(1), np.ones(1)
-        on_edge = np.linspace(0.0, 1.0, 5)[:, np.newaxis]
-        foot = _foot(kind, positions, points, _minimise(kind, positions, points, start, along, on_edge, *ends))
-        closer = foot.distance < distance
-        xi = np.where(closer[:, np.newaxis], foot.xi, xi)
-        position = np.where(closer[:, np.newaxis], foot.position, position)
-        distance = np.minimum(distance, foot.distance)
-    return Foot(xi, position, distance)
-
-
-def _foot(kind: FacetKind, positions: Array, points: Array, xi: Array) -> Foot:
-    position = np.einsum("qk,qkd->qd", kind.shape(xi), positions)
-    return Foot(xi, position, np.linalg.norm(points - position, axis=1))
-
-
-def _minimise(
-    kind: FacetKind,
-    positions: Array,
-    points: Array,
-    start: Array,
-    along: Array,
-    samples: Array,
-    low: Array,
-    high: Array,
-) -> Array:
-    """The minimiser of |x - X(start + s along)| over low <= s <= high, along (a, d-1): its xi, (q, d-1)."""
-
-    def distance(s: Array, which: NDArray[np.int64]) -> Array:
-        return _foot(kind, positions[which], points[which], start + s @ along).distance
-
-    everyone = np.arange(len(points))
-    tried = np.stack([distance(np.tile(s, (len(points), 1)), everyone) for s in samples])
-    s = samples[np.argmin(tried, axis=0)] if len(points) else np.zeros((0, len(along)))
-    at, active = tried.min(axis=0, initial=np.inf), everyone
-    # A distance is flat at its minimum: below this the last steps towards it cannot be told from rounding.
-    slack = 64 * np.finfo(float).eps * (np.abs(positions).max(axis=(1, 2)) + np.abs(points).max(axis=1))
-    for _ in range(NEWTON_STEPS):
-        step = _newton_step(kind, positions[active], points[active], start + s[active] @ along, along)
-        step *= np.minimum(1.0, 1.0 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
-        new = np.clip(s[active] + step, low, high)
-        value = distance(new, active)
-        for _ in range(HALVINGS):
-            worse = value > at[active] + slack[active]
-            if not worse.any():
-                break
-            new[worse] = (new[worse] + s[active[worse]]) / 2
-            value[worse] = distance(new[worse], active[worse])
-        moved = np.abs(new - s[active]).max(axis=1)
-        better = value <= at[active] + slack[active]
-        s[active[better]], at[active[better]] = new[better], value[better]
-        active = active[better & (moved > CONVERGED)]
-        if not active.size:
-            break
-    return start + s @ along
-
-
-def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, along: Array) -> Array:
-    """-H^-1 gradient of |x - X|^2 / 2 in s, with H made positive definite, (q, a)."""
-    apart = points - np.einsum("qk,qkd->qd", kind.shape(xi), positions)
-    tangents = np.einsum("qda,sa->qds", tangent_vectors(positions, kind.derivatives(xi)), along)
-    bend = np.einsum("qkab,qkd,qd->qab", kind.second_derivatives(xi), positions, apart)
-    metric = np.einsum("qds,qdt->qst", tangents, tangents)
-    hessian = metric - np.einsum("sa,qab,tb->qst", along, bend, along)
-    size = np.trace(metric, axis1=1, axis2=2)
-    indefinite = np.linalg.eigvalsh(hessian)[:, 0] <= 1e-3 * np.linalg.eigvalsh(metric)[:, 0]
-    hessian[indefinite] = metric[indefinite]
-    # Far outside a facet its two tangents may be parallel, and a line's end has none: elsewhere this is below rounding.
-    ridge = np.where(size > 0, 1e-15 * size, 1.0)
-    hessian += ridge[:, np.newaxis, np.newaxis] * np.eye(len(along))
-    gradient = np.einsum("qds,qd->qs", tangents, apart)
-    return solve_small(hessian, gradient)
-
-
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.
 FACING = 1e-6
 # Feet closer together than this part of the facet are one point.
@@ -189,8 +36,16 @@ FLUSH = 1e-6
 # A curved side's normal at its end is off the last facet's by about the kink at that facet's other end, by twice that
 # where the facet is much longer than its neighbour. A point in the direction of the true normal stands over the end.
 BENT = 2.0
-# Points times facets looked at together: some 300 MB where every facet has to be looked at.
+# Points times facets searched together: some 300 MB where every facet has to be searched.
 PAIRS = 20_000_000
+NEWTON_STEPS = 50
+HALVINGS = 20
+# In reference coordinates, whose size is one: rounding of a quadratic's minimiser.
+CONVERGED = 1e-13
+# A foot this far outside the reference element counts as inside: it is on the edge but for rounding.
+EDGE = 1e-10
+# Where a foot may wander on its way, in reference coordinates.
+FAR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +64,7 @@ class Partners:
 
 
 def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float | None) -> Partners:
-    """The facets of `surface` nearest to the points, among those with a normal against the point's.
+    """Find the facets of `surface` nearest to the points, among those with a normal against the point's.
 
     Where the foot is inside a facet the normal is the facet's. On an edge or a corner between facets it is the
     direction of the point from there, the gradient of the distance; and for a point on the edge the facets' mean.
@@ -261,7 +116,7 @@ class _Found:
 def _search(
     active: Places, points: Array, normals: Array, surface: Surface, search: Array, limit: Array
 ) -> Iterator[_Found]:
-    """The facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
+    """Find the facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
     kind, positions, middle = kind_of(surface), surface.points[surface.facets], middle_normals(surface)
     centres, radii = bounding_balls(positions)
     best = np.full(len(points), np.inf)
@@ -273,7 +128,7 @@ def _search(
         i, j = i[facing], j[facing]
         found = _Found(i, j, closest_point(kind, positions[j], points[i]))
         np.minimum.at(best, i, found.foot.distance)
-        # A facet beyond the radius of this search may have nearer ones beside it that were not looked at.
+        # A facet beyond the radius of this search may have nearer ones beside it that were not searched.
         done = (best <= search * (1 + SAME)) | (search >= limit)
         near = found.foot.distance <= np.minimum(best[i] + SAME * radii[j], limit[i] * (1 + SAME))
         yield found.only(near & done[i])
@@ -283,7 +138,9 @@ def _search(
 
 
 def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
-    """One of the nearest facets of each point, the first; the normal, and the end of the surface, from all of them."""
+    """Choose the first of the nearest facets of each point; normals, and the end of the surface, come from all of
+    them.
+    """
     kind = kind_of(surface)
     p, d = points.shape
     i, j, foot = found.i, found.j, found.foot
@@ -331,7 +188,7 @@ def _over_the_end(
     apart: Array,
     flush: Array,
 ) -> NDArray[np.bool_]:
-    """Whether a point stands outside an edge that belongs to one facet only, (q,)."""
+    """Say whether each point stands outside an edge that belongs to one facet only, (q,)."""
     corners = np.sort(surface.facets[:, kind.edges], axis=2).reshape(-1, kind.edges.shape[1])
     _, inverse, count = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
     last = (count[inverse.ravel()] == 1).reshape(len(surface.facets), -1)
@@ -348,3 +205,145 @@ def _over_the_end(
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         over |= last[facet, e] & (off_edge <= FLUSH) & ((apart * outward).sum(axis=1) > flush)
     return over
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """The closest points of q facets to q points."""
+
+    xi: Array  # (q, d-1) reference coordinates
+    position: Array  # (q, d)
+    distance: Array  # (q,) [length]
+
+
+def closest_point(kind: FacetKind, positions: Array, points: Array) -> Foot:
+    """Minimise |x - X(xi)| over the closed facet: the foot of the perpendicular if it is inside, else the best of
+    the edges.
+
+    Newton's method with the second derivatives of the facet, Gauss-Newton where they make it indefinite, halved until
+    the distance falls, from the best of the nodes and the centre (Konyukhov & Schweizerhof 2013, section 3).
+
+    Parameters
+    ----------
+    kind : FacetKind
+    positions : (q, k, d) array
+        The facets' nodes [length].
+    points : (q, d) array [length]
+    """
+    axes = kind.nodes.shape[1]
+    everywhere = np.full(axes, FAR)
+    samples = np.vstack([kind.centre, kind.nodes])
+    inner = _minimise(kind, positions, points, np.zeros(axes), np.eye(axes), samples, -everywhere, everywhere)
+    best = _foot(kind, positions, points, inner)
+    distance = np.where(kind.inside(inner, EDGE), best.distance, np.inf)
+    xi, position = best.xi, best.position
+    for edge in kind.edges:
+        start, along = kind.nodes[edge[0]], (kind.nodes[edge[-1]] - kind.nodes[edge[0]])[np.newaxis]
+        ends = np.zeros(1), np.ones(1)
+        on_edge = np.linspace(0.0, 1.0, 5)[:, np.newaxis]
+        foot = _foot(kind, positions, points, _minimise(kind, positions, points, start, along, on_edge, *ends))
+        closer = foot.distance < distance
+        xi = np.where(closer[:, np.newaxis], foot.xi, xi)
+        position = np.where(closer[:, np.newaxis], foot.position, position)
+        distance = np.minimum(distance, foot.distance)
+    return Foot(xi, position, distance)
+
+
+def _foot(kind: FacetKind, positions: Array, points: Array, xi: Array) -> Foot:
+    position = np.einsum("qk,qkd->qd", kind.shape(xi), positions)
+    return Foot(xi, position, np.linalg.norm(points - position, axis=1))
+
+
+def _minimise(
+    kind: FacetKind,
+    positions: Array,
+    points: Array,
+    start: Array,
+    along: Array,
+    samples: Array,
+    low: Array,
+    high: Array,
+) -> Array:
+    """Return the minimiser of |x - X(start + s along)| over low <= s <= high, along (a, d-1): its xi, (q, d-1)."""
+
+    def distance(s: Array, which: NDArray[np.int64]) -> Array:
+        return _foot(kind, positions[which], points[which], start + s @ along).distance
+
+    everyone = np.arange(len(points))
+    tried = np.stack([distance(np.tile(s, (len(points), 1)), everyone) for s in samples])
+    s = samples[np.argmin(tried, axis=0)] if len(points) else np.zeros((0, len(along)))
+    at, active = tried.min(axis=0, initial=np.inf), everyone
+    # A distance is flat at its minimum: below this the last steps towards it cannot be told from rounding.
+    slack = 64 * np.finfo(float).eps * (np.abs(positions).max(axis=(1, 2)) + np.abs(points).max(axis=1))
+    for _ in range(NEWTON_STEPS):
+        step = _newton_step(kind, positions[active], points[active], start + s[active] @ along, along)
+        step *= np.minimum(1.0, 1.0 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+        new = np.clip(s[active] + step, low, high)
+        value = distance(new, active)
+        for _ in range(HALVINGS):
+            worse = value > at[active] + slack[active]
+            if not worse.any():
+                break
+            new[worse] = (new[worse] + s[active[worse]]) / 2
+            value[worse] = distance(new[worse], active[worse])
+        moved = np.abs(new - s[active]).max(axis=1)
+        better = value <= at[active] + slack[active]
+        s[active[better]], at[active[better]] = new[better], value[better]
+        active = active[better & (moved > CONVERGED)]
+        if not active.size:
+            break
+    return start + s @ along
+
+
+def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, along: Array) -> Array:
+    """Return -H^-1 gradient of |x - X|^2 / 2 in s, with H made positive definite, (q, a)."""
+    apart = points - np.einsum("qk,qkd->qd", kind.shape(xi), positions)
+    tangents = np.einsum("qda,sa->qds", tangent_vectors(positions, kind.derivatives(xi)), along)
+    bend = np.einsum("qkab,qkd,qd->qab", kind.second_derivatives(xi), positions, apart)
+    metric = np.einsum("qds,qdt->qst", tangents, tangents)
+    hessian = metric - np.einsum("sa,qab,tb->qst", along, bend, along)
+    size = np.trace(metric, axis1=1, axis2=2)
+    indefinite = np.linalg.eigvalsh(hessian)[:, 0] <= 1e-3 * np.linalg.eigvalsh(metric)[:, 0]
+    hessian[indefinite] = metric[indefinite]
+    # Far outside a facet its two tangents may be parallel, and a line's end has none: elsewhere this is below rounding.
+    ridge = np.where(size > 0, 1e-15 * size, 1.0)
+    hessian += ridge[:, np.newaxis, np.newaxis] * np.eye(len(along))
+    gradient = np.einsum("qds,qd->qs", tangents, apart)
+    return solve_small(hessian, gradient)
+
+
+def overlapping_balls(points: Array, reach: Array, centres: Array, radii: Array) -> tuple[Places, Places]:
+    """Return all (i, j) with |points_i - centres_j| <= reach_i + radii_j, ordered by i, then j.
+
+    Parameters
+    ----------
+    points, centres : (p, d) and (q, d) arrays [length]
+    reach, radii : (p,) and (q,) arrays [length], not negative
+        One tree for each power of two of the radii, so that a few large balls do not widen every search.
+    """
+    found_i, found_j = [np.array([], dtype=np.int64)], [np.array([], dtype=np.int64)]
+    size = np.frexp(radii)[1]
+    for exponent in np.unique(size):
+        group = np.flatnonzero(size == exponent)
+        near = cKDTree(centres[group]).query_ball_point(points, reach + radii[group].max())
+        count = np.array([len(some) for some in near], dtype=np.int64)
+        i = np.repeat(np.arange(len(points)), count)
+        j = group[np.concatenate([np.asarray(some, dtype=np.int64) for some in near])] if len(i) else found_j[0]
+        keep = np.linalg.norm(points[i] - centres[j], axis=1) <= reach[i] + radii[j]
+        found_i.append(i[keep])
+        found_j.append(j[keep])
+    i, j = np.concatenate(found_i), np.concatenate(found_j)
+    order = np.lexsort((j, i))
+    return i[order], j[order]
+
+
+def bounding_balls(positions: Array) -> tuple[Array, Array]:
+    """Return centres (p, d) and radii (p,) of balls that hold facets with nodes at `positions` (p, k, d) [length].
+
+    A facet is in the hull of its nodes as long as no shape function is negative; those of quadratic facets are down to
+    -1/8 on lines, so that the distance to the farthest node is doubled for them.
+    """
+    centres = positions.mean(axis=1)
+    radii = np.linalg.norm(positions - centres[:, np.newaxis], axis=2).max(axis=1)
+    linear = positions.shape[1] == 2 if positions.shape[2] == 2 else positions.shape[1] <= 4
+    return centres, radii * (1.0 if linear else 2.0)

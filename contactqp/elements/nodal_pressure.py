@@ -46,8 +46,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.facet import KINDS, FacetKind, Surface, diameters, kind_of
-from contactqp.elements.reading import real_array
+from contactqp.elements.checked_arrays import real_array
+from contactqp.elements.surface import KINDS, FacetKind, Surface, diameters, kind_of
 from contactqp.elements.tributary import nodal_moments, node_normals
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector
@@ -64,7 +64,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class NodalPressure(ReadOnly):
-    """How the forces of p nodes become pressures.
+    """The projection from the forces of p nodes to pressures at them.
 
     Attributes
     ----------
@@ -82,28 +82,28 @@ class NodalPressure(ReadOnly):
     far: Any
 
     def of(self, force: ArrayLike) -> Vector:
-        """Forces per area at the nodes, of either sign, (p,) [force / area].
+        """Return forces per area at the nodes, of either sign, (p,) [force / area].
 
         A force that is not known, NaN, is left out with its part of the area, and the value at its node is NaN. So is
         one whose functions have no known node; beside it D is left out.
         """
         given = real_array("force", force)
-        known = np.isfinite(given)
-        area = self.collected.T @ np.where(known, self.integral, 0.0)
-        least = abs(self.collected.T) @ np.where(known, abs(self.integral), 0.0)
+        finite = np.isfinite(given)
+        area = self.collected.T @ np.where(finite, self.integral, 0.0)
+        least = abs(self.collected.T) @ np.where(finite, abs(self.integral), 0.0)
         there = area > np.finfo(float).eps * least
-        moment = self.collected.T @ np.where(known, given, 0.0)
+        moment = self.collected.T @ np.where(finite, given, 0.0)
         value = np.where(there, moment / np.where(there, area, 1.0), np.nan)
         nodal = self.collected @ value
         near, far = (D @ np.where(there, value, 0.0) for D in (self.near, self.far))
         size = np.minimum(np.minimum(np.abs(near), np.abs(far)), LARGEST_CHANGE * np.abs(nodal))
         whole = (abs(self.near) + abs(self.far)) @ (~there).astype(float) == 0
         change = np.where(whole & (np.sign(near) == np.sign(far)), np.sign(near) * size, 0.0)
-        return np.where(known, nodal + change, np.nan)
+        return np.where(finite, nodal + change, np.nan)
 
 
 def from_areas(area: Vector) -> NodalPressure:
-    """Return the pressures of forces that each have an area of their own: force / area."""
+    """Return the projection of forces that each have an area of their own: force / area."""
     each = sp.csr_array(sp.identity(len(area), format="csr"))
     return NodalPressure(each, area, 0 * each, 0 * each)
 
@@ -111,7 +111,7 @@ def from_areas(area: Vector) -> NodalPressure:
 def nodal_pressure(
     surface: Surface, nodes: Index, *, covered: Vector | None = None, uneven: bool = False
 ) -> NodalPressure:
-    """The projection for some nodes of a surface, those that have a contact; on the others there is no pressure.
+    """Return the projection for the nodes of a surface that have a contact; the others carry no pressure.
 
     A facet's node without contact hands its N to those that have one, so that all psi still sum to 1 up to the boundary
     of contact.
@@ -157,14 +157,17 @@ def nodal_pressure(
 
 
 def _handed(part: Vector, mine: NDArray[np.bool_]) -> Vector:
-    """The parts (f, k, c) of a facet's nodes without contact, in equal shares to those that have one, `mine` (f, k)."""
+    """Return the parts (f, k, c) of a facet's nodes without contact, in equal shares to those that have one, `mine`
+    (f, k).
+    """
     kept = mine[:, :, np.newaxis]
     handed = np.where(kept, 0.0, part).sum(axis=1, keepdims=True) / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     return np.where(kept, part + handed, 0.0)
 
 
 def _change(surface: Surface, facets: Index, collected: Any, moments: Vector, *, far: bool) -> Any:
-    """D of all nodes from the integrals of N_i, N_i x and N_i x_0^2, (size, 2 + d): least squares along the side.
+    """Return D of all nodes from the integrals of N_i, N_i x and N_i x_0^2, (size, 2 + d): least squares along the
+    side.
 
     The functions at a node i are those of its facets, or those of their neighbours too (`far`) but for its own. With
     the offsets c_ij of their middles x_j from the mean of these, H_i = sum_j c_ij c_ij', and the offset
@@ -207,7 +210,7 @@ def _sparse(rows: Index, columns: Index, values: Vector, size: int) -> Any:
 
 
 def _functions(surface: Surface, facets: Index, size: int, uneven: bool) -> Any:
-    """C over all nodes of the surface."""
+    """Return C over all nodes of the surface."""
     kind = kind_of(surface)
     if kind.name == "tri6" and not uneven:
         return _middles(facets, size)
@@ -220,7 +223,7 @@ def _functions(surface: Surface, facets: Index, size: int, uneven: bool) -> Any:
 
 
 def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
-    """The linear functions of the corners at all nodes; facets (p, k)."""
+    """Return the linear functions of the corners at all nodes; facets (p, k)."""
     corners = KINDS[kind.nodes.shape[1] + 1, kind.corners]
     values = corners.shape(kind.nodes)
     node, corner = np.nonzero(np.abs(values) > np.finfo(float).eps)
@@ -230,7 +233,7 @@ def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
 
 
 def _middles(facets: Index, size: int) -> Any:
-    """Corners hand their forces to the middles beside them, and have their mean; facets (p, 6)."""
+    """Return C of corners that hand their forces to the middles beside them, and have their mean; facets (p, 6)."""
     after = facets[:, 3:]
     pairs = np.column_stack(
         [np.tile(facets[:, :3].ravel(), 2), np.r_[after.ravel(), np.roll(after, 1, axis=1).ravel()]]
@@ -242,7 +245,7 @@ def _middles(facets: Index, size: int) -> Any:
 
 
 def _without_axis(surface: Surface, facets: Index, size: int) -> Any:
-    """Nodes on the axis have the value of the nearest node of their facet, the middle if it has one; facets (p, k)."""
+    """Give nodes on the axis the value of the nearest node of their facet, the middle if it has one; facets (p, k)."""
     on_axis = _on_axis(surface)[facets[:, :2]]
     facet, end = np.nonzero(on_axis & ~on_axis[:, ::-1])
     axis, nearest = facets[facet, end], facets[facet, 2 if facets.shape[1] == 3 else 1 - end]
@@ -251,7 +254,7 @@ def _without_axis(surface: Surface, facets: Index, size: int) -> Any:
 
 
 def _on_axis(surface: Surface) -> NDArray[np.bool_]:
-    """Which of `surface.nodes` lie on the axis of a revolved surface."""
+    """Return which of `surface.nodes` lie on the axis of a revolved surface."""
     if not surface.revolved:
         return np.zeros(len(surface.nodes), dtype=bool)
     size = np.zeros(len(surface.points))

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.facet import (
+from contactqp.elements.nearest_facet import Partners, nearest_facets
+from contactqp.elements.nodal_pressure import nodal_pressure
+from contactqp.elements.obstacle import tangent_frames
+from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.surface import (
     Surface,
     check_apart,
     check_distances,
@@ -14,10 +18,6 @@ from contactqp.elements.facet import (
     kind_of,
     middle_normals,
 )
-from contactqp.elements.nearest_facet import Partners, nearest_facets
-from contactqp.elements.nodal_pressure import nodal_pressure
-from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.tributary import faceting_notes, node_normals, same_facets, tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
@@ -87,14 +87,14 @@ def pair_node_to_segment(
             f"{slave.name} and {master.name} do not face each other: expected facets whose normals point out of their "
             "bodies and against each other"
         )
-    held = np.flatnonzero(partners.found & ~partners.beyond)
-    _refuse_overlap(slave, master, nodes[held], partners, held, overlap)
-    contact = np.arange(len(held))
-    facet = master.facets[partners.facet[held]]
+    paired = np.flatnonzero(partners.found & ~partners.beyond)
+    _refuse_overlap(slave, master, nodes[paired], partners, paired, overlap)
+    contact = np.arange(len(paired))
+    facet = master.facets[partners.facet[paired]]
     k = facet.shape[1]
-    weights = np.column_stack([np.ones(len(held)), -kind_of(master).shape(partners.xi[held])])
-    columns = np.concatenate([slave.unknowns[nodes[held], np.newaxis], master.unknowns[facet]], axis=1)
-    normals = partners.normal[held]
+    weights = np.column_stack([np.ones(len(paired)), -kind_of(master).shape(partners.xi[paired])])
+    columns = np.concatenate([slave.unknowns[nodes[paired], np.newaxis], master.unknowns[facet]], axis=1)
+    normals = partners.normal[paired]
     entry = np.repeat(contact, k + 1)
     E_N, E_T = contact_rows(
         entry,
@@ -102,27 +102,28 @@ def pair_node_to_segment(
         columns.reshape(len(entry), slave.dimension),
         normals[entry],
         tangent_frames(normals)[entry],
-        (len(held), n),
+        (len(paired), n),
     )
-    unpaired = np.setdiff1d(nodes, nodes[held])
-    covered = _covered(slave, master, nodes[held], reach)
-    uneven = len(held) < len(nodes) or not same_facets(slave, master)
+    unpaired = np.setdiff1d(nodes, nodes[paired])
+    covered = _covered(slave, master, nodes[paired], reach)
+    uneven = len(paired) < len(nodes) or not same_facets(slave, master)
     return Pairing(
         E_N,
-        partners.gap[held],
+        partners.gap[paired],
         E_T,
-        nodes[held],
-        points[held],
+        nodes[paired],
+        points[paired],
         normals,
         unpaired,
-        tributary_areas(slave)[held],
-        nodal_pressure(slave, nodes[held], covered=covered, uneven=uneven),
-        faceting_notes(slave, master, partners.gap[held]),
+        tributary_areas(slave)[paired],
+        nodal_pressure(slave, nodes[paired], covered=covered, uneven=uneven),
+        faceting_notes(slave, master, partners.gap[paired]),
     )
 
 
 def _covered(slave: Surface, master: Surface, paired: NDArray[np.int64], reach: float | None) -> NDArray[np.float64]:
-    """The part of each slave facet that stands over the master; asked of those that only some paired nodes have.
+    """Return the part of each slave facet that stands over the master, for facets only some of whose nodes are
+    paired.
 
     Where no point of any facet of a paired node does, a master narrower than a facet, its facets count whole.
     """
@@ -148,17 +149,17 @@ def _refuse_overlap(
     master: Surface,
     nodes: NDArray[np.int64],
     partners: Partners,
-    held: NDArray[np.int64],
+    paired: NDArray[np.int64],
     overlap: float | None,
 ) -> None:
-    facet = partners.facet[held]
+    facet = partners.facet[paired]
     allowed = (
-        OVERLAP * diameters(master.points[master.facets[facet]]) if overlap is None else np.full(len(held), overlap)
+        OVERLAP * diameters(master.points[master.facets[facet]]) if overlap is None else np.full(len(paired), overlap)
     )
-    deeper = -partners.gap[held] - allowed
-    if len(held) and deeper.max() > 0:
+    deeper = -partners.gap[paired] - allowed
+    if len(paired) and deeper.max() > 0:
         worst = int(np.argmax(deeper))
         raise InvalidProblem(
-            f"{slave.name}: node {nodes[worst]} is {-partners.gap[held][worst]:.6g} inside {master.name} (facet "
+            f"{slave.name}: node {nodes[worst]} is {-partners.gap[paired][worst]:.6g} inside {master.name} (facet "
             f"{facet[worst]}) at the start: expected an overlap of at most {allowed[worst]:.6g}"
         )

@@ -1,4 +1,10 @@
-"""Hyperelastic solids at large displacements and strains, on the mesh and quadrature of a linear elastic body."""
+"""Solids at large displacements and strains, from the mesh and the quadrature of a linear elastic body.
+
+A hyperelastic law gives energy, second Piola-Kirchhoff stress and its tangent from the displacement gradient
+H = du/dX. F = 1 + H, C = F'F, Green's strain G = (H + H' + H'H) / 2, J = det F. Everything is formed from H, so that
+small strains keep their digits. In the plane F_zz = 1 (plane strain), or S_zz = 0 where a law has a form for plane
+stress.
+"""
 
 from __future__ import annotations
 
@@ -10,39 +16,36 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.geometry import Block, batches, sum_at_nodes
-from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body, Pattern, assemble, pattern
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes
 
-# Hyperelastic laws: energy, second Piola-Kirchhoff stress and its tangent from the displacement gradient H = du/dX.
-#
-# F = 1 + H, C = F'F, Green's strain G = (H + H' + H'H) / 2, J = det F. Everything is formed from H, so that small
-# strains keep their digits. In the plane F_zz = 1 (plane strain), or S_zz = 0 where a law has a form for plane stress.
+LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """What a law needs at (..., d, d) displacement gradients."""
+    """The strain measures that a law needs at (..., d, d) displacement gradients."""
 
     gradient: Array  # H
 
     @property
     def deformation(self) -> Array:
-        """F = 1 + H."""
+        """Return F = 1 + H."""
         return np.asarray(np.eye(self.gradient.shape[-1]) + self.gradient)
 
     @property
     def strain(self) -> Array:
-        """G = (H + H' + H'H) / 2."""
+        """Return G = (H + H' + H'H) / 2."""
         H = self.gradient
         turned = np.swapaxes(H, -1, -2)
         return np.asarray((H + turned + turned @ H) / 2)
 
     @property
     def dilation(self) -> Array:
-        """J - 1 = tr H + second invariant of H + (3D) det H, (...)."""
+        """Return J - 1 = tr H + second invariant of H + (3D) det H, (...)."""
         H = self.gradient
         trace = np.trace(H, axis1=-2, axis2=-1)
         second = (trace**2 - np.trace(H @ H, axis1=-2, axis2=-1)) / 2
@@ -50,21 +53,23 @@ class Kinematics:
 
 
 class HyperelasticLaw(Protocol):
-    """w per unit of the volume at rest, S = dw/dG and dS/dG with both symmetries of its pairs of indices."""
+    """A law w per unit of the volume at rest, with S = dw/dG, and dS/dG with both symmetries of its pairs of
+    indices.
+    """
 
     def energy(self, at: Kinematics) -> Array:
-        """w, (...) [force / length^2]."""
+        """Return w, (...) [force / length^2]."""
 
     def stress(self, at: Kinematics) -> Array:
-        """S, (..., d, d) [force / length^2]."""
+        """Return S, (..., d, d) [force / length^2]."""
 
     def tangent(self, at: Kinematics) -> Array:
-        """dS/dG, (..., d, d, d, d) [force / length^2]."""
+        """Return dS/dG, (..., d, d, d, d) [force / length^2]."""
 
 
 @dataclass(frozen=True)
 class SaintVenantKirchhoff:
-    """w = lambda (tr G)^2 / 2 + mu G:G, S = lambda tr G 1 + 2 mu G: linear elasticity at large rotations.
+    """Linear elasticity at large rotations: w = lambda (tr G)^2 / 2 + mu G:G, S = lambda tr G 1 + 2 mu G.
 
     It is no law for large compression: a bar is weakest at L / L0 = 1 / sqrt(3), and beyond that gives way.
     """
@@ -73,19 +78,19 @@ class SaintVenantKirchhoff:
     lame_mu: float
 
     def energy(self, at: Kinematics) -> Array:
-        """lambda (tr G)^2 / 2 + mu G:G."""
+        """Return lambda (tr G)^2 / 2 + mu G:G."""
         G = at.strain
         trace = np.trace(G, axis1=-2, axis2=-1)
         return np.asarray(self.lame_lambda * trace**2 / 2 + self.lame_mu * np.sum(G * G, axis=(-2, -1)))
 
     def stress(self, at: Kinematics) -> Array:
-        """lambda tr G 1 + 2 mu G."""
+        """Return lambda tr G 1 + 2 mu G."""
         G = at.strain
         trace = np.trace(G, axis1=-2, axis2=-1)[..., None, None]
         return np.asarray(self.lame_lambda * trace * np.eye(G.shape[-1]) + 2 * self.lame_mu * G)
 
     def tangent(self, at: Kinematics) -> Array:
-        """lambda 1 x 1 + 2 mu 1 symmetric."""
+        """Return lambda 1 x 1 + 2 mu 1 symmetric."""
         d = at.gradient.shape[-1]
         identity = np.eye(d)
         constant = _two_pairs(self.lame_lambda, self.lame_mu, identity, identity)
@@ -94,25 +99,27 @@ class SaintVenantKirchhoff:
 
 @dataclass(frozen=True)
 class NeoHookean:
-    """w = mu (tr C - 3) / 2 - mu log J + lambda (log J)^2 / 2 (Bonet and Wood 2008, 6.27); it resists J -> 0."""
+    """The law w = mu (tr C - 3) / 2 - mu log J + lambda (log J)^2 / 2 (Bonet and Wood 2008, 6.27); it resists J ->
+    0.
+    """
 
     lame_lambda: float
     lame_mu: float
 
     def energy(self, at: Kinematics) -> Array:
-        """mu (tr G - log J) + lambda (log J)^2 / 2."""
+        """Return mu (tr G - log J) + lambda (log J)^2 / 2."""
         trace, log = np.trace(at.strain, axis1=-2, axis2=-1), np.log1p(at.dilation)
         return np.asarray(self.lame_mu * (trace - log) + self.lame_lambda * log**2 / 2)
 
     def stress(self, at: Kinematics) -> Array:
-        """mu (1 - C^-1) + lambda log J C^-1, the first as 2 mu C^-1 G."""
+        """Return mu (1 - C^-1) + lambda log J C^-1, the first as 2 mu C^-1 G."""
         G = at.strain
         inverse = np.linalg.inv(np.eye(G.shape[-1]) + 2 * G)
         found = 2 * self.lame_mu * inverse @ G + self.lame_lambda * np.log1p(at.dilation)[..., None, None] * inverse
         return np.asarray((found + np.swapaxes(found, -1, -2)) / 2)
 
     def tangent(self, at: Kinematics) -> Array:
-        """lambda C^-1 x C^-1 + 2 (mu - lambda log J) C^-1 symmetric."""
+        """Return lambda C^-1 x C^-1 + 2 (mu - lambda log J) C^-1 symmetric."""
         G = at.strain
         inverse = np.linalg.inv(np.eye(G.shape[-1]) + 2 * G)
         inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2
@@ -121,12 +128,9 @@ class NeoHookean:
 
 
 def _two_pairs(first: float, second: float | Array, a: Array, b: Array) -> Array:
-    """first a_ij b_kl + second (a_ik b_jl + a_il b_jk)."""
+    """Return first a_ij b_kl + second (a_ik b_jl + a_il b_jk)."""
     crossed = np.einsum("...ik,...jl->...ijkl", a, b) + np.einsum("...il,...jk->...ijkl", a, b)
     return np.asarray(first * np.einsum("...ij,...kl->...ijkl", a, b) + second * crossed)
-
-
-LAWS = ("saint-venant-kirchhoff", "neo-hookean")
 
 
 @computes
@@ -181,12 +185,12 @@ class NonlinearSolid:
 
     @property
     def dimension(self) -> int:
-        """n = N d."""
+        """Return n = N d."""
         return self.body.size
 
     @cached_property
     def hyperelastic(self) -> HyperelasticLaw:
-        """The law with its constants."""
+        """Return the law with its constants."""
         if not isinstance(self.law, str):
             return self.law
         material = self.body.material
@@ -197,7 +201,9 @@ class NonlinearSolid:
         return kind(lame_lambda, lame_mu)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """The integral of w over the body at rest; inf where an element is turned inside out."""
+        """Return the integral of w over the body at rest [force * length]; inf where an element is turned inside
+        out.
+        """
         total = 0.0
         for part in self._parts(displacement):
             if np.any(part.at.dilation <= -1):
@@ -206,7 +212,7 @@ class NonlinearSolid:
         return total
 
     def internal_force(self, displacement: ArrayLike) -> Array:
-        """The gradient of the energy, (n,) [force].
+        """Return the gradient of the energy, (n,) [force].
 
         Raises
         ------
@@ -221,7 +227,7 @@ class NonlinearSolid:
         return total.ravel()
 
     def tangent(self, displacement: ArrayLike) -> Any:
-        """The Hessian of the energy, (n, n) CSC, symmetric to the last digit [force / length].
+        """Return the Hessian of the energy, (n, n) CSC, symmetric to the last digit [force / length].
 
         Raises
         ------
@@ -239,7 +245,9 @@ class NonlinearSolid:
         return assemble(self._pattern, entries)
 
     def cauchy_stress(self, displacement: ArrayLike) -> tuple[Array, ...]:
-        """sigma = F S F' / J at the quadrature points of each batch of elements, (E, q, d, d), positive in tension."""
+        """Return sigma = F S F' / J at the quadrature points of each batch of elements, (E, q, d, d), positive in
+        tension.
+        """
         found = []
         for part in self._admitted(displacement):
             F, S = part.at.deformation, self.hyperelastic.stress(part.at)
@@ -247,7 +255,7 @@ class NonlinearSolid:
         return tuple(found)
 
     def _blocks(self, part: _Part) -> Array:
-        """The symmetric element matrices (E, n, d, n, d)."""
+        """Return the symmetric element matrices (E, n, d, n, d)."""
         g, F = part.gradient, part.at.deformation
         S = self.hyperelastic.stress(part.at) * part.volume[..., None, None]
         C = self.hyperelastic.tangent(part.at) * part.volume[..., None, None, None, None]
@@ -267,7 +275,7 @@ class NonlinearSolid:
 
     @cached_property
     def _at_rest(self) -> list[tuple[Block, int, Array, Array]]:
-        """Return for every batch of elements the place of its first in its block, shape gradients and weights."""
+        """Return, for every batch of elements, the place of its first in its block, shape gradients and weights."""
         d, found = self.body.dimension, []
         for block in self.body.mesh.blocks:
             rule, first = self.body.stiffness_rule(block), 0
@@ -288,7 +296,7 @@ class NonlinearSolid:
             yield _Part(block, first, gradient, volume, Kinematics(H))
 
     def _admitted(self, displacement: ArrayLike) -> Iterator[_Part]:
-        """The parts, none of whose elements is turned inside out."""
+        """Return the parts, and refuse elements that are turned inside out."""
         for part in self._parts(displacement):
             inverted = np.flatnonzero(np.any(part.at.dilation <= -1, axis=1))
             if inverted.size:

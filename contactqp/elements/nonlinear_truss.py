@@ -1,4 +1,9 @@
-"""Truss bars at any displacement, rotation and strain: elastic laws, total and updated Lagrangian forms."""
+"""Truss bars at any displacement, rotation and strain.
+
+The elastic law of a bar gives energy, second Piola-Kirchhoff stress and modulus against Green's strain.
+`NonlinearTruss` is the total Lagrangian form, derived from that energy. `UpdatedTruss` is the same truss in its current
+configuration, the updated Lagrangian form with Cauchy stress and Almansi strain.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +16,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.reading import real_array
+from contactqp.elements.checked_arrays import real_array
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes
 from contactqp.model.problem_data import ReadOnly, read_only, read_whole
 
+# How the area follows the length L: A_n / A_0 for a stretch L / L0.
+VOLUMES = ("isochoric", "constant area")
+
 
 class BarLaw(Protocol):
-    """w(eps) per unit volume and unit modulus, with S = w' and C = w''; eps = (L^2 - L0^2) / (2 L0^2) is Green's.
+    """A law w(eps) per unit volume and unit modulus, with S = w' and C = w''; eps = (L^2 - L0^2) / (2 L0^2) is
+    Green's strain.
 
     `length_free` says that the law has no singularity where the bar has shrunk to a point, 1 + 2 eps = 0.
     """
@@ -27,57 +36,57 @@ class BarLaw(Protocol):
     def length_free(self) -> bool: ...
 
     def energy(self, eps: Any) -> Array:
-        """w [-]."""
+        """Return w [-]."""
 
     def stress(self, eps: Any) -> Array:
-        """S = dw/deps [-]."""
+        """Return S = dw/deps [-]."""
 
     def modulus(self, eps: Any) -> Array:
-        """C = d2w/deps2 [-]."""
+        """Return C = d2w/deps2 [-]."""
 
 
 @dataclass(frozen=True)
 class GreenLaw:
-    """Saint Venant-Kirchhoff: w = eps^2 / 2, S = eps, C = 1 (course section 2.5)."""
+    """The law of Saint Venant and Kirchhoff: w = eps^2 / 2, S = eps, C = 1 (course section 2.5)."""
 
     length_free: bool = True
 
     def energy(self, eps: Any) -> Array:
-        """eps^2 / 2."""
+        """Return eps^2 / 2."""
         return np.asarray(np.square(eps) / 2)
 
     def stress(self, eps: Any) -> Array:
-        """eps."""
+        """Return eps."""
         return np.asarray(eps, dtype=float)
 
     def modulus(self, eps: Any) -> Array:
-        """1."""
+        """Return 1."""
         return np.ones_like(np.asarray(eps, dtype=float))
 
 
 @dataclass(frozen=True)
 class EngineeringLaw:
-    """Linear in the elongation: e = L / L0 - 1, w = e^2 / 2; the force N = E A0 e."""
+    """The law that is linear in the elongation: e = L / L0 - 1, w = e^2 / 2; the force is N = E A0 e."""
 
     length_free: bool = False
 
     def energy(self, eps: Any) -> Array:
-        """e^2 / 2."""
+        """Return e^2 / 2."""
         return np.asarray(np.square(_elongation(eps)) / 2)
 
     def stress(self, eps: Any) -> Array:
-        """e / (1 + e)."""
+        """Return e / (1 + e)."""
         e = _elongation(eps)
         return np.asarray(e / (1 + e))
 
     def modulus(self, eps: Any) -> Array:
-        """1 / (1 + e)^3."""
+        """Return 1 / (1 + e)^3."""
         return np.asarray(1 / (1 + _elongation(eps)) ** 3)
 
 
 @dataclass(frozen=True)
 class LogarithmicLaw:
-    """Hencky: h = log(L / L0), w = h^2 / 2; the force N = E A0 h L0 / L.
+    """Hencky's law: h = log(L / L0), w = h^2 / 2; the force is N = E A0 h L0 / L.
 
     The force is greatest at h = 1: a bar under a greater dead load tears.
     """
@@ -85,22 +94,24 @@ class LogarithmicLaw:
     length_free: bool = False
 
     def energy(self, eps: Any) -> Array:
-        """h^2 / 2."""
+        """Return h^2 / 2."""
         return np.asarray(np.square(np.log1p(2 * np.asarray(eps)) / 2) / 2)
 
     def stress(self, eps: Any) -> Array:
-        """h / (1 + 2 eps)."""
+        """Return h / (1 + 2 eps)."""
         return np.asarray(np.log1p(2 * np.asarray(eps)) / 2 / (1 + 2 * np.asarray(eps)))
 
     def modulus(self, eps: Any) -> Array:
-        """(1 - 2 h) / (1 + 2 eps)^2."""
+        """Return (1 - 2 h) / (1 + 2 eps)^2."""
         square = 1 + 2 * np.asarray(eps)
         return np.asarray((1 - np.log(square)) / square / square)  # squared, a great strain would overflow
 
 
 @dataclass(frozen=True)
 class LawOfEachBar:
-    """One law for each of B bars: eps is (B,). If one of them cannot bear a bar of no length, all are kept from it."""
+    """One law for each of B bars: eps is (B,). If one of them cannot bear a bar of no length, none of them may have
+    one.
+    """
 
     laws: tuple[BarLaw, ...]
 
@@ -109,15 +120,15 @@ class LawOfEachBar:
         return all(law.length_free for law in self.laws)
 
     def energy(self, eps: Any) -> Array:
-        """w of each."""
+        """Return w of each bar."""
         return self._of_each("energy", eps)
 
     def stress(self, eps: Any) -> Array:
-        """S of each."""
+        """Return S of each bar."""
         return self._of_each("stress", eps)
 
     def modulus(self, eps: Any) -> Array:
-        """C of each."""
+        """Return C of each bar."""
         return self._of_each("modulus", eps)
 
     def _of_each(self, name: str, eps: Any) -> Array:
@@ -127,7 +138,7 @@ class LawOfEachBar:
         return values
 
     def _groups(self) -> Iterator[tuple[BarLaw, list[int]]]:
-        """The distinct laws, and the bars that follow them."""
+        """Return the distinct laws, each with the bars that follow it."""
         for law in dict.fromkeys(self.laws):
             yield law, [i for i, other in enumerate(self.laws) if other == law]
 
@@ -136,12 +147,9 @@ LAWS: dict[str, BarLaw] = {"green": GreenLaw(), "engineering": EngineeringLaw(),
 
 
 def _elongation(eps: Any) -> Array:
-    """e = sqrt(1 + 2 eps) - 1, without the cancellation."""
+    """Return e = sqrt(1 + 2 eps) - 1, without the cancellation."""
     eps = np.asarray(eps, dtype=float)
     return np.asarray(2 * eps / (1 + np.sqrt(1 + 2 * eps)))
-
-
-# Truss bars at any displacement and rotation: the total Lagrangian form, derived from the energy of Green's strain.
 
 
 @computes
@@ -214,46 +222,48 @@ class NonlinearTruss(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """n = N d."""
+        """Return n = N d."""
         return int(self.nodes.size)
 
     @cached_property
     def length(self) -> Array:
-        """L0 of every bar, (B,) [length]."""
+        """Return L0 of every bar, (B,) [length]."""
         return read_only(np.asarray(np.linalg.norm(self._apart(self.nodes), axis=1)))
 
     @cached_property
     def bar_law(self) -> BarLaw:
-        """w."""
+        """Return w."""
         return LAWS[self.law] if isinstance(self.law, str) else self.law
 
     def positions(self, displacement: ArrayLike) -> Array:
-        """X + u, (N, d) [length]."""
+        """Return X + u, (N, d) [length]."""
         return np.asarray(self.nodes + self._read(displacement))
 
     def strain(self, displacement: ArrayLike) -> Array:
-        """Green's strain of every bar, (B,): eps = (D.v + v.v / 2) / L0^2, D the bar at rest, v what u adds."""
+        """Return Green's strain of every bar, (B,): eps = (D.v + v.v / 2) / L0^2, D the bar at rest, v what u adds."""
         D, v = self._apart(self.nodes), self._apart(self._read(displacement))
         return np.asarray(np.sum((D + v / 2) * v, axis=1) / self.length**2)
 
     def stress(self, displacement: ArrayLike) -> Array:
-        """The second Piola-Kirchhoff stress S of every bar, (B,), positive in tension [force / length^2]."""
+        """Return the second Piola-Kirchhoff stress S of every bar, (B,), positive in tension [force / length^2]."""
         return np.asarray(self.modulus * self.bar_law.stress(self._admitted(displacement)))
 
     def axial_force(self, displacement: ArrayLike) -> Array:
-        """N = A0 S L / L0 of every bar, (B,), positive in tension: the true force along the bar now [force]."""
+        """Return N = A0 S L / L0 of every bar, (B,), positive in tension: the true force along the current bar
+        [force].
+        """
         stretch = np.sqrt(np.maximum(1 + 2 * self.strain(displacement), 0.0))
         return np.asarray(self.area * self.stress(displacement) * stretch)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """Sum of E A0 L0 w(eps); inf where a bar has shrunk to a point and its law cannot bear that."""
+        """Return the sum of E A0 L0 w(eps); inf where a bar has shrunk to a point and its law cannot bear that."""
         eps = self.strain(displacement)
         if not self.bar_law.length_free and np.any(1 + 2 * eps <= 0):
             return float("inf")
         return float(np.sum(self.modulus * self.area * self.length * self.bar_law.energy(eps)))
 
     def internal_force(self, displacement: ArrayLike) -> Array:
-        """The gradient of the energy, (n,) [force].
+        """Return the gradient of the energy, (n,) [force].
 
         Raises
         ------
@@ -265,7 +275,7 @@ class NonlinearTruss(ReadOnly):
         )
 
     def tangent(self, displacement: ArrayLike) -> Any:
-        """The Hessian of the energy, (n, n) CSC, symmetric to the last digit [force / length].
+        """Return the Hessian of the energy, (n, n) CSC, symmetric to the last digit [force / length].
 
         Raises
         ------
@@ -281,14 +291,14 @@ class NonlinearTruss(ReadOnly):
         return self.assembled(axial + geometric[:, None, None] * np.eye(self.nodes.shape[1]))
 
     def summed(self, force: Array) -> Array:
-        """Forces (B, d) on the ends of the bars, and against them on their starts, at all unknowns: (n,)."""
+        """Sum forces (B, d) on the ends of the bars, and against them on their starts, at all unknowns: (n,)."""
         total = np.zeros(self.nodes.shape)
         np.add.at(total, self.bars[:, 1], force)
         np.subtract.at(total, self.bars[:, 0], force)
         return total.ravel()
 
     def assembled(self, block: Array) -> Any:
-        """The (n, n) CSC matrix of the bars' [[k, -k], [-k, k]], k of shape (B, d, d)."""
+        """Return the (n, n) CSC matrix of the bars' [[k, -k], [-k, k]], k of shape (B, d, d)."""
         d = self.nodes.shape[1]
         places = (d * self.bars[:, :, None] + np.arange(d)).reshape(len(self.bars), 2 * d)
         entries = np.concatenate(
@@ -309,11 +319,11 @@ class NonlinearTruss(ReadOnly):
         return np.asarray(values[self.bars[:, 1]] - values[self.bars[:, 0]])
 
     def _bars_now(self, displacement: ArrayLike) -> Array:
-        """x_end - x_start, (B, d)."""
+        """Return x_end - x_start, (B, d) [length]."""
         return self._apart(self.nodes) + self._apart(self._read(displacement))
 
     def _admitted(self, displacement: ArrayLike) -> Array:
-        """Green's strains, none of which the law cannot bear."""
+        """Return Green's strains, and refuse those that the law cannot bear."""
         eps = self.strain(displacement)
         gone = np.flatnonzero(1 + 2 * eps <= 0)
         if gone.size and not self.bar_law.length_free:
@@ -330,16 +340,11 @@ def _per_bar(name: str, value: ArrayLike, count: int) -> Array:
     return np.broadcast_to(values, (count,)).copy()
 
 
-# Truss bars in their current configuration: Cauchy stress and Almansi strain, the updated Lagrangian form.
-
-# How the area follows the length L: A_n / A_0 for a stretch L / L0.
-VOLUMES = ("isochoric", "constant area")
-
-
 @computes
 @dataclass(frozen=True, eq=False)
 class UpdatedTruss:
-    """The bars of a truss seen from where they are: the same forces and tangents as its total Lagrangian form.
+    """The bars of a truss in their current configuration, with the same forces and tangents as in its total
+    Lagrangian form.
 
     With the length L and the unit direction n of a bar now, and its area A_n,
 
@@ -379,38 +384,39 @@ class UpdatedTruss:
 
     @property
     def dimension(self) -> int:
-        """n = N d."""
+        """Return n = N d."""
         return self.truss.dimension
 
     def length(self, displacement: ArrayLike) -> Array:
-        """L of every bar, (B,) [length]."""
+        """Return the current length L of every bar, (B,) [length]."""
         return np.asarray(np.linalg.norm(self._apart(displacement), axis=1))
 
     def area(self, displacement: ArrayLike) -> Array:
-        """A_n of every bar, (B,) [length^2]."""
+        """Return A_n of every bar, (B,) [length^2]."""
         area = np.asarray(self.truss.area)
         return area if self.volume == "constant area" else area * self.truss.length / self._length(displacement)
 
     def almansi_strain(self, displacement: ArrayLike) -> Array:
-        """(L^2 - L0^2) / (2 L^2) of every bar, (B,)."""
+        """Return (L^2 - L0^2) / (2 L^2) of every bar, (B,)."""
         L, L0 = self._length(displacement), self.truss.length
         return (L - L0) * (L + L0) / (2 * L**2)
 
     def cauchy_stress(self, displacement: ArrayLike) -> Array:
-        """sigma of every bar, (B,), positive in tension [force / length^2]."""
+        """Return sigma of every bar, (B,), positive in tension [force / length^2]."""
         L, truss = self._length(displacement), self.truss
         stress = truss.modulus * truss.bar_law.stress(self._green(displacement))
         return np.asarray(truss.area / self.area(displacement) * L / truss.length * stress)
 
     def current_modulus(self, displacement: ArrayLike) -> Array:
-        """E* of every bar, (B,) [force / length^2]."""
+        """Return E* of every bar, (B,) [force / length^2]."""
         L, truss = self._length(displacement), self.truss
         modulus = truss.modulus * truss.bar_law.modulus(self._green(displacement))
         return np.asarray(modulus * truss.area / self.area(displacement) * (L / truss.length) ** 3)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """The sum over the bars of A_n L w / J, w / J the energy of a unit of the volume now; inf for a bar of no
-        length."""
+        """Return the sum over the bars of A_n L w / J, w / J the energy of a unit of the current volume; inf for a
+        bar of no length.
+        """
         if np.any(self.length(displacement) == 0):
             return float("inf")
         truss = self.truss
@@ -420,13 +426,13 @@ class UpdatedTruss:
         return float(np.sum(volume * density / grown))
 
     def internal_force(self, displacement: ArrayLike) -> Array:
-        """A_n sigma n, at all unknowns: (n,) [force]."""
+        """Return A_n sigma n, at all unknowns: (n,) [force]."""
         direction = self._apart(displacement) / self._length(displacement)[:, None]
         force = self.area(displacement) * self.cauchy_stress(displacement)
         return self.truss.summed(force[:, None] * direction)
 
     def tangent(self, displacement: ArrayLike) -> Any:
-        """The derivative of `internal_force`: (n, n) CSC [force / length]."""
+        """Return the derivative of `internal_force`: (n, n) CSC [force / length]."""
         L = self._length(displacement)
         n = self._apart(displacement) / L[:, None]
         per_length = (self.area(displacement) / L)[:, None, None]
@@ -446,6 +452,6 @@ class UpdatedTruss:
         return L
 
     def _green(self, displacement: ArrayLike) -> Array:
-        """Green's strain from Almansi's: eps_A / (1 - 2 eps_A)."""
+        """Return Green's strain from Almansi's: eps_A / (1 - 2 eps_A)."""
         eps = self.almansi_strain(displacement)
         return eps / (1 - 2 * eps)

@@ -1,4 +1,4 @@
-"""Rigid obstacles: planes and any signed distance, and the rows of a node against one or of two nodes."""
+"""Rigid obstacles by their signed distance, a plane or any distance function, and the directions along a surface."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.exact import Number, Numbers, unit_vector
-from contactqp.elements.reading import positive_number, real_array
+from contactqp.elements.checked_arrays import positive_number, real_array
+from contactqp.elements.scalars import Numbers, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import computes
 from contactqp.model.problem_data import is_whole
 
+# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
+RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
+
 
 class Obstacle(Protocol):
-    """A rigid obstacle, known by its signed distance."""
+    """A rigid obstacle, given by its signed distance."""
 
     @property
     def dimension(self) -> int: ...
 
     def distance(self, points: Any) -> Numbers:
-        """The signed distance of each of the (p, dimension) points [length]: the gap, positive when open."""
+        """Return the signed distance of each of the (p, dimension) points [length]: the gap, positive when open."""
 
     def normals(self, points: Any) -> Numbers:
-        """The unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
+        """Return the unit vectors along which the distance grows fastest, out of the obstacle, (p, dimension)."""
 
 
 @computes
@@ -60,21 +63,21 @@ class Plane:
         return len(self.point)
 
     def outward(self) -> Numbers:
-        """The unit normal n, out of the obstacle."""
+        """Return the unit normal n, out of the obstacle."""
         return unit_vector(self.normal, "plane normal")
 
     def distance(self, points: Any) -> Numbers:
-        """(x - point).n of each of the (p, dimension) points [length]: the gap, positive when open."""
+        """Return (x - point).n of each of the (p, dimension) points [length]: the gap, positive when open."""
         gap: Numbers = (np.asarray(points) - np.asarray(self.point)) @ self.outward()
         return gap
 
     def normals(self, points: Any) -> Numbers:
-        """n for each of the (p, dimension) points."""
+        """Return n for each of the (p, dimension) points."""
         return np.tile(self.outward(), (len(points), 1))
 
 
 def tangents(normal: Numbers) -> Numbers:
-    """The (dimension - 1, dimension) unit vectors along a surface with the unit normal n.
+    """Return the (dimension - 1, dimension) unit vectors along a surface with the unit normal n.
 
     2D: t = (n_2, -n_1), so that a floor with n = (0, 1) has t = (1, 0). 3D: t_1 is the projection of the axis furthest
     from n, t_2 = n x t_1.
@@ -97,7 +100,7 @@ def tangents(normal: Numbers) -> Numbers:
 
 
 def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
+    """Return `tangents` of each of the (p, d) unit normals, (p, d-1, d)."""
     p, d = normals.shape
     if d == 1:
         return np.zeros((p, 0, 1))
@@ -107,53 +110,6 @@ def tangent_frames(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     first = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(normals, first)], axis=1)
-
-
-# The rows of one contact: a node against a rigid obstacle, or two nodes against each other.
-
-
-@dataclass(frozen=True, eq=False)
-class ContactRows:
-    """One contact on the unknowns of its nodes: E_N u <= gap, slip E_T u."""
-
-    normal: Numbers  # (nodes * dimension,)
-    gap: Number  # positive when open
-    tangent: Numbers  # (dimension - 1, nodes * dimension)
-
-
-def against_plane(point: Any, plane: Plane) -> ContactRows:
-    """E_N = -n', gap = (x - point).n: moving against the obstacle's normal closes the gap.
-
-    Course chapter, Example 2.10: on a floor, n = (0, 1), E_N = (0, -1).
-    """
-    n = plane.outward()
-    gap: Number = plane.distance(np.asarray(point)[np.newaxis, :])[0]
-    return ContactRows(normal=-n, gap=gap, tangent=tangents(n))
-
-
-def against_surface(point: Any, obstacle: Obstacle) -> ContactRows:
-    """The same of any obstacle, in floats, with its normal nearest to the point."""
-    at = np.asarray(point, dtype=float)[np.newaxis, :]
-    n = np.array([float(x) for x in obstacle.normals(at)[0]], dtype=object)
-    return ContactRows(normal=-n, gap=float(obstacle.distance(at)[0]), tangent=tangents(n))
-
-
-def between_nodes(first: Any, second: Any, direction: Any) -> ContactRows:
-    """E_N = (n', -n'), gap = (x_2 - x_1).n with n = direction / |direction| from the first node to the second.
-
-    Course chapter, Example 2.13: E_N = (1, -1) for two bars on one line. The tangents are those of the second node's
-    surface, whose normal points back at the first: E_T = (t, -t).
-    """
-    n = unit_vector(direction, "contact direction")
-    gap: Number = np.dot(np.asarray(second) - np.asarray(first), n)
-    along = tangents(-n)
-    return ContactRows(normal=np.concatenate([n, -n]), gap=gap, tangent=np.hstack([along, -along]))
-
-
-# A rigid obstacle given by any signed distance function.
-
-# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
-RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
 @computes
@@ -202,12 +158,12 @@ class SignedDistance:
         positive_number("signed distance: tolerance", self.tolerance, "number")
 
     def distance(self, points: Any) -> NDArray[np.float64]:
-        """function(points), (p,) [length]."""
+        """Return function(points), (p,) [length]."""
         x = real_array("points", points)
         return _values("function", self.function(x), x, (len(x),))
 
     def normals(self, points: Any) -> NDArray[np.float64]:
-        """gradient / |gradient|, (p, dimension)."""
+        """Return gradient / |gradient|, (p, dimension)."""
         x = real_array("points", points)
         if self.gradient is not None:
             gradients = _values("gradient", self.gradient(x), x, x.shape)

@@ -1,4 +1,7 @@
-"""Nodes against rigid obstacles at large displacements: gaps, normals, tangents and how these turn."""
+"""Nodes against rigid obstacles in the current configuration: gaps, normals and tangents that turn with the motion.
+
+The normal of a curved obstacle turns from point to point by the Hessian of its signed distance.
+"""
 
 from __future__ import annotations
 
@@ -10,68 +13,27 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.deformable import ContactGeometry, ContactState
-from contactqp.elements.exact import unit_vector
-from contactqp.elements.facet import Surface
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import pair
-from contactqp.elements.reading import real_array
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
+from contactqp.elements.scalars import unit_vector
+from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Vector, computes
 from contactqp.model.problem_data import ReadOnly, read_only
 
-# How the normal of a rigid obstacle turns from point to point: the Hessian of its signed distance.
-
-# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
-RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
-
-
-def distance_hessians(obstacle: Obstacle, points: Array) -> Array:
-    """d n / d x of each of the (p, d) points, (p, d, d), symmetric [1 / length].
-
-    A plane has none; a circle, a sphere or a cylinder has (1 - n n') / r without the part along the axis, r the
-    distance from the centre or the axis. Of any other obstacle the normals are differenced.
-
-    >>> distance_hessians(Circle([0.0, 0.0], 1.0), np.array([[0.0, 2.0]])).tolist()
-    [[[0.5, 0.0], [0.0, 0.0]]]
-    """
-    d = points.shape[1]
-    if isinstance(obstacle, Plane) or not len(points):
-        return np.zeros((len(points), d, d))
-    if not isinstance(obstacle, Circle | Sphere | Cylinder):
-        return _differences(obstacle, points)
-    n = np.asarray(obstacle.normals(points), dtype=float)
-    distance = np.asarray(obstacle.distance(points), dtype=float)
-    outside = -1.0 if obstacle.inside else 1.0
-    r = float(obstacle.radius) + outside * distance
-    across = np.eye(d) - n[:, :, None] * n[:, None, :]
-    if isinstance(obstacle, Cylinder):
-        a = unit_vector(np.asarray(obstacle.axis, dtype=float), "cylinder axis")
-        across -= np.outer(a, a)
-    return np.asarray(across * (outside / r)[:, None, None])
-
-
-def _differences(obstacle: Obstacle, points: Array) -> Array:
-    size = np.max(abs(points)) + np.max(abs(np.asarray(obstacle.distance(points), dtype=float)))
-    h = RELATIVE_STEP * float(size or 1.0)
-    columns = [(obstacle.normals(points + h * e) - obstacle.normals(points - h * e)) / (2 * h) for e in _axes(points)]
-    found = np.stack(columns, axis=2).astype(float)
-    return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
-
-
-def _axes(points: Array) -> Array:
-    return np.eye(points.shape[1])
-
-
 # Of a coordinate: a few operations lie between it and a gap.
 ROUNDING = 16 * np.finfo(float).eps
+# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
+RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
 
 @computes
 @dataclass(frozen=True, eq=False)
 class ObstacleContact(ReadOnly):
-    """Nodes that may touch one rigid obstacle: `cq.pair` with the points where they are now.
+    """Nodes that may touch one rigid obstacle: `cq.pair` with the current points.
 
     Parameters
     ----------
@@ -115,15 +77,15 @@ class ObstacleContact(ReadOnly):
 
     @property
     def contacts(self) -> int:
-        """m = p."""
+        """Return the number of contacts m = p."""
         return len(self.points)
 
     def positions(self, displacement: Vector) -> Vector:
-        """(m, d): where the nodes are [length]."""
+        """Return where the nodes are, (m, d) [length]."""
         return np.asarray(self.points + real_array("displacement", displacement)[self.unknowns])
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps and rows there.
+        """Return gaps and rows at a displacement.
 
         Raises
         ------
@@ -136,7 +98,7 @@ class ObstacleContact(ReadOnly):
         return ContactState(found.gap, found.normal, found.tangent, ROUNDING * size)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """- sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
+        """Return minus the sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""
         pushing = np.flatnonzero(normal_force)
         places = self.unknowns[pushing]
         blocks = distance_hessians(self.obstacle, self.positions(displacement)[pushing])
@@ -146,7 +108,9 @@ class ObstacleContact(ReadOnly):
         return sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1): t.(x - anchor) along the tangents of now [length]; where the obstacle is curved, of the chord."""
+        """Return t.(x - anchor) along the current tangents, (m, d-1) [length]; where the obstacle is curved, of the
+        chord.
+        """
         x = self.positions(displacement)
         frames = tangent_frames(np.asarray(self.obstacle.normals(x), dtype=float))
         return np.asarray(np.einsum("pij,pj->pi", frames, x - anchor))
@@ -170,11 +134,11 @@ class ContactGroup:
 
     @property
     def contacts(self) -> int:
-        """m of all."""
+        """Return the number of contacts of all geometries."""
         return sum(part.contacts for part in self.parts)
 
     def state(self, displacement: Vector) -> ContactState:
-        """Gaps and rows of all."""
+        """Return gaps and rows of all geometries."""
         states = [part.state(displacement) for part in self.parts]
         widths = {state.normal.shape[1] for state in states}
         if len(widths) > 1:
@@ -188,7 +152,7 @@ class ContactGroup:
         )
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """The sum over all; None where one does not know it."""
+        """Return the sum over all geometries, or None where one does not know it."""
         total = None
         for part, force in zip(self.parts, self._split(normal_force), strict=True):
             found = part.curvature(displacement, force)
@@ -198,13 +162,50 @@ class ContactGroup:
         return total
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """(m, d-1) of all."""
+        """Return the slips (m, d-1) of all geometries."""
         pairs = zip(self.parts, self._split(anchor), strict=True)
         return np.concatenate([part.slip_since(displacement, where) for part, where in pairs])
 
     def positions(self, displacement: Vector) -> NDArray[np.float64]:
-        """(m, d) of all."""
+        """Return the positions (m, d) of all geometries."""
         return np.concatenate([part.positions(displacement) for part in self.parts])
 
     def _split(self, values: Vector) -> list[Vector]:
         return np.split(np.asarray(values), self._ends)
+
+
+def distance_hessians(obstacle: Obstacle, points: Array) -> Array:
+    """Return d n / d x of each of the (p, d) points, (p, d, d), symmetric [1 / length].
+
+    A plane has none; a circle, a sphere or a cylinder has (1 - n n') / r without the part along the axis, r the
+    distance from the centre or the axis. Of any other obstacle the normals are differenced.
+
+    >>> distance_hessians(Circle([0.0, 0.0], 1.0), np.array([[0.0, 2.0]])).tolist()
+    [[[0.5, 0.0], [0.0, 0.0]]]
+    """
+    d = points.shape[1]
+    if isinstance(obstacle, Plane) or not len(points):
+        return np.zeros((len(points), d, d))
+    if not isinstance(obstacle, Circle | Sphere | Cylinder):
+        return _differences(obstacle, points)
+    n = np.asarray(obstacle.normals(points), dtype=float)
+    distance = np.asarray(obstacle.distance(points), dtype=float)
+    outside = -1.0 if obstacle.inside else 1.0
+    r = float(obstacle.radius) + outside * distance
+    across = np.eye(d) - n[:, :, None] * n[:, None, :]
+    if isinstance(obstacle, Cylinder):
+        a = unit_vector(np.asarray(obstacle.axis, dtype=float), "cylinder axis")
+        across -= np.outer(a, a)
+    return np.asarray(across * (outside / r)[:, None, None])
+
+
+def _differences(obstacle: Obstacle, points: Array) -> Array:
+    size = np.max(abs(points)) + np.max(abs(np.asarray(obstacle.distance(points), dtype=float)))
+    h = RELATIVE_STEP * float(size or 1.0)
+    columns = [(obstacle.normals(points + h * e) - obstacle.normals(points - h * e)) / (2 * h) for e in _axes(points)]
+    found = np.stack(columns, axis=2).astype(float)
+    return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+
+
+def _axes(points: Array) -> Array:
+    return np.eye(points.shape[1])

@@ -1,4 +1,8 @@
-"""Who can touch whom: the rows E_N, E_T and the gaps of nodes and an obstacle, for people with their own matrices."""
+"""The rows E_N, E_T and the gaps of nodes and an obstacle, also for users with matrices of their own.
+
+Each contact moves as a weighted sum of node displacements (`contact_rows`). A membrane or another scalar field over an
+obstacle has one unknown a node, u >= height(x) (`pair_scalar`).
+"""
 
 from __future__ import annotations
 
@@ -10,75 +14,17 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.facet import Surface, check_surface
+from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure
 from contactqp.elements.obstacle import Obstacle, Plane, tangent_frames
-from contactqp.elements.reading import real_array
+from contactqp.elements.surface import Surface, check_surface
 from contactqp.elements.tributary import tributary_areas
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole, read_whole
 
-# E_N and E_T from relative motions: each contact moves as a weighted sum of node displacements.
-
+Side = Literal["above", "below"]
 Places = NDArray[np.int64]
-
-
-def contact_rows(
-    contact: Places, weight: Array, unknowns: Places, normals: Array, tangents: Array, shape: tuple[int, int]
-) -> tuple[Any, Any]:
-    """E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight u_node.
-
-    Entries of one contact add up. A node that meets an obstacle is one entry of weight 1; a node that meets a facet has
-    further ones of weight -N_j for the facet's nodes.
-
-    Parameters
-    ----------
-    contact : (e,) array of int
-        The contact that an entry belongs to.
-    weight : (e,) array [-]
-    unknowns : (e, d) array of int
-        Where the displacement of the entry's node stands in u.
-    normals : (e, d) array
-        n, unit vectors out of the obstacle.
-    tangents : (e, d-1, d) array
-        Orthonormal.
-    shape : (contacts, n)
-
-    Returns
-    -------
-    (contacts, n) and ((d-1) contacts, n) sparse arrays, the second contact-major.
-    """
-    contacts, n = shape
-    d = unknowns.shape[1]
-    along = (np.arange(d - 1) + (d - 1) * contact[:, np.newaxis])[:, :, np.newaxis]
-    E_N = _sum((-weight[:, np.newaxis] * normals, contact[:, np.newaxis], unknowns), (contacts, n))
-    E_T = _sum((weight[:, None, None] * tangents, along, unknowns[:, np.newaxis, :]), ((d - 1) * contacts, n))
-    return E_N, E_T
-
-
-def _sum(entries: tuple[Array, Places, Places], shape: tuple[int, int]) -> Any:
-    values, rows, columns = (np.broadcast_to(part, entries[0].shape).ravel() for part in entries)
-    matrix = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
-    matrix.eliminate_zeros()
-    return matrix
-
-
-def count_unknowns(largest: int, dimension: int | None) -> int:
-    """n: as stated, else one more than the largest number in use.
-
-    Raises
-    ------
-    InvalidProblem
-        Unknowns are numbered beyond the stated dimension, or it is no whole number.
-    """
-    if dimension is None:
-        return largest + 1
-    if not is_whole(dimension):
-        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {dimension!r}")
-    if largest >= dimension:
-        raise InvalidProblem(f"unknowns: expected numbers from 0 to {dimension - 1}, got {largest}")
-    return dimension
 
 
 __all__ = ["Pairing", "Plane", "pair"]
@@ -87,7 +33,7 @@ __all__ = ["Pairing", "Plane", "pair"]
 @computes
 @dataclass(frozen=True, eq=False)
 class Pairing(ReadOnly):
-    """What ContactProblem takes as ``normal``, ``gap`` and ``tangent``; unpacks as ``E_N, g, E_T``.
+    """The ``normal``, ``gap`` and ``tangent`` of a ContactProblem; it unpacks as ``E_N, g, E_T``.
 
     Parameters
     ----------
@@ -129,7 +75,7 @@ class Pairing(ReadOnly):
         return iter((self.normal, self.gap, self.tangent))
 
     def pressure(self, normal_force: ArrayLike) -> NDArray[np.float64]:
-        """The contact pressure at each node, positive in compression, (p,) [force / area].
+        """Return the contact pressure at each node, positive in compression, (p,) [force / area].
 
         It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), and of a
         mortar the pressure field that it integrates. Where no force pulls, no pressure does. NaN forces are unknown.
@@ -144,7 +90,8 @@ class Pairing(ReadOnly):
         return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
 
     def per_area(self, force: ArrayLike) -> NDArray[np.float64]:
-        """The same projection of one component of nodal forces, of either sign, such as friction, (p,) [force / area].
+        """Return the same projection of one component of nodal forces, of either sign, such as friction, (p,) [force
+        / area].
 
         Raises
         ------
@@ -248,11 +195,6 @@ def _points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     return x
 
 
-# Membranes and other scalar fields over an obstacle: one unknown a node, u >= height(x).
-
-Side = Literal["above", "below"]
-
-
 @own_floating_point
 def pair_scalar(
     points: ArrayLike,
@@ -326,3 +268,61 @@ def pair_scalar(
     E_N, E_T = contact_rows(contact, one, columns, normals, np.zeros((len(nodes), 0, 1)), (len(nodes), n))
     unpaired = np.flatnonzero(~np.isfinite(height))
     return Pairing(E_N, -sign * height[nodes], E_T, nodes, x[nodes], normals, unpaired)
+
+
+def contact_rows(
+    contact: Places, weight: Array, unknowns: Places, normals: Array, tangents: Array, shape: tuple[int, int]
+) -> tuple[Any, Any]:
+    """Return E_N and E_T of contacts that approach by -n.w and slip by t.w, w = sum over the entries of weight
+    u_node.
+
+    Entries of one contact add up. A node that meets an obstacle is one entry of weight 1; a node that meets a facet has
+    further ones of weight -N_j for the facet's nodes.
+
+    Parameters
+    ----------
+    contact : (e,) array of int
+        The contact that an entry belongs to.
+    weight : (e,) array [-]
+    unknowns : (e, d) array of int
+        Where the displacement of the entry's node stands in u.
+    normals : (e, d) array
+        n, unit vectors out of the obstacle.
+    tangents : (e, d-1, d) array
+        Orthonormal.
+    shape : (contacts, n)
+
+    Returns
+    -------
+    (contacts, n) and ((d-1) contacts, n) sparse arrays, the second contact-major.
+    """
+    contacts, n = shape
+    d = unknowns.shape[1]
+    along = (np.arange(d - 1) + (d - 1) * contact[:, np.newaxis])[:, :, np.newaxis]
+    E_N = _sum((-weight[:, np.newaxis] * normals, contact[:, np.newaxis], unknowns), (contacts, n))
+    E_T = _sum((weight[:, None, None] * tangents, along, unknowns[:, np.newaxis, :]), ((d - 1) * contacts, n))
+    return E_N, E_T
+
+
+def _sum(entries: tuple[Array, Places, Places], shape: tuple[int, int]) -> Any:
+    values, rows, columns = (np.broadcast_to(part, entries[0].shape).ravel() for part in entries)
+    matrix = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def count_unknowns(largest: int, dimension: int | None) -> int:
+    """Return n: as stated, else one more than the largest number in use.
+
+    Raises
+    ------
+    InvalidProblem
+        Unknowns are numbered beyond the stated dimension, or it is no whole number.
+    """
+    if dimension is None:
+        return largest + 1
+    if not is_whole(dimension):
+        raise InvalidProblem(f"dimension: expected the number of all unknowns, got {dimension!r}")
+    if largest >= dimension:
+        raise InvalidProblem(f"unknowns: expected numbers from 0 to {dimension - 1}, got {largest}")
+    return dimension

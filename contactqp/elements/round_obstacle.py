@@ -1,4 +1,7 @@
-"""Rigid circles, spheres, cylinders and paraboloids, solid or as holes: distances to a centre, an axis, a surface."""
+"""Rigid circles, spheres and cylinders, solid or as holes, and the paraboloid of Hertz's theory.
+
+Distances are to a centre or to an axis; the paraboloid has the gap that Hertz's theory measures, or the true distance.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,22 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.elements.exact import unit_vector
-from contactqp.elements.reading import positive_number, real_array
+from contactqp.elements.checked_arrays import positive_number, real_array
+from contactqp.elements.scalars import unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9
+Measure = Literal["axis", "normal"]
+# Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
+NEWTON_STEPS = 100
 
 
 @computes
 @dataclass(frozen=True, eq=False)
 class _Ball(ABC):
-    """What a circle and a sphere share: only the dimension differs."""
+    """The common part of a circle and a sphere: only the dimension differs."""
 
     centre: Any
     radius: float
@@ -34,18 +40,18 @@ class _Ball(ABC):
     @property
     @abstractmethod
     def dimension(self) -> int:
-        """2 or 3."""
+        """Return 2 or 3."""
 
     @property
     def _name(self) -> str:
         return type(self).__name__.lower()
 
     def distance(self, points: Any) -> NDArray[np.float64]:
-        """The signed distance of the (p, dimension) points, positive when open, (p,) [length]."""
+        """Return the signed distance of the (p, dimension) points, positive when open, (p,) [length]."""
         return _distance(self._radial(points), float(self.radius), self.inside)
 
     def normals(self, points: Any) -> NDArray[np.float64]:
-        """The unit normals out of the obstacle, (p, dimension); InvalidProblem for a point at the centre."""
+        """Return the unit normals out of the obstacle, (p, dimension); InvalidProblem for a point at the centre."""
         return _normals(self._name, points, self._radial(points), float(self.radius), self.inside)
 
     def _radial(self, points: Any) -> NDArray[np.float64]:
@@ -126,15 +132,15 @@ class Cylinder:
         return 3
 
     def distance(self, points: Any) -> NDArray[np.float64]:
-        """The signed distance of the (p, 3) points, positive when open, (p,) [length]."""
+        """Return the signed distance of the (p, 3) points, positive when open, (p,) [length]."""
         return _distance(self._radial(points), float(self.radius), self.inside)
 
     def normals(self, points: Any) -> NDArray[np.float64]:
-        """The unit normals out of the obstacle, (p, 3); InvalidProblem for a point on the axis."""
+        """Return the unit normals out of the obstacle, (p, 3); InvalidProblem for a point on the axis."""
         return _normals("cylinder", points, self._radial(points), float(self.radius), self.inside)
 
     def _radial(self, points: Any) -> NDArray[np.float64]:
-        """From the axis to the points."""
+        """Return the vectors from the axis to the points."""
         a = unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
         apart = real_array("points", points) - np.asarray(self.point, dtype=float)
         radial: NDArray[np.float64] = apart - np.outer(apart @ a, a)
@@ -163,13 +169,6 @@ def _normals(name: str, points: Any, radial: NDArray[np.float64], radius: float,
         )
     normals: NDArray[np.float64] = radial / length[:, np.newaxis]
     return -normals if inside else normals
-
-
-# The rigid paraboloid, Hertz's own obstacle: with the gap that his theory measures, or with the true distance.
-
-Measure = Literal["axis", "normal"]
-# Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
-NEWTON_STEPS = 100
 
 
 @computes
@@ -219,7 +218,7 @@ class Paraboloid:
         return len(self.apex)
 
     def distance(self, points: Any) -> NDArray[np.float64]:
-        """The gaps of the (p, dimension) points by the chosen measure, positive when open, (p,) [length]."""
+        """Return the gaps of the (p, dimension) points by the chosen measure, positive when open, (p,) [length]."""
         z, radial = self._coordinates(points)
         if self.measure == "axis":
             along: NDArray[np.float64] = z + self._sign * (radial**2).sum(axis=1) / (2 * self.radius)
@@ -230,7 +229,7 @@ class Paraboloid:
         return distances
 
     def normals(self, points: Any) -> NDArray[np.float64]:
-        """The unit vectors that the gaps are measured along, (p, dimension).
+        """Return the unit vectors that the gaps are measured along, (p, dimension).
 
         Raises
         ------
@@ -250,7 +249,7 @@ class Paraboloid:
         return -1.0 if self.inside else 1.0
 
     def _coordinates(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """z, (p,), and the vectors from the axis to the points, (p, dimension)."""
+        """Return z, (p,), and the vectors from the axis to the points, (p, dimension)."""
         apart = real_array("points", points) - np.asarray(self.apex, dtype=float)
         z = apart @ self._along
         return z, apart - np.outer(z, self._along)
@@ -258,7 +257,7 @@ class Paraboloid:
     def _foot(
         self, z: NDArray[np.float64], radial: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The nearest points on the surface, from the apex, and the unit normals there.
+        """Return the nearest points on the surface, from the apex, and the unit normals there.
 
         The foot at the distance rho from the axis satisfies rho^3 + p rho = q, p = 2 R (R + s z), q = 2 R^2 r, with
         s = 1 for a solid and -1 for a bowl; the nearest is the largest root.
@@ -280,7 +279,7 @@ class Paraboloid:
 
 
 def _largest_root(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The largest root of x^3 + p x = q >= 0: Newton's method from above, monotone as the cubic is convex."""
+    """Return the largest root of x^3 + p x = q >= 0, by Newton's method from above, monotone as the cubic is convex."""
     x: NDArray[np.float64] = np.cbrt(q) + np.sqrt(np.maximum(-p, 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         x = np.where(p > 0, np.minimum(x, q / p), x)

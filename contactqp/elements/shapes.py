@@ -13,7 +13,8 @@ exact curve. Every function raises InvalidProblem for a length, a number of divi
     ball                             side sphere; a half is the lower one, with top (z = 0); a quarter also x >= 0,
                                      with left (x = 0); an eighth also y >= 0, with front (y = 0)
 
-Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``.
+Discs and balls are graded towards their pole, the lowest point, which is the node set ``"pole"``. They are O-grids: a
+rounded square or cubic core, and layers from its faces to the circle.
 """
 
 from __future__ import annotations
@@ -33,132 +34,10 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import is_whole
 
-# Graded division of a line.
-
-Towards = Literal["low", "high", "both", "middle"]
-
-
-def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]:
-    """Ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one place.
-
-    Parameters
-    ----------
-    cells : int
-        At least one.
-    grading : float
-        Largest over smallest size, at least 1.
-    towards : str
-        Where the cells are smallest: the ``"low"`` end, the ``"high"`` end, ``"both"`` ends or the ``"middle"``.
-
-    >>> spacing(2, 3.0, "low").tolist()
-    [0.0, 0.125, 0.25, 0.625, 1.0]
-    """
-    if not is_whole(cells) or cells < 1:
-        raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {cells!r}")
-    if not (math.isfinite(grading) and grading >= 1):
-        raise InvalidProblem(f"shape: expected a grading >= 1, got {grading}")
-    i = np.arange(cells)
-    distance = {
-        "low": i,
-        "high": cells - 1 - i,
-        "both": np.minimum(i, cells - 1 - i),
-        "middle": abs(i - (cells - 1) / 2),
-    }[towards]
-    spread = float(distance.max() - distance.min())
-    sizes = grading ** ((distance - distance.min()) / spread) if spread else np.ones(cells)
-    ends = np.concatenate([[0.0], np.cumsum(sizes) / sizes.sum()])
-    ends[-1] = 1.0
-    values = np.empty(2 * cells + 1)
-    values[::2] = ends
-    values[1::2] = (ends[1:] + ends[:-1]) / 2
-    return values
-
-
-# Discs, balls and cylinders as O-grids: a rounded square or cubic core, and layers from its faces to the circle.
-
-Half = Literal["full", "positive", "negative"]
-# Half-width of the core over the radius, and how round it is (0 square, 1 circular): at these the angles of a
-# uniform disc's cells lie between 68 and 127 degrees.
-CORE, ROUNDNESS = 0.5, 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class OGrid:
-    """The unit disc or ball, or a part of it, perhaps extruded along one more axis.
-
-    A key has one component for each round axis (the place in the core, or on its surface), one for the extrusion if
-    there is one, and last the layer: 0 in the core, 2 `layers` on the circle.
-
-    Parameters
-    ----------
-    halves : tuple of str
-        For each round axis whether coordinates of both signs belong to the part.
-    core : int
-        Cells from the centre to a face of the core.
-    layers : int
-        Cells from there to the circle.
-    grading : float
-        With a value above 1 cells shrink towards the pole, the lowest point of the last round axis.
-    extrusion : int
-        Cells along the extrusion; 0: none.
-    """
-
-    halves: tuple[Half, ...]
-    core: int
-    layers: int
-    grading: float = 1.0
-    extrusion: int = 0
-
-    @property
-    def layer(self) -> int:
-        """The component of the key that counts the layers."""
-        return len(self.halves) + (self.extrusion > 0)
-
-    def patches(self) -> list[Patch]:
-        """The core, and the layers over each of its faces that is not cut."""
-        n = 2 * self.core
-        limits = {"full": (-n, n), "positive": (0, n), "negative": (-n, 0)}
-        axes: list[Index] = [np.arange(limits[half][0], limits[half][1] + 1) for half in self.halves]
-        if self.extrusion:
-            axes.append(np.arange(2 * self.extrusion + 1))
-        columns = list(range(len(axes)))
-        outward = np.arange(2 * self.layers + 1)
-        found = [Patch(axes, columns, {self.layer: 0})]
-        for axis, half in enumerate(self.halves):
-            for end in limits[half]:
-                if end:
-                    directions, places = list(axes), list(columns)
-                    directions[axis], places[axis] = outward if end > 0 else outward[::-1], self.layer
-                    found.append(Patch(directions, places, {axis: end}))
-        return found
-
-    def position(self, keys: Index) -> NDArray[np.float64]:
-        """Round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
-
-        With q in [-1, 1]^d the place in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
-        faces), e = d / |d|; the core is at CORE ((1 - ROUNDNESS) q + ROUNDNESS |q|_max e(q / |q|_max)), and the layers
-        go along straight lines from there to e.
-        """
-        q = np.stack([self._core(axis, keys[:, axis]) for axis in range(len(self.halves))], axis=1)
-        size = abs(q).max(axis=1, keepdims=True)
-        direction = np.tan(np.pi / 4 * q / np.where(size > 0, size, 1.0))
-        length = np.linalg.norm(direction, axis=1, keepdims=True)
-        unit = direction / np.where(length > 0, length, 1.0)
-        core = CORE * ((1 - ROUNDNESS) * q + ROUNDNESS * size * unit)
-        t = spacing(self.layers, self.grading, "high")[keys[:, self.layer]][:, None]
-        return np.asarray((1 - t) * core + t * unit)
-
-    def _core(self, axis: int, keys: Index) -> NDArray[np.float64]:
-        """q in [-1, 1] along one axis: graded to -1 along the axis of the pole, to 0 along the others."""
-        n = self.core
-        if axis < len(self.halves) - 1 or self.halves[axis] == "positive" or self.grading == 1:
-            return np.asarray(np.sign(keys) * spacing(n, self.grading, "low")[abs(keys)])
-        cells = n if self.halves[axis] == "negative" else 2 * n
-        return np.asarray(spacing(cells, self.grading, "low")[keys + 2 * n] * (cells // n) - 1)
-
-
 P = ParamSpec("P")
 Part = Literal["full", "half", "quarter", "eighth"]
+Half = Literal["full", "positive", "negative"]
+Towards = Literal["low", "high", "both", "middle"]
 _AXIS_SIDES = {2: (("left", "right"), ("bottom", "top")), 3: (("left", "right"), ("front", "back"), ("bottom", "top"))}
 _CYLINDER_PARTS: dict[str, tuple[Half, ...]] = {
     "full": ("full", "full"),
@@ -171,10 +50,13 @@ _BALL_PARTS: dict[str, tuple[Half, ...]] = {
     "quarter": ("positive", "full", "negative"),
     "eighth": ("positive", "positive", "negative"),
 }
+# Half-width of the core over the radius, and how round it is (0 square, 1 circular): at these the angles of a
+# uniform disc's cells lie between 68 and 127 degrees.
+CORE, ROUNDNESS = 0.5, 0.5
 
 
 class Shape(Generic[P]):
-    """What a function says of a mesh: called, the mesh; its `lattice`, the mesh before it is made."""
+    """A function for a shape: called, it returns the mesh; its `lattice` is the mesh before it is made."""
 
     def __init__(self, lattice: Callable[P, Lattice]) -> None:
         self.lattice = lattice
@@ -195,7 +77,7 @@ def rectangle(
     towards: Sequence[str] = ("bottom",),
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The rectangle from `corner`, its lowest x and y, to corner + (width, height).
+    """Mesh the rectangle from `corner`, its lowest x and y, to corner + (width, height).
 
     Parameters
     ----------
@@ -222,11 +104,26 @@ def box(
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
     crown: float | None = None,
 ) -> Lattice:
-    """The box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
+    """Mesh the box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
 
     ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
     higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
     flat top.
+
+    Parameters
+    ----------
+    lengths : (float, float, float)
+        Lengths along x, y and z [length].
+    divisions : (int, int, int)
+        Elements along x, y and z.
+    kind : str
+        Kind of element: ``"hex8"``.
+    grading, towards : float, sequence of str
+        As for `rectangle`.
+    corner : (float, float, float)
+        Lowest x, y and z [length].
+    crown : float, optional
+        Radius of curvature of the bottom [length].
     """
     lattice = _box(lengths, divisions, kind, grading, towards, corner)
     if crown is None:
@@ -255,9 +152,21 @@ def disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The disc. `divisions` are the elements from the centre to the edge of the core, and from there to the arc.
+    """Mesh a disc.
 
-    With (n, m) there are 8 n elements along the whole arc and n + m along a radius.
+    Parameters
+    ----------
+    radius : float
+        Radius [length].
+    divisions : (int, int)
+        Elements from the centre to the edge of the core, and from there to the arc: 8 n elements along the arc and
+        n + m along a radius for (n, m).
+    kind : str
+        Kind of element: ``"quad4"``.
+    grading : float
+        Ratio of the largest to the smallest element, which is at the pole.
+    center : (float, float)
+        Centre of the whole disc [length].
     """
     return _round(OGrid(("full", "full"), *_pair(divisions), grading), radius, center, kind, {})
 
@@ -271,7 +180,13 @@ def half_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The lower half of the disc around `center`, y <= center_y; as `disc`."""
+    """Mesh the lower half of the disc around `center`, y <= center_y; as `disc`.
+
+    Parameters
+    ----------
+    radius, divisions, kind, grading, center
+        As for `disc`.
+    """
     return _round(OGrid(("full", "negative"), *_pair(divisions), grading), radius, center, kind, {"top": 1})
 
 
@@ -284,7 +199,13 @@ def quarter_disc(
     grading: float = 1.0,
     center: tuple[float, float] = (0.0, 0.0),
 ) -> Lattice:
-    """The lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball."""
+    """Mesh the lower right quarter of the disc around `center`; as `disc`. In axial symmetry it is a half ball.
+
+    Parameters
+    ----------
+    radius, divisions, kind, grading, center
+        As for `disc`.
+    """
     grid = OGrid(("positive", "negative"), *_pair(divisions), grading)
     return _round(grid, radius, center, kind, {"top": 1, "left": 0})
 
@@ -299,7 +220,21 @@ def ball(
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Lattice:
-    """The ball or a part of it; `divisions` as for `disc`."""
+    """Mesh a ball or a part of it; `divisions` as for `disc`.
+
+    Parameters
+    ----------
+    radius, divisions : float, (int, int)
+        As for `disc`.
+    kind : str
+        Kind of element: ``"hex8"``.
+    part : str
+        ``"full"``, ``"half"``, ``"quarter"`` or ``"eighth"``.
+    grading : float
+        Ratio of the largest to the smallest element.
+    center : (float, float, float)
+        Centre of the whole ball [length].
+    """
     if part not in _BALL_PARTS:
         raise InvalidProblem(f"ball: expected a part of {', '.join(_BALL_PARTS)}, got {part!r}")
     halves = _BALL_PARTS[part]
@@ -318,9 +253,24 @@ def cylinder(
     grading: float = 1.0,
     center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Lattice:
-    """The cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
+    """Mesh the cylinder with the axis z and the middle of its bottom at `center`, or a part of it.
 
     `divisions` are those of `disc` and the elements along z, which get smaller towards the bottom.
+
+    Parameters
+    ----------
+    radius, height : float
+        Radius and height [length].
+    divisions : (int, int, int)
+        Those of `disc`, and the elements along z, which get smaller towards the bottom.
+    kind : str
+        Kind of element: ``"hex8"``.
+    part : str
+        ``"full"``, ``"half"`` or ``"quarter"``.
+    grading : float
+        Ratio of the largest to the smallest element.
+    center : (float, float, float)
+        Middle of the bottom of the whole cylinder [length].
     """
     if part not in _CYLINDER_PARTS:
         raise InvalidProblem(f"cylinder: expected a part of {', '.join(_CYLINDER_PARTS)}, got {part!r}")
@@ -354,9 +304,11 @@ def _box(
     names = _AXIS_SIDES[len(lengths)]
     if np.shape(divisions) != (len(names),):
         raise InvalidProblem(f"shape: expected {len(names)} divisions, got {divisions!r}")
-    known = {name for pair in names for name in pair} | {"middle"}
-    if isinstance(towards, str) or set(towards) - known:
-        raise InvalidProblem(f"shape: expected `towards` to be a list of {', '.join(sorted(known))}, got {towards!r}")
+    names_of_sides = {name for pair in names for name in pair} | {"middle"}
+    if isinstance(towards, str) or set(towards) - names_of_sides:
+        raise InvalidProblem(
+            f"shape: expected `towards` to be a list of {', '.join(sorted(names_of_sides))}, got {towards!r}"
+        )
     values = []
     for axis, pair in enumerate(names):
         place = _towards(pair, towards, horizontal=axis < len(names) - 1)
@@ -409,3 +361,115 @@ def _length(what: str, value: float) -> float:
     if not (math.isfinite(value) and value > 0):
         raise InvalidProblem(f"shape: expected a positive {what}, got {value}")
     return float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class OGrid:
+    """The unit disc or ball, or a part of it, perhaps extruded along one more axis.
+
+    A key has one component for each round axis (the place in the core, or on its surface), one for the extrusion if
+    there is one, and last the layer: 0 in the core, 2 `layers` on the circle.
+
+    Parameters
+    ----------
+    halves : tuple of str
+        For each round axis whether coordinates of both signs belong to the part.
+    core : int
+        Cells from the centre to a face of the core.
+    layers : int
+        Cells from there to the circle.
+    grading : float
+        With a value above 1 cells shrink towards the pole, the lowest point of the last round axis.
+    extrusion : int
+        Cells along the extrusion; 0: none.
+    """
+
+    halves: tuple[Half, ...]
+    core: int
+    layers: int
+    grading: float = 1.0
+    extrusion: int = 0
+
+    @property
+    def layer(self) -> int:
+        """Return the component of the key that counts the layers."""
+        return len(self.halves) + (self.extrusion > 0)
+
+    def patches(self) -> list[Patch]:
+        """Return the core, and the layers over each of its faces that is not cut."""
+        n = 2 * self.core
+        limits = {"full": (-n, n), "positive": (0, n), "negative": (-n, 0)}
+        axes: list[Index] = [np.arange(limits[half][0], limits[half][1] + 1) for half in self.halves]
+        if self.extrusion:
+            axes.append(np.arange(2 * self.extrusion + 1))
+        columns = list(range(len(axes)))
+        outward = np.arange(2 * self.layers + 1)
+        found = [Patch(axes, columns, {self.layer: 0})]
+        for axis, half in enumerate(self.halves):
+            for end in limits[half]:
+                if end:
+                    directions, places = list(axes), list(columns)
+                    directions[axis], places[axis] = outward if end > 0 else outward[::-1], self.layer
+                    found.append(Patch(directions, places, {axis: end}))
+        return found
+
+    def position(self, keys: Index) -> NDArray[np.float64]:
+        """Return round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
+
+        With q in [-1, 1]^d the place in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
+        faces), e = d / |d|; the core is at CORE ((1 - ROUNDNESS) q + ROUNDNESS |q|_max e(q / |q|_max)), and the layers
+        go along straight lines from there to e.
+        """
+        q = np.stack([self._core(axis, keys[:, axis]) for axis in range(len(self.halves))], axis=1)
+        size = abs(q).max(axis=1, keepdims=True)
+        direction = np.tan(np.pi / 4 * q / np.where(size > 0, size, 1.0))
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        unit = direction / np.where(length > 0, length, 1.0)
+        core = CORE * ((1 - ROUNDNESS) * q + ROUNDNESS * size * unit)
+        t = spacing(self.layers, self.grading, "high")[keys[:, self.layer]][:, None]
+        return np.asarray((1 - t) * core + t * unit)
+
+    def _core(self, axis: int, keys: Index) -> NDArray[np.float64]:
+        """Return q in [-1, 1] along one axis: graded to -1 along the axis of the pole, to 0 along the others."""
+        n = self.core
+        if axis < len(self.halves) - 1 or self.halves[axis] == "positive" or self.grading == 1:
+            return np.asarray(np.sign(keys) * spacing(n, self.grading, "low")[abs(keys)])
+        cells = n if self.halves[axis] == "negative" else 2 * n
+        return np.asarray(spacing(cells, self.grading, "low")[keys + 2 * n] * (cells // n) - 1)
+
+
+def spacing(cells: int, grading: float, towards: Towards) -> NDArray[np.float64]:
+    """Return ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one
+    place.
+
+    Parameters
+    ----------
+    cells : int
+        At least one.
+    grading : float
+        Largest over smallest size, at least 1.
+    towards : str
+        Where the cells are smallest: the ``"low"`` end, the ``"high"`` end, ``"both"`` ends or the ``"middle"``.
+
+    >>> spacing(2, 3.0, "low").tolist()
+    [0.0, 0.125, 0.25, 0.625, 1.0]
+    """
+    if not is_whole(cells) or cells < 1:
+        raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {cells!r}")
+    if not (math.isfinite(grading) and grading >= 1):
+        raise InvalidProblem(f"shape: expected a grading >= 1, got {grading}")
+    i = np.arange(cells)
+    distance = {
+        "low": i,
+        "high": cells - 1 - i,
+        "both": np.minimum(i, cells - 1 - i),
+        "middle": abs(i - (cells - 1) / 2),
+    }[towards]
+    spread = float(distance.max() - distance.min())
+    sizes = grading ** ((distance - distance.min()) / spread) if spread else np.ones(cells)
+    ends = np.concatenate([[0.0], np.cumsum(sizes) / sizes.sum()])
+    ends[-1] = 1.0
+    values = np.empty(2 * cells + 1)
+    values[::2] = ends
+    values[1::2] = (ends[1:] + ends[:-1]) / 2
+    return values

@@ -1,4 +1,9 @@
-"""Elastic bodies: a mesh, a material, the assembled stiffness matrix, and the stresses of a displacement."""
+"""Elastic bodies: a mesh, a material, the stiffness matrix that follows, and the stresses of a displaced body.
+
+All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is the
+radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy). Element matrices are assembled in a time
+that is linear in the number of elements, and symmetric to the last digit.
+"""
 
 from __future__ import annotations
 
@@ -11,93 +16,23 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.facet import Surface
+from contactqp.elements.checked_arrays import positive_number, real_array
 from contactqp.elements.geometry import Block, Geometry, at_rule, batches, sum_at_nodes
 from contactqp.elements.material import MODELS, STRAINS, Material, Model, measure, strain_matrix, strains
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reading import positive_number, real_array
-from contactqp.elements.reference import REFERENCES, Quadrature, Reference, gauss, tetrahedron, triangle
+from contactqp.elements.reference_elements import REFERENCES, Quadrature, Reference, gauss, tetrahedron, triangle
+from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 from contactqp.model.problem_data import ReadOnly, read_only
 
-# From element matrices to one sparse matrix: linear in the number of elements, and symmetric to the last digit.
-
-
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Which pairs of nodes meet in an element, as compressed rows, and where each pair of each element stands in them.
-
-    Attributes
-    ----------
-    indptr, indices : arrays of int
-        Row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending.
-    slots : (total of E n^2,) array of int
-        The place in `indices` of every pair (first node, second node) of every element, element by element.
-    """
-
-    indptr: Index
-    indices: Index
-    slots: Index
-
-
-def pattern(connectivities: Sequence[Index], nodes: int) -> Pattern:
-    """The pattern of elements with the given (E, n) node numbers among `nodes` nodes, by two counting sorts."""
-    rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).ravel() for c in connectivities])
-    columns = np.concatenate([np.tile(c, (1, c.shape[1])).ravel() for c in connectivities])
-    order = _counting_sort(columns, nodes)
-    order = order[_counting_sort(rows[order], nodes)]
-    row, column = rows[order], columns[order]
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
-    slots = np.empty(len(order), dtype=np.int64)
-    slots[order] = np.cumsum(new) - 1
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(row[new], minlength=nodes))])
-    return Pattern(indptr, column[new], slots)
-
-
-def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
-    """The (nodes d, nodes d) CSC matrix of symmetric element matrices; as `blocks_of_nodes`."""
-    return from_blocks(where, blocks_of_nodes(where, entries))
-
-
-def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The blocks (pairs in the pattern, d, d) of symmetric element matrices, summed up.
-
-    Parameters
-    ----------
-    where : Pattern
-    entries : (d, d, total of E n^2) array
-        entries[a, b, s] couples axis a of the first node of pair s with axis b of its second node.
-
-    Notes
-    -----
-    Both (i, j) and (j, i) add up their elements one after the other in the order of the elements, so that symmetric
-    element matrices give a matrix that is symmetric to the last digit.
-    """
-    d, count = entries.shape[0], len(where.indices)
-    blocks = np.empty((count, d, d))
-    for a in range(d):
-        for b in range(d):
-            blocks[:, a, b] = np.bincount(where.slots, weights=entries[a, b], minlength=count)
-    return blocks
-
-
-def from_blocks(where: Pattern, blocks: NDArray[np.float64]) -> Any:
-    """The (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
-    size = blocks.shape[1] * (len(where.indptr) - 1)
-    # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
-    whole = np.int32 if blocks.size < np.iinfo(np.int32).max else np.int64
-    indices, indptr = where.indices.astype(whole), where.indptr.astype(whole)
-    rows = sp.bsr_array((blocks, indices, indptr), shape=(size, size)).tocsr()
-    return sp.csc_array((rows.data, rows.indices, rows.indptr), shape=(size, size))
-
-
-def _counting_sort(keys: Index, largest: int) -> Index:
-    """The stable order of whole numbers below `largest`: transposing one compressed row is a counting sort."""
-    row = sp.csr_array((np.arange(len(keys)), keys, [0, len(keys)]), shape=(1, largest))
-    order: Index = row.tocsc().data
-    return order
+# Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
+# integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.
+_SAMPLES = {
+    "tri3": triangle(1), "tri6": triangle(3), "tet4": tetrahedron(1), "tet10": tetrahedron(4),
+    "quad4": gauss(2, 2), "quad8": gauss(2, 2), "quad9": gauss(2, 2),
+    "hex8": gauss(2, 3), "hex20": gauss(2, 3), "hex27": gauss(2, 3),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +86,22 @@ class Body(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """Return d."""
         return self.mesh.dimension
 
     @property
     def axes(self) -> str:
-        """The axes that a node moves along: ``"xy"`` or ``"xyz"``."""
+        """Return the axes that a node moves along: ``"xy"`` or ``"xyz"``."""
         return "xyz"[: self.dimension]
 
     @property
     def size(self) -> int:
-        """How many unknowns the body has: N d."""
+        """Return the number of unknowns N d."""
         return int(self.mesh.points.size)
 
     @cached_property
     def stiffness(self) -> Any:
-        """K = sum over the elements of the integral of B'DB: (N d, N d) CSC, symmetric to the last digit.
+        """Return K, the sum over the elements of the integral of B'DB: (N d, N d) CSC, symmetric to the last digit.
 
         [force / length], per unit thickness times `thickness` in plane problems.
         """
@@ -174,7 +109,7 @@ class Body(ReadOnly):
         return read_only(from_blocks(where, self.node_blocks(self.mesh.blocks, where)))
 
     def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> NDArray[np.float64]:
-        """What these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""
+        """Return what these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""
         d = self.dimension
         entries = np.empty((d, d, len(where.slots)))
         at = 0
@@ -189,7 +124,7 @@ class Body(ReadOnly):
         return blocks_of_nodes(where, entries)
 
     def element_stiffness(self, block: Block) -> NDArray[np.float64]:
-        """The symmetric element matrices (E, n d, n d) of a block, all at once [force / length].
+        """Return the symmetric element matrices (E, n d, n d) of a block, all at once [force / length].
 
         In space, with the gradients G_ia = dN_i/dx_a of the shape functions, K_ia,jb is the integral of
         lambda G_ia G_jb + mu (G_ib G_ja + delta_ab G_i.G_j): B'DB of an isotropic material for a fifth of the work.
@@ -220,17 +155,21 @@ class Body(ReadOnly):
         return np.asarray(np.matmul(np.swapaxes(by_rows, 1, 2), DB.reshape(E, q * strains, columns)))
 
     def stiffness_rule(self, block: Block) -> Quadrature:
-        """Full integration; in axial symmetry the fine rule, because the radius stands in the integrand."""
+        """Return the rule of full integration; in axial symmetry the fine one, because the radius stands in the
+        integrand.
+        """
         return block.kind.fine_rule if self.model == "axisymmetric" else block.kind.rule
 
     def integration(self, block: Block, rule: Quadrature) -> tuple[Geometry, NDArray[np.float64]]:
-        """The block's elements at a rule's points, and weights (E, q): an integral over the body sums them up."""
+        """Return the block's elements at a rule's points, and weights (E, q): an integral over the body sums them
+        up.
+        """
         geometry = at_rule(block, self.mesh.points, rule)
         volume = geometry.determinant * rule.weights
         return geometry, volume * measure(geometry.positions, self.model, self.thickness)
 
     def surface(self, name: str, *, first: int = 0) -> Surface:
-        """The named side, for pairing; `first` is the place of the body's first unknown in u.
+        """Return the named side, for pairing; `first` is the place of the body's first unknown in u.
 
         Raises
         ------
@@ -246,7 +185,7 @@ class Body(ReadOnly):
         return Surface(self.mesh.points, facets[0].nodes, unknowns, where, self.thickness, self.model == "axisymmetric")
 
     def rigid_motions(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """The motions without strain as columns: translations, then rotations about `centre` [length].
+        """Return the motions without strain as columns: translations, then rotations about `centre` [length].
 
         By default about the mean of the nodes. (N d, 3) in the plane, (N d, 6) in space, (N d, 1), along the axis, in
         axial symmetry. For two axes a < b the rotation is u_a = -x_b, u_b = x_a.
@@ -263,29 +202,15 @@ class Body(ReadOnly):
         return np.stack(motions, axis=1)
 
 
-# Stresses of a displaced body, at its quadrature points and at its nodes, and von Mises' equivalent stress.
-#
-# All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is
-# the radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy).
-
-# Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
-# integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.
-_SAMPLES = {
-    "tri3": triangle(1), "tri6": triangle(3), "tet4": tetrahedron(1), "tet10": tetrahedron(4),
-    "quad4": gauss(2, 2), "quad8": gauss(2, 2), "quad9": gauss(2, 2),
-    "hex8": gauss(2, 3), "hex20": gauss(2, 3), "hex27": gauss(2, 3),
-}  # fmt: skip
-
-
 class PointStress(NamedTuple):
-    """Stresses at the quadrature points of one block of elements."""
+    """The stresses at the quadrature points of one block of elements."""
 
     positions: NDArray[np.float64]  # (E, q, d) [length]
     stress: NDArray[np.float64]  # (E, q, 6) [force / length^2]
 
 
 def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStress, ...]:
-    """sigma = D B u at the quadrature points of the stiffness, one entry for each block of the mesh.
+    """Return sigma = D B u at the quadrature points of the stiffness, one entry for each block of the mesh.
 
     Raises
     ------
@@ -301,7 +226,8 @@ def stress_at_quadrature(body: Body, displacement: ArrayLike) -> tuple[PointStre
 
 
 def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
-    """(N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the elements.
+    """Return (N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the
+    elements.
 
     Raises
     ------
@@ -315,7 +241,9 @@ def stress_at_nodes(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
 def stress_sums(
     body: Body, displacement: ArrayLike, blocks: Sequence[Block]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is in."""
+    """Return the stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is
+    in.
+    """
     u = _displacement(body, displacement)
     N = len(body.mesh.points)
     total, count = np.zeros((N, 6)), np.zeros((N, 1))
@@ -328,7 +256,7 @@ def stress_sums(
 
 
 def von_mises(stress: ArrayLike) -> NDArray[np.float64]:
-    """sqrt(1/2 ((xx-yy)^2 + (yy-zz)^2 + (zz-xx)^2) + 3 (xy^2 + yz^2 + zx^2)) of (..., 6) stresses.
+    """Return sqrt(1/2 ((xx-yy)^2 + (yy-zz)^2 + (zz-xx)^2) + 3 (xy^2 + yz^2 + zx^2)) of (..., 6) stresses.
 
     >>> von_mises([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]]).tolist()
     [2.0, 0.0]
@@ -344,7 +272,9 @@ def _stress(body: Body, block: Block, geometry: Geometry, u: NDArray[np.float64]
 
 
 def _continuation(kind: Reference) -> NDArray[np.float64]:
-    """(n, samples): the field of the linear kind through the sample points, at the nodes; constant for one sample."""
+    """Return the field of the linear kind through the sample points, at the nodes, (n, samples); constant for one
+    sample.
+    """
     samples = _SAMPLES[kind.name].points
     if len(samples) == 1:
         return np.ones((len(kind.nodes), 1))
@@ -357,3 +287,80 @@ def _displacement(body: Body, displacement: ArrayLike) -> NDArray[np.float64]:
     if u.shape != (body.size,):
         raise InvalidProblem(f"{body.name}: expected a displacement of shape ({body.size},), got {u.shape}")
     return u
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """The pairs of nodes that meet in an element, as compressed rows, and where each pair of each element stands in
+    them.
+
+    Attributes
+    ----------
+    indptr, indices : arrays of int
+        Row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending.
+    slots : (total of E n^2,) array of int
+        The place in `indices` of every pair (first node, second node) of every element, element by element.
+    """
+
+    indptr: Index
+    indices: Index
+    slots: Index
+
+
+def pattern(connectivities: Sequence[Index], nodes: int) -> Pattern:
+    """Return the pattern of elements with the given (E, n) node numbers among `nodes` nodes, by two counting sorts."""
+    rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).ravel() for c in connectivities])
+    columns = np.concatenate([np.tile(c, (1, c.shape[1])).ravel() for c in connectivities])
+    order = _counting_sort(columns, nodes)
+    order = order[_counting_sort(rows[order], nodes)]
+    row, column = rows[order], columns[order]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (row[1:] != row[:-1]) | (column[1:] != column[:-1])
+    slots = np.empty(len(order), dtype=np.int64)
+    slots[order] = np.cumsum(new) - 1
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(row[new], minlength=nodes))])
+    return Pattern(indptr, column[new], slots)
+
+
+def assemble(where: Pattern, entries: NDArray[np.float64]) -> Any:
+    """Return the (nodes d, nodes d) CSC matrix of symmetric element matrices; as `blocks_of_nodes`."""
+    return from_blocks(where, blocks_of_nodes(where, entries))
+
+
+def blocks_of_nodes(where: Pattern, entries: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the blocks (pairs in the pattern, d, d) of symmetric element matrices, summed up.
+
+    Parameters
+    ----------
+    where : Pattern
+    entries : (d, d, total of E n^2) array
+        entries[a, b, s] couples axis a of the first node of pair s with axis b of its second node.
+
+    Notes
+    -----
+    Both (i, j) and (j, i) add up their elements one after the other in the order of the elements, so that symmetric
+    element matrices give a matrix that is symmetric to the last digit.
+    """
+    d, count = entries.shape[0], len(where.indices)
+    blocks = np.empty((count, d, d))
+    for a in range(d):
+        for b in range(d):
+            blocks[:, a, b] = np.bincount(where.slots, weights=entries[a, b], minlength=count)
+    return blocks
+
+
+def from_blocks(where: Pattern, blocks: NDArray[np.float64]) -> Any:
+    """Return the (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
+    size = blocks.shape[1] * (len(where.indptr) - 1)
+    # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
+    whole = np.int32 if blocks.size < np.iinfo(np.int32).max else np.int64
+    indices, indptr = where.indices.astype(whole), where.indptr.astype(whole)
+    rows = sp.bsr_array((blocks, indices, indptr), shape=(size, size)).tocsr()
+    return sp.csc_array((rows.data, rows.indices, rows.indptr), shape=(size, size))
+
+
+def _counting_sort(keys: Index, largest: int) -> Index:
+    """Return the stable order of whole numbers below `largest`: transposing one compressed row is a counting sort."""
+    row = sp.csr_array((np.arange(len(keys)), keys, [0, len(keys)]), shape=(1, largest))
+    order: Index = row.tocsc().data
+    return order

@@ -1,4 +1,4 @@
-"""Springs between two nodes or from a node to the ground, and point masses: a weight, in dynamics an inertia too."""
+"""The spring: a stiffness along one direction, between two nodes or from a node to the ground."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length, unit_vector
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length, unit_vector
 
 
 def stiffness(constant: Number, direction: Any) -> Numbers:
-    """K = k [[n n', -n n'], [-n n', n n']] between two nodes, n = direction / |direction|.
+    """Return K = k [[n n', -n n'], [-n n', n n']] between two nodes, n = direction / |direction|.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def stiffness(constant: Number, direction: Any) -> Numbers:
 
 
 def to_ground(constant: Number, direction: Any) -> Numbers:
-    """K = k n n' of a spring between a node and the ground, (dimension, dimension) [force / length]."""
+    """Return K = k n n' of a spring between a node and the ground, (dimension, dimension) [force / length]."""
     d = np.asarray(direction)
     unit_vector(d, "spring direction")
     block: Numbers = constant / squared_length(d) * np.outer(d, d)
@@ -39,23 +39,7 @@ def to_ground(constant: Number, direction: Any) -> Numbers:
 
 
 def force(constant: Number, direction: Any, relative: Any) -> Number:
-    """k n.(u_end - u_start), positive in tension [force]; `relative` is u_end - u_start, (dimension,)."""
+    """Return k n.(u_end - u_start), positive in tension [force]; `relative` is u_end - u_start, (dimension,)."""
     d = np.asarray(direction)
     value: Number = constant * np.dot(d, np.asarray(relative)) / square_root(squared_length(d))
     return value
-
-
-def weight(mass: Number, gravity: Any) -> Numbers:
-    """f = m g, (dimension,) [force]; `gravity` is the vector of acceleration, downwards where it points down.
-
-    >>> weight(2.0, [0.0, -9.81]).tolist()
-    [0.0, -19.62]
-    """
-    f: Numbers = mass * np.asarray(gravity)
-    return f
-
-
-def inertia(mass: Number, dimension: int) -> Numbers:
-    """M = m I, (dimension, dimension) [mass]."""
-    M: Numbers = mass * np.eye(dimension, dtype=int)
-    return M

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 
 
 def stiffness(tension: Number, start: Any, end: Any) -> Numbers:
-    """K = (T / h) [[P, -P], [-P, P]] with P = I - d d' / h^2, d = end - start and h = |d|.
+    """Return K = (T / h) [[P, -P], [-P, P]] with P = I - d d' / h^2, d = end - start and h = |d|.
 
     Across the string, on the deflections (w_start, w_end), that is (T / h) [[1, -1], [-1, 1]]: the energy is the
     integral of T/2 w'^2. Along the string nothing resists. Small slopes; the tension does not change.
@@ -41,7 +41,7 @@ def stiffness(tension: Number, start: Any, end: Any) -> Numbers:
 
 
 def uniform_load(per_length: Any, start: Any, end: Any) -> Numbers:
-    """f = (h / 2) (b, b): the consistent load of a constant b on shape functions that are linear.
+    """Return f = (h / 2) (b, b): the consistent load of a constant b on shape functions that are linear.
 
     Parameters
     ----------

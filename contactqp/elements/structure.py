@@ -1,4 +1,7 @@
-"""Several bodies in one displacement vector: stiffness, load and contacts of the unknowns that no support holds."""
+"""Several bodies in one u, held by supports and loaded: the system of the free unknowns, and its contacts.
+
+Prescribed displacements go to the right-hand side of K u = f and, in contacts, to the gap.
+"""
 
 from __future__ import annotations
 
@@ -11,115 +14,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from contactqp.elements.facet import Surface
+from contactqp.elements.checked_arrays import real_array
 from contactqp.elements.loads import Field, Load, field_values, node_numbers
 from contactqp.elements.membrane import Membrane
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.reading import real_array
 from contactqp.elements.solid import Body
+from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index, Vector
 from contactqp.model.problem import ContactProblem
-
-# Contacts of bodies some of whose unknowns are prescribed: rows of the free unknowns, and what is left of the gap.
-
-
-@dataclass(frozen=True, eq=False)
-class FreeContacts:
-    """The contacts that a free unknown moves, m of them, over the f free unknowns.
-
-    Attributes
-    ----------
-    kept : (m,) array of int
-        Their places among the rows of all pairings.
-    normal : (m, f) sparse array
-    gap : (m,) array
-        gap - E_N u_prescribed [length].
-    names : list of str
-    tangent : ((d-1) m, f) sparse array, optional
-    friction : (m,) array, optional
-    slip_origin : ((d-1) m,) array, optional
-        -E_T u_prescribed [length].
-    """
-
-    kept: Index
-    normal: Any
-    gap: Vector
-    names: list[str]
-    tangent: Any = None
-    friction: Vector | None = None
-    slip_origin: Vector | None = None
-
-
-def free_contacts(
-    pairings: Sequence[Pairing],
-    prescribed: Vector,
-    *,
-    friction: ArrayLike | None = None,
-    names: Sequence[str] | None = None,
-) -> FreeContacts:
-    """Contacts between supported nodes, which no free unknown moves, are left out.
-
-    Parameters
-    ----------
-    pairings : sequence of Pairing
-        Rows over all n unknowns.
-    prescribed : (n,) array
-        Displacements of the supports [length], NaN at free unknowns.
-    friction, names
-        As `System.problem` takes them.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows of another length than u; supported nodes that are pressed into an obstacle.
-    """
-    free = np.flatnonzero(np.isnan(prescribed))
-    given = np.where(np.isnan(prescribed), 0.0, prescribed)
-    normal = stacked([pairing.normal for pairing in pairings], len(given))
-    gap = np.concatenate([np.zeros(0), *[np.asarray(pairing.gap, dtype=float) for pairing in pairings]])
-    gap = gap - normal @ given
-    kept = kept_contacts(normal, prescribed)
-    held = np.setdiff1d(np.arange(len(gap)), kept)
-    called = [f"contact {i}" for i in range(len(gap))] if names is None else names
-    if len(called) != len(gap):
-        raise InvalidProblem(f"names: expected one for each of {len(gap)} rows, got {len(called)}")
-    if held.size and gap[held].min() < 0:
-        i = held[np.argmin(gap[held])]
-        raise InvalidProblem(
-            f"{called[i]}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
-        )
-    tangential: dict[str, Any] = {}
-    if friction is not None:
-        tangent = stacked([pairing.tangent for pairing in pairings], len(given))
-        per_contact = tangent.shape[0] // max(len(gap), 1)
-        rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
-        tangential = {
-            "tangent": tangent[rows][:, free],
-            "friction": np.broadcast_to(real_array("friction", friction), gap.shape)[kept],
-            "slip_origin": -(tangent @ given)[rows],
-        }
-    return FreeContacts(kept, sp.csr_array(normal[kept][:, free]), gap[kept], [called[i] for i in kept], **tangential)
-
-
-def kept_contacts(normal: Any, prescribed: Vector) -> Index:
-    """The rows of E_N that depend on a free unknown."""
-    return np.flatnonzero(abs(sp.csr_array(normal)) @ np.isnan(prescribed).astype(float) > 0)
-
-
-def stacked(rows: Sequence[Any], n: int) -> Any:
-    """The rows of all pairings, one under the other.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows over another number of unknowns than n.
-    """
-    for i, matrix in enumerate(rows):
-        if matrix.shape[1] != n:
-            raise InvalidProblem(f"pairing {i}: expected rows over all {n} unknowns, got {matrix.shape[1]}")
-    return sp.csr_array(sp.vstack([sp.csr_array((0, n)), *rows], format="csr"))
-
 
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
@@ -130,7 +33,7 @@ _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
 @dataclass(frozen=True)
 class Support:
-    """Prescribed displacement of some nodes along one axis.
+    """A prescribed displacement of some nodes along one axis.
 
     Parameters
     ----------
@@ -179,40 +82,40 @@ class Structure:
 
     @property
     def size(self) -> int:
-        """How many unknowns all bodies have."""
+        """Return the number of unknowns of all bodies."""
         return sum(body.size for body in self.bodies)
 
     def body(self, name: str) -> Part:
-        """The body of that name."""
+        """Return the body of that name."""
         for body in self.bodies:
             if body.name == name:
                 return body
-        known = ", ".join(repr(body.name) for body in self.bodies)
-        raise InvalidProblem(f"structure: there is no body {name!r}; it has {known}")
+        names = ", ".join(repr(body.name) for body in self.bodies)
+        raise InvalidProblem(f"structure: there is no body {name!r}; it has {names}")
 
     def solid(self, name: str) -> Body:
-        """The elastic body of that name; InvalidProblem for a membrane."""
+        """Return the elastic body of that name; InvalidProblem for a membrane."""
         body = self.body(name)
         if isinstance(body, Membrane):
             raise InvalidProblem(f"structure: expected an elastic body, got the membrane {name!r}")
         return body
 
     def first(self, name: str) -> int:
-        """The place in u of the body's first unknown."""
+        """Return the place in u of the body's first unknown."""
         names = [body.name for body in self.bodies]
         return sum(body.size for body in self.bodies[: names.index(self.body(name).name)])
 
     def surface(self, body: str, side: str) -> Surface:
-        """A side of a body, numbered in the u of the structure."""
+        """Return a side of a body, numbered in the u of the structure."""
         return self.solid(body).surface(side, first=self.first(body))
 
     def displacements(self, name: str, displacement: ArrayLike) -> NDArray[np.float64]:
-        """The (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
+        """Return the (N, d) displacements of one body's nodes, (N, 1) of a membrane's, out of the u of all unknowns."""
         body, first = self.body(name), self.first(name)
         return real_array("displacement", displacement)[first : first + body.size].reshape(-1, len(body.axes))
 
     def unknown_names(self) -> tuple[str, ...]:
-        """``"block node 12 x"`` for each unknown."""
+        """Return ``"block node 12 x"`` for each unknown."""
         return tuple(
             f"{body.name} node {i} {axis}"
             for body in self.bodies
@@ -221,7 +124,9 @@ class Structure:
         )
 
     def rigid_motions(self) -> NDArray[np.float64]:
-        """(n, q): the motions of every body that cost it no energy, side by side in the same columns [length]."""
+        """Return the motions of every body that cost it no energy, side by side in the same columns, (n, q)
+        [length].
+        """
         of_bodies = [body.rigid_motions() for body in self.bodies]
         motions = np.zeros((self.size, max(part.shape[1] for part in of_bodies)))
         for body, part in zip(self.bodies, of_bodies, strict=True):
@@ -231,11 +136,11 @@ class Structure:
 
     @cached_property
     def stiffness(self) -> Any:
-        """K of all unknowns, free or not: (n, n) CSC [force / length]."""
+        """Return K of all unknowns, free or not: (n, n) CSC [force / length]."""
         return sp.csc_array(sp.block_diag([body.stiffness for body in self.bodies], format="csc"))
 
     def assemble(self, supports: Sequence[Support] = (), loads: Sequence[Load] = ()) -> System:
-        """The system of the free unknowns under these supports and loads (all of them add up).
+        """Return the system of the free unknowns under these supports and loads, which all add up.
 
         Raises
         ------
@@ -254,7 +159,7 @@ class Structure:
         return System(self, load, prescribed)
 
     def prescribed(self, supports: Sequence[Support]) -> Vector:
-        """(n,): the prescribed displacements, NaN at free unknowns.
+        """Return the prescribed displacements, NaN at free unknowns, (n,) [length].
 
         Raises
         ------
@@ -286,7 +191,8 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """K u = f on the free unknowns of a structure; prescribed displacements have gone to the right-hand side.
+    """The system K u = f on the free unknowns of a structure; prescribed displacements have gone to the right-hand
+    side.
 
     Parameters
     ----------
@@ -303,32 +209,33 @@ class System:
 
     @cached_property
     def free(self) -> Index:
-        """The free unknowns: free[j] is the place in the u of all unknowns of unknown j of this system."""
+        """Return the free unknowns: free[j] is the place in the u of all unknowns of unknown j of this system."""
         return np.flatnonzero(np.isnan(self.prescribed))
 
     @cached_property
     def given(self) -> Vector:
-        """(n,): the prescribed displacements, 0 at free unknowns [length]."""
+        """Return the prescribed displacements, 0 at free unknowns, (n,) [length]."""
         return np.where(np.isnan(self.prescribed), 0.0, self.prescribed)
 
     @cached_property
     def K(self) -> Any:
-        """The stiffness of the free unknowns, CSC [force / length]."""
+        """Return the stiffness of the free unknowns, CSC [force / length]."""
         return sp.csc_array(self.structure.stiffness[self.free][:, self.free])
 
     @cached_property
     def f(self) -> Vector:
-        """Their loads, f_free - K_free,prescribed u_prescribed [force]."""
+        """Return their loads, f_free - K_free,prescribed u_prescribed [force]."""
         return np.asarray((self.load - self.structure.stiffness @ self.given)[self.free])
 
     def expand(self, displacement: ArrayLike) -> Vector:
-        """The u of all unknowns from that of the free ones."""
+        """Return the u of all unknowns from that of the free ones."""
         u = self.given.copy()
         u[self.free] = real_array("displacement", displacement)
         return u
 
     def support_forces(self, displacement: ArrayLike, contact_forces: ArrayLike | None = None) -> Vector:
-        """What the supports do to the bodies: K u + E'l - f at supported unknowns, 0 at the others: (n,) [force].
+        """Return what the supports do to the bodies: K u + E'l - f at supported unknowns, 0 at the others: (n,)
+        [force].
 
         `displacement` is the u of all unknowns, `contact_forces` E_N' l_N (+ E_T' l_T) on all unknowns.
         """
@@ -338,7 +245,7 @@ class System:
         return np.where(np.isnan(self.prescribed), 0.0, residual)
 
     def free_contacts(self, pairings: Sequence[Pairing]) -> Index:
-        """The contacts, counted through all pairings, that depend on a free unknown; `problem` keeps these."""
+        """Return the contacts, counted through all pairings, that depend on a free unknown; `problem` keeps these."""
         return kept_contacts(stacked([pairing.normal for pairing in pairings], self.structure.size), self.prescribed)
 
     def problem(
@@ -349,7 +256,7 @@ class System:
         units: Any = None,
         names: Sequence[str] | None = None,
     ) -> ContactProblem:
-        """The contact problem of the free unknowns: E_N of the free unknowns, gap := gap - E_N u_prescribed.
+        """Return the contact problem of the free unknowns: E_N of the free unknowns, gap := gap - E_N u_prescribed.
 
         Parameters
         ----------
@@ -382,3 +289,100 @@ class System:
             units=units,
             near_null_space=self.structure.rigid_motions()[self.free],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeContacts:
+    """The m contacts that a free unknown moves, over the f free unknowns.
+
+    Attributes
+    ----------
+    kept : (m,) array of int
+        Their places among the rows of all pairings.
+    normal : (m, f) sparse array
+    gap : (m,) array
+        gap - E_N u_prescribed [length].
+    names : list of str
+    tangent : ((d-1) m, f) sparse array, optional
+    friction : (m,) array, optional
+    slip_origin : ((d-1) m,) array, optional
+        -E_T u_prescribed [length].
+    """
+
+    kept: Index
+    normal: Any
+    gap: Vector
+    names: list[str]
+    tangent: Any = None
+    friction: Vector | None = None
+    slip_origin: Vector | None = None
+
+
+def free_contacts(
+    pairings: Sequence[Pairing],
+    prescribed: Vector,
+    *,
+    friction: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
+) -> FreeContacts:
+    """Return the contacts of the free unknowns, without those between supported nodes, which no free unknown moves.
+
+    Parameters
+    ----------
+    pairings : sequence of Pairing
+        Rows over all n unknowns.
+    prescribed : (n,) array
+        Displacements of the supports [length], NaN at free unknowns.
+    friction, names
+        As `System.problem` takes them.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows of another length than u; supported nodes that are pressed into an obstacle.
+    """
+    free = np.flatnonzero(np.isnan(prescribed))
+    given = np.where(np.isnan(prescribed), 0.0, prescribed)
+    normal = stacked([pairing.normal for pairing in pairings], len(given))
+    gap = np.concatenate([np.zeros(0), *[np.asarray(pairing.gap, dtype=float) for pairing in pairings]])
+    gap = gap - normal @ given
+    kept = kept_contacts(normal, prescribed)
+    held = np.setdiff1d(np.arange(len(gap)), kept)
+    called = [f"contact {i}" for i in range(len(gap))] if names is None else names
+    if len(called) != len(gap):
+        raise InvalidProblem(f"names: expected one for each of {len(gap)} rows, got {len(called)}")
+    if held.size and gap[held].min() < 0:
+        i = held[np.argmin(gap[held])]
+        raise InvalidProblem(
+            f"{called[i]}: its nodes are supported and overlap by {-gap[i]:.6g}; nothing can part them"
+        )
+    tangential: dict[str, Any] = {}
+    if friction is not None:
+        tangent = stacked([pairing.tangent for pairing in pairings], len(given))
+        per_contact = tangent.shape[0] // max(len(gap), 1)
+        rows = (kept[:, None] * per_contact + np.arange(per_contact)).ravel()
+        tangential = {
+            "tangent": tangent[rows][:, free],
+            "friction": np.broadcast_to(real_array("friction", friction), gap.shape)[kept],
+            "slip_origin": -(tangent @ given)[rows],
+        }
+    return FreeContacts(kept, sp.csr_array(normal[kept][:, free]), gap[kept], [called[i] for i in kept], **tangential)
+
+
+def kept_contacts(normal: Any, prescribed: Vector) -> Index:
+    """Return the rows of E_N that depend on a free unknown."""
+    return np.flatnonzero(abs(sp.csr_array(normal)) @ np.isnan(prescribed).astype(float) > 0)
+
+
+def stacked(rows: Sequence[Any], n: int) -> Any:
+    """Return the rows of all pairings, one under the other.
+
+    Raises
+    ------
+    InvalidProblem
+        Rows over another number of unknowns than n.
+    """
+    for i, matrix in enumerate(rows):
+        if matrix.shape[1] != n:
+            raise InvalidProblem(f"pairing {i}: expected rows over all {n} unknowns, got {matrix.shape[1]}")
+    return sp.csr_array(sp.vstack([sp.csr_array((0, n)), *rows], format="csr"))

@@ -1,4 +1,7 @@
-"""The part of a surface's area that belongs to each node, its normal, and whether curved facets are too coarse."""
+"""The part of a surface's area that belongs to a node, and the normal there; and whether facets are too coarse.
+
+Facets of two curved sides are too coarse where their deviation from the smooth surfaces is comparable with the gap.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contactqp.elements.facet import Surface, kind_of, normal_vectors, tangent_vectors
+from contactqp.elements.surface import Surface, kind_of, normal_vectors, tangent_vectors
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array
 
@@ -14,10 +17,18 @@ from contactqp.model.arrays import Array
 GAUSS_POINTS = 5
 # The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
 NOT_POSITIVE = ("tri6", "quad8")
+# An error of the pressure of this part of it is worth a word.
+TOLD = 0.1
+# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
+EDGE = np.cos(np.pi / 6)
+# Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
+MATCHING = 0.05
+# Facets that bend less against each other are flat [radians].
+FLAT = 1e-9
 
 
 def tributary_areas(surface: Surface) -> NDArray[np.float64]:
-    """a_i = integral of N_i over the facets, one for each of `surface.nodes`, positive [area].
+    """Return a_i, the integral of N_i over the facets, one for each of `surface.nodes`, positive [area].
 
     In 2D the integral is over the thickness, a_i = t integral of N_i ds, so that with t = 1 areas and forces are both
     per unit thickness; on a revolved surface over full circles, a_i = integral of 2 pi r N_i ds.
@@ -51,7 +62,9 @@ def tributary_areas(surface: Surface) -> NDArray[np.float64]:
 
 
 def nodal_moments(surface: Surface) -> NDArray[np.float64]:
-    """int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d): first the nodal forces of a unit pressure [area]."""
+    """Return int N_i (1, x, x_0^2) dA over each facet, (p, k, 2 + d): first the nodal forces of a unit pressure
+    [area].
+    """
     shape, elements = _surface_elements(surface)
     x = np.einsum("qk,pkd->pqd", shape, surface.points[surface.facets])
     functions = np.concatenate([np.ones_like(x[:, :, :1]), x, x[:, :, :1] ** 2], axis=2)
@@ -60,7 +73,7 @@ def nodal_moments(surface: Surface) -> NDArray[np.float64]:
 
 
 def node_normals(surface: Surface) -> NDArray[np.float64]:
-    """The unit vectors along the sum of the normals of the facets at each of `surface.nodes`, (nodes, d).
+    """Return the unit vectors along the sum of the normals of the facets at each of `surface.nodes`, (nodes, d).
 
     Facets count by their surface element at the node. Where the sum vanishes (both sides of a sheet) it is zero.
     """
@@ -73,14 +86,16 @@ def node_normals(surface: Surface) -> NDArray[np.float64]:
 
 
 def facet_normals(surface: Surface) -> NDArray[np.float64]:
-    """The outward unit normal of each facet at each of its nodes, (p, k, d)."""
+    """Return the outward unit normal of each facet at each of its nodes, (p, k, d)."""
     normals = _normals_at(surface, kind_of(surface).nodes)
     unit: NDArray[np.float64] = normals / np.linalg.norm(normals, axis=2, keepdims=True)
     return unit
 
 
 def _surface_elements(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """N_i at the Gauss points, (q, k), and dA of each facet there with its thickness or circle, (p, q) [area]."""
+    """Return N_i at the Gauss points, (q, k), and dA of each facet there with its thickness or circle, (p, q)
+    [area].
+    """
     kind = kind_of(surface)
     xi, weights = kind.quadrature(GAUSS_POINTS)
     shape = kind.shape(xi)
@@ -91,13 +106,13 @@ def _surface_elements(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _summed(surface: Surface, parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The parts of facets (p, k) added up at each of `surface.nodes`."""
+    """Return the parts of facets (p, k) added up at each of `surface.nodes`."""
     total = np.bincount(surface.facets.ravel(), parts.ravel(), minlength=len(surface.points))
     return total[surface.nodes].astype(np.float64)
 
 
 def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The normal vectors of all facets at the reference points, as long as the surface element, (p, q, d)."""
+    """Return the normal vectors of all facets at the reference points, as long as the surface element, (p, q, d)."""
     kind = kind_of(surface)
     positions = surface.points[surface.facets]
     derivatives = kind.derivatives(xi)
@@ -108,20 +123,9 @@ def _normals_at(surface: Surface, xi: NDArray[np.float64]) -> NDArray[np.float64
     return np.stack(at, axis=1)
 
 
-# Whether the facets of two curved sides are too coarse for the gap between them.
-
-# An error of the pressure of this part of it is worth a word.
-TOLD = 0.1
-# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
-EDGE = np.cos(np.pi / 6)
-# Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
-MATCHING = 0.05
-# Facets that bend less against each other are flat [radians].
-FLAT = 1e-9
-
-
 def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ...]:
-    """A sentence, where both sides are curved, do not match, and their facets change the pressure by a tenth or more.
+    """Return a note where both sides are curved, do not match, and their facets change the pressure by a tenth or
+    more.
 
     Facets of length L that are off by the sagitta f = L theta / 8, with the angle theta = L / R that they span, overlap
     by about f more where a corner meets the middle of another. Over a length L that takes the pressure E f / L, while
@@ -146,7 +150,7 @@ def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ..
 
 
 def deviation(surface: Surface) -> float:
-    """The largest distance between the facets and the smooth surface through their nodes, estimated [length].
+    """Return the largest distance between the facets and the smooth surface through their nodes, estimated [length].
 
     Along the line s L t between two corners of a facet the smooth surface leaves it at the slopes k.t, with the kinks
     k = n - n_f of the smooth normal against the facet's: by k.t L s (1 - s) at most, L (|k_i.t| + |k_j.t|) / 8 in the
@@ -157,7 +161,9 @@ def deviation(surface: Surface) -> float:
 
 
 def _bows(surface: Surface) -> tuple[Array, Array]:
-    """How far each line between two corners of a facet is off the smooth surface [length], and its normal's turn."""
+    """Return how far each line between two corners of a facet is off the smooth surface [length], and its normal's
+    turn.
+    """
     kind, kink = kind_of(surface), kinks(surface)
     smooth = facet_normals(surface)[:, : kind.corners] + kink
     i, j = np.triu_indices(kind.corners, 1)
@@ -168,7 +174,9 @@ def _bows(surface: Surface) -> tuple[Array, Array]:
 
 
 def kinks(surface: Surface) -> Array:
-    """n - n_f in each corner of each facet, (f, corners, d): zero where it has no neighbour, or at a true edge."""
+    """Return n - n_f in each corner of each facet, (f, corners, d): zero where it has no neighbour, or at a true
+    edge.
+    """
     corners = kind_of(surface).corners
     smooth = np.zeros(surface.points.shape)
     smooth[surface.nodes] = node_normals(surface)
@@ -178,7 +186,7 @@ def kinks(surface: Surface) -> Array:
 
 
 def same_facets(slave: Surface, master: Surface) -> bool:
-    """Whether a facet of the master with as many nodes, each at its place, faces each facet of the slave."""
+    """Say whether a facet of the master with as many nodes, each at its place, faces each facet of the slave."""
     over = nodes_over(slave, master)
     if over is None or slave.facets.shape[1] != master.facets.shape[1]:
         return False
@@ -188,7 +196,7 @@ def same_facets(slave: Surface, master: Surface) -> bool:
 
 
 def nodes_over(slave: Surface, master: Surface) -> NDArray[np.int64] | None:
-    """The master node that faces each of `slave.nodes`, where each has one: offsets along the side vanish."""
+    """Return the master node that faces each of `slave.nodes`, where each has one: offsets along the side vanish."""
     points, others, normals = slave.points[slave.nodes], master.points[master.nodes], node_normals(slave)
     _, nearest = cKDTree(others).query(points)
     apart = others[nearest] - points

@@ -30,7 +30,7 @@ class Member:
     Attributes
     ----------
     kind : str
-        "bar", "spring", "beam", "string" or "matrix".
+        "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called.
     nodes : tuple of int
         Those it connects, as places in FrameFields.nodes; a single one is connected to the ground.
     path, displacement : (k, d) arrays
@@ -104,6 +104,8 @@ LINES: dict[str, dict[str, Any]] = {
     "string": dict(color="#0072B2", linewidth=1.2),
     "matrix": dict(color="#56B4E9", linewidth=1.2, linestyle="-."),
 }
+# Of kinds of elements that are not listed.
+OTHER_LINE: dict[str, Any] = dict(color="#CC79A7", linewidth=1.6)
 GROUNDED = "spring to the ground"
 # Rows of the legend that contacts may take, and node names that can be told apart.
 MOST_CONTACTS, MOST_NAMES = 12, 24
@@ -196,7 +198,8 @@ def _draw_members(axes: Any, fields: FrameFields, scale: float, below: float) ->
         look = dict(color=style.UNDEFORMED, linestyle="--", linewidth=1.0)
         axes.plot(*_joined(_flat(member.path, 0.0) for member in lines).T, gid="undeformed", **look)
         handles.append(style.line_handle("undeformed", **look))
-    for kind, look in LINES.items():
+    others = dict.fromkeys((member.kind for member in lines if member.kind not in LINES), OTHER_LINE)
+    for kind, look in {**LINES, **others}.items():
         mine = [_flat(_deformed(member, scale), -below) for member in lines if member.kind == kind]
         if mine:
             axes.plot(*_joined(mine).T, gid=kind, **look)

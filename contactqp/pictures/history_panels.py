@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.motion.history import MotionHistory
+from contactqp.analysis.motion.motion_history import MotionHistory
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.problem import ContactProblem

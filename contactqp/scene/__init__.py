@@ -1,4 +1,4 @@
-r"""The case file: schema, units, loading, the ContactProblem it stands for, and what it expects of the answer.
+r"""Case files: their keys, units and checks, the contact problem they state, and what they claim of its answer.
 
 A case is TOML, and its keys are the fields of `schema.SceneData`; every number with a dimension carries its unit::
 
@@ -12,7 +12,7 @@ A case is TOML, and its keys are the fields of `schema.SceneData`; every number 
     contacts = [{ name = "tip", node = "1", obstacle = "wall" }]
     loads = [{ unknown = "1.x", value = "300 kN" }]
 
-    [[expect]]                                  # quantities.QUANTITIES lists what can be asked
+    [[expect]]                                  # claims.QUANTITIES lists what can be asked
     quantity = "normal force"
     at = "tip"
     value = "285/2 kN"
@@ -27,7 +27,7 @@ In place of nodes a scene may have elastic ``bodies`` or ``membranes``, whose ke
     supports = [{ name = "symmetry", on = "block.left", axis = "x" }]
     pressures = [{ name = "press", side = "block.top", value = "100 MPa" }]
 
-With friction the answer depends on the way of the loads, from corner to corner of a path::
+With friction the answer depends on the path of the loads, from corner to corner::
 
     contacts = [{ name = "foot", node = "1", obstacle = "floor", friction = 0.3 }]
     loads = [
@@ -52,7 +52,7 @@ A scene with a motion moves in time, under constant loads::
     bars = [{ name = "rod", nodes = ["a", "b"], area = "2 cm^2", modulus = "210 GPa", density = "7850 kg/m^3", \
         divisions = 50 }]
 
-    [motion]                                # its keys are in schema_motion
+    [motion]                                # its keys are those of schema.Motion
     duration = "1 ms"
     time_step = "2 us"
     scheme = "moreau-jean"                  # one of contactqp.impact

@@ -1,4 +1,8 @@
-"""Read the quantities that claims name off a scene of nodes, a large deformation or a motion."""
+"""The quantities that claims ask of scenes of nodes, read off a solution at one instant of its path or motion.
+
+`READERS` has a function for each of `contactqp.scene.claims.QUANTITIES` by its name, but for quantities of elements,
+which the elements read themselves.
+"""
 
 from __future__ import annotations
 
@@ -11,112 +15,25 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from contactqp.analysis import is_motion
 from contactqp.analysis.history import Energies, Event, History
-from contactqp.analysis.kinds import is_motion
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
-from contactqp.elements import bar, spring
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
 from contactqp.model.solution import Solution
 from contactqp.scene import building
-from contactqp.scene.building import ExactProblem, NodeModel, spring_direction
+from contactqp.scene.body_geometry import obstacle
+from contactqp.scene.building import ExactProblem, NodeModel
 from contactqp.scene.claims import Claim, uniqueness_in_words
-from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import of_node, point
 
 if TYPE_CHECKING:
-    from contactqp.analysis.motion.history import MotionHistory
-
-# The quantities of large deformations: loads where the path is, limit points and snaps.
-
-Point = TypeVar("Point", LimitPoint, Snap)
-
-
-def _history(answer: Answer) -> LargeHistory:
-    history = answer.instant.history
-    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
-    return history
-
-
-def _solution(answer: Answer) -> LargeSolution:
-    assert isinstance(answer.solution, LargeSolution)
-    return answer.solution
-
-
-def _load(claim: Claim, answer: Answer, load_factor: float) -> float:
-    return float(answer.model.exact_load_at(Fraction(load_factor)).get(str(claim.at), 0))
-
-
-def _limit(claim: Claim, answer: Answer) -> LimitPoint:
-    points = _history(answer).limit_points
-    return _numbered(claim, points, "limit points", [f"{p.kind} at {p.load_factor:.6g}" for p in points])
-
-
-def _snap(claim: Claim, answer: Answer) -> Snap:
-    snaps = _history(answer).snaps
-    return _numbered(claim, snaps, "snap-throughs", [f"one at {snap.high:.6g}" for snap in snaps])
-
-
-def _numbered(claim: Claim, points: Sequence[Point], what: str, known: Sequence[str]) -> Point:
-    """Counted from 1, or from the end.
-
-    Raises
-    ------
-    SceneError
-        The path has fewer.
-    """
-    if len(points) < abs(claim.occurrence):
-        raise SceneError(
-            f"{claim}: expected {abs(claim.occurrence)} {what} or more on the path, got {', '.join(known) or 'none'}"
-        )
-    return points[claim.occurrence - (claim.occurrence > 0)]
-
-
-def _limit_displacement(claim: Claim, answer: Answer) -> float:
-    place = answer.exact.unknowns.free.index(str(claim.at))
-    return float(_limit(claim, answer).displacement[place])
-
-
-OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
-    "load factor": lambda _, answer: _solution(answer).load_factor,
-    "load": lambda claim, answer: _load(claim, answer, _solution(answer).load_factor),
-    "limit load factor": lambda claim, answer: _limit(claim, answer).load_factor,
-    "limit load": lambda claim, answer: _load(claim, answer, _limit(claim, answer).load_factor),
-    "limit displacement": _limit_displacement,
-    "limit points": lambda _, answer: len(_history(answer).limit_points),
-    "snap-through load factor": lambda claim, answer: _snap(claim, answer).high,
-    "snap-through load": lambda claim, answer: _load(claim, answer, _snap(claim, answer).high),
-    "snap-throughs": lambda _, answer: len(_history(answer).snaps),
-}
-
-
-# The quantities of motions that nodes and bodies have alike: energies and momenta.
-
-
-def _momentum(claim: Claim, answer: Any) -> float:
-    from contactqp.scene.moving import momentum
-
-    instant = answer.instant
-    return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
-
-
-OF_MOTIONS: Mapping[str, Callable[[Claim, Any], float]] = {
-    "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
-    "total energy": lambda claim, answer: answer.instant.energies(claim).total,
-    "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
-    "energy drift": lambda claim, answer: answer.instant.energies(claim).drift,
-    "total momentum": _momentum,
-    "momentum": _momentum,
-}
-
-
-# Where on the load path or in the motion of its scene an answer stands.
+    from contactqp.analysis.motion.motion_history import MotionHistory
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """A pseudo-time; without a path, the factor on all loads. `step` is its place in the history, if it is in it.
+    """A pseudo-time of the path, or without a path the factor on all loads; `step` is its place in the history.
 
     In a motion, whose loads are constant, `time` is 1, and `step` says when.
     """
@@ -127,11 +44,11 @@ class Instant:
 
     @property
     def events(self) -> Sequence[Event]:
-        """All changes of contact along the path."""
+        """Return all changes of contact along the path."""
         return () if self.history is None else self.history.events
 
     def energies(self, claim: Claim) -> Energies:
-        """Since the path set out.
+        """Return the energies since the start of the path.
 
         Raises
         ------
@@ -143,7 +60,7 @@ class Instant:
         return self.history.energies[self.step]
 
     def event(self, claim: Claim, contacts: Sequence[int]) -> Event:
-        """The event that the claim speaks of, of the problem's contacts that are one contact of the scene.
+        """Return the event that the claim names, among those of the contacts that are one contact of the scene.
 
         Raises
         ------
@@ -152,22 +69,22 @@ class Instant:
         """
         if len(contacts) > 1 and claim.event in ("stick", "slip"):
             raise SceneError(f"{claim}: expected 'closed' or 'opened': the nodes of a side slip and stick one by one")
-        known = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
-        found = [event for event in known if event.kind == claim.event]
+        events = list(_of_group(self.events, contacts)) if len(contacts) > 1 else self._of_one(contacts)
+        found = [event for event in events if event.kind == claim.event]
         number = abs(claim.occurrence)
         if len(found) < number:
             what = {"closed": "close", "opened": "open", "stick": "stick", "slip": "slip"}[str(claim.event)]
             times = "" if number == 1 else f" {number} times"
-            way = "in the motion" if is_motion(self.history) else "on the load path"
-            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in known) or "none"
-            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {way}; its events: {seen}")
+            where = "in the motion" if is_motion(self.history) else "on the load path"
+            seen = ", ".join(f"{e.kind} at {e.time:.6g}" for e in events) or "none"
+            raise SceneError(f"{claim}: expected contact {claim.at!r} to {what}{times} {where}; its events: {seen}")
         return found[claim.occurrence - (claim.occurrence > 0)]
 
     def _of_one(self, contacts: Sequence[int]) -> list[Event]:
         return [event for event in self.events if event.contact in contacts]
 
     def impulses(self) -> NDArray[np.float64]:
-        """(m,) what each normal force has given since the motion set out [force time]."""
+        """Return what each normal force has given since the start of the motion, (m,) [force time]."""
         motion = self.motion
         force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
         acting = weight * force[1:] + (1 - weight) * force[:-1]
@@ -175,18 +92,19 @@ class Instant:
 
     @property
     def motion(self) -> MotionHistory:
+        """Return the history of the motion, which claims of motions are asked of."""
         history = self.history
         assert is_motion(history)  # claims of motions are asked in motions only
         return history
 
     @property
     def velocity(self) -> Any:
-        """(n,) of the free unknowns [length / time]."""
+        """Return the velocities of the free unknowns, (n,) [length / time]."""
         return self.motion.motion.states[self.step or 0].velocity
 
 
 def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Event]:
-    """When the first of several contacts closes and the last opens."""
+    """Yield an event when the first of several contacts closes, and when the last of them opens."""
     members, closed = set(map(int, contacts)), set[int]()
     for time, together in groupby(events, lambda event: event.time):
         was = bool(closed)
@@ -195,9 +113,6 @@ def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Even
                 (closed.add if event.kind == "closed" else closed.discard)(event.contact)
         if bool(closed) != was:
             yield Event("closed" if closed else "opened", contacts[0], time)
-
-
-# What the quantities of a scene of nodes, bars and springs are read off.
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,27 +125,43 @@ class Answer:
 
     @property
     def scene(self) -> SceneData:
+        """Return the scene that was solved."""
         return self.model.scene
 
     @property
     def exact(self) -> ExactProblem:
+        """Return the exact numbers of the problem that was solved."""
         return self.model.exact
 
+    def value_of(self, claim: Claim) -> Any:
+        """Return the claim's quantity in the scene's units: a number, words, or the numbers of a matrix row by row."""
+        measure = claim.measure
+        if measure.read is None:
+            return READERS[claim.quantity](claim, self)
+        return measure.read(self.scene.element(str(measure.at), str(claim.at)), self)
+
     def displacement(self, unknown: str) -> float:
-        """Return the displacement of any unknown, fixed ones included."""
+        """Return the displacement or rotation of any unknown; 0 where it is fixed."""
         if unknown in self.exact.unknowns.fixed:
             return 0.0
         return float(self.solution.displacement[self.exact.unknowns.free.index(unknown)])
 
     def of_node(self, node: str) -> np.ndarray[Any, Any]:
-        return np.array([self.displacement(name) for name in of_node(self.scene, node)])
+        """Return the displacement of a node, (dimension,) [length]."""
+        return np.array([self.displacement(name) for name in self.scene.displacements(node)])
 
+    def bar_force_now(self, name: str) -> float:
+        """Return the true axial force of a bar at large displacements, positive in tension [force]."""
+        from contactqp.scene.deforming import DeformableModel
 
-# Friction forces along the axes of a scene.
+        return DeformableModel(self.model).bar_force(name, self.solution.displacement)
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> NDArray[np.float64]:
-    """lambda_T of each contact along the axes, (m, d), with tangents that at large deformations are those of now."""
+    """Return lambda_T of each contact along the axes, (m, d) [force].
+
+    At large deformations the tangents are those of the displaced node.
+    """
     force = solution.friction_force
     if not isinstance(solution, LargeSolution) or force is None or solution.position is None:
         return model.along_axes(force)
@@ -251,7 +182,7 @@ def _tie_force(claim: Claim, answer: Answer) -> float:
 
 
 def _reaction(claim: Claim, answer: Answer) -> float:
-    """r = K u + E_N' l_N + E_T' l_T + A' nu - f at a fixed unknown: the force of the support on the body."""
+    """Return the force of the support on the body at a fixed unknown, r = K u + E_N' l_N + E_T' l_T + A' nu - f."""
     at, exact, solution = str(claim.at), answer.exact, answer.solution
     if isinstance(solution, LargeSolution):
         from contactqp.scene.deforming import DeformableModel
@@ -267,31 +198,8 @@ def _reaction(claim: Claim, answer: Answer) -> float:
     return stiffness + constraints - float(answer.model.exact_load_at(answer.instant.time).get(at, 0))
 
 
-def _bar_force(claim: Claim, answer: Answer) -> float:
-    scene = answer.scene
-    if scene.large:
-        from contactqp.scene.deforming import DeformableModel
-
-        return DeformableModel(answer.model).bar_force(str(claim.at), answer.solution.displacement)
-    item = next(bar for bar in scene.bars if bar.name == claim.at)
-    start, end = (point(scene, node) for node in item.nodes)
-    displacement = np.concatenate([answer.of_node(node) for node in item.nodes])
-    modulus, area = scene.system.value(item.modulus), scene.system.value(item.area)
-    return float(bar.truss_axial_force(modulus, area, start, end, displacement))
-
-
-def _spring_force(claim: Claim, answer: Answer) -> float:
-    """A spring to the ground is stretched by its node's displacement."""
-    scene = answer.scene
-    item = next(item for item in scene.springs if item.name == claim.at)
-    relative = answer.of_node(item.nodes[-1])
-    if len(item.nodes) == 2:
-        relative = relative - answer.of_node(item.nodes[0])
-    return float(spring.force(scene.system.value(item.stiffness), spring_direction(scene, item), relative))
-
-
 def _closing(claim: Claim, answer: Answer) -> float:
-    """The load factor at which the contact first closes."""
+    """Return the load factor at which the contact first closes."""
     return _event_time(claim.model_copy(update={"event": "closed"}), answer)
 
 
@@ -325,6 +233,86 @@ def _columns(claim: Claim, answer: Answer) -> tuple[str, ...]:
     return claim.unknowns or answer.exact.unknowns.free
 
 
+def _momentum(claim: Claim, answer: Any) -> float:
+    from contactqp.scene.moving import momentum
+
+    instant = answer.instant
+    return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
+
+
+# Quantities that are read alike off scenes of nodes and of bodies.
+OF_BOTH: Mapping[str, Callable[[Claim, Any], Any]] = {
+    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
+    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
+    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
+    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
+    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
+    "kinetic energy": lambda claim, answer: answer.instant.energies(claim).kinetic,
+    "total energy": lambda claim, answer: answer.instant.energies(claim).total,
+    "impact energy": lambda claim, answer: answer.instant.energies(claim).impact,
+    "energy drift": lambda claim, answer: answer.instant.energies(claim).drift,
+    "total momentum": _momentum,
+    "momentum": _momentum,
+}
+Point = TypeVar("Point", LimitPoint, Snap)
+
+
+def _history(answer: Answer) -> LargeHistory:
+    history = answer.instant.history
+    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
+    return history
+
+
+def _solution(answer: Answer) -> LargeSolution:
+    assert isinstance(answer.solution, LargeSolution)
+    return answer.solution
+
+
+def _load(claim: Claim, answer: Answer, load_factor: float) -> float:
+    return float(answer.model.exact_load_at(Fraction(load_factor)).get(str(claim.at), 0))
+
+
+def _limit(claim: Claim, answer: Answer) -> LimitPoint:
+    points = _history(answer).limit_points
+    return _numbered(claim, points, "limit points", [f"{p.kind} at {p.load_factor:.6g}" for p in points])
+
+
+def _snap(claim: Claim, answer: Answer) -> Snap:
+    snaps = _history(answer).snaps
+    return _numbered(claim, snaps, "snap-throughs", [f"one at {snap.high:.6g}" for snap in snaps])
+
+
+def _numbered(claim: Claim, points: Sequence[Point], what: str, found: Sequence[str]) -> Point:
+    """Return the point that the claim counts to, from 1 or from the end.
+
+    Raises
+    ------
+    SceneError
+        The path has fewer.
+    """
+    if len(points) < abs(claim.occurrence):
+        raise SceneError(
+            f"{claim}: expected {abs(claim.occurrence)} {what} or more on the path, got {', '.join(found) or 'none'}"
+        )
+    return points[claim.occurrence - (claim.occurrence > 0)]
+
+
+def _limit_displacement(claim: Claim, answer: Answer) -> float:
+    place = answer.exact.unknowns.free.index(str(claim.at))
+    return float(_limit(claim, answer).displacement[place])
+
+
+OF_LARGE: Mapping[str, Callable[[Claim, Any], float]] = {
+    "load factor": lambda _, answer: _solution(answer).load_factor,
+    "load": lambda claim, answer: _load(claim, answer, _solution(answer).load_factor),
+    "limit load factor": lambda claim, answer: _limit(claim, answer).load_factor,
+    "limit load": lambda claim, answer: _load(claim, answer, _limit(claim, answer).load_factor),
+    "limit displacement": _limit_displacement,
+    "limit points": lambda _, answer: len(_history(answer).limit_points),
+    "snap-through load factor": lambda claim, answer: _snap(claim, answer).high,
+    "snap-through load": lambda claim, answer: _load(claim, answer, _snap(claim, answer).high),
+    "snap-throughs": lambda _, answer: len(_history(answer).snaps),
+}
 READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "displacement": lambda claim, answer: answer.displacement(str(claim.at)),
     "normal force": lambda claim, answer: float(answer.solution.normal_force[_contact(claim, answer)]),
@@ -337,18 +325,11 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "slip": lambda claim, answer: _along_axis(claim, answer, answer.model.along_axes(answer.solution.slip)),
     "tie force": _tie_force,
     "reaction": _reaction,
-    "bar force": _bar_force,
-    "spring force": _spring_force,
     "energy": lambda _, answer: answer.solution.energy,
-    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
-    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
-    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
-    **OF_MOTIONS,
+    **OF_BOTH,
     **OF_LARGE,
     "velocity": _velocity,
     "contact impulse": lambda claim, answer: float(answer.instant.impulses()[_contact(claim, answer)]),
-    "free motions": lambda _, answer: len(answer.solution.free_motions),
-    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
     "closing load factor": _closing,
     "closing load": _closing_load,
     "event time": _event_time,

@@ -1,4 +1,4 @@
-"""Read the quantities that claims name off elastic bodies, and summarise their answers."""
+"""The answer of a scene of elastic bodies: what claims ask of it, and a summary of what is too long to list."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.kinds import is_moving
+from contactqp.analysis import is_moving
 from contactqp.elements.solid import von_mises
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.scene.answers import OF_MOTIONS, Instant
+from contactqp.scene.answers import OF_BOTH, Instant
 from contactqp.scene.body_model import BodyModel, PairedContact
-from contactqp.scene.claims import COMPONENTS, Claim, uniqueness_in_words
+from contactqp.scene.claims import COMPONENTS, Claim
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, vector
+
+# Directions of motions have 1 as their largest component and are accurate to rounding.
+SMALL = 1e-6
+Table = tuple[list[str], list[list[str | float]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,21 +33,22 @@ class BodyAnswer:
     instant: Instant
 
     def value_of(self, claim: Claim) -> float | str:
-        """The claim's quantity in the scene's units, or words.
+        """Return the claim's quantity in the scene's units, or words.
 
         NaN where nothing presses and a width is asked for, and for the pressure at a node that supports hold.
         """
         return _READERS[claim.quantity](claim, self)
 
     def contact(self, claim: Claim) -> PairedContact:
+        """Return the entry of the scene's contacts that the claim names."""
         return self.model.contacts[self.model.place(str(claim.at))]
 
     def near(self, claim: Claim) -> NDArray[np.float64]:
-        """The point of the claim, in the scene's unit of length."""
+        """Return the point of the claim, in the scene's unit of length."""
         return np.array(vector(self.scene.system, claim.near or ()))
 
     def node(self, claim: Claim) -> int:
-        """The node of the claim's body at its point."""
+        """Return the node of the claim's body at its point."""
         return self._node_at(claim, str(claim.at))
 
     def _node_at(self, claim: Claim, body: str) -> int:
@@ -53,7 +58,7 @@ class BodyAnswer:
             raise SceneError(f"{claim}: {error}") from None
 
     def contact_node(self, claim: Claim) -> int:
-        """The place among a contact's nodes of the one at the claim's point."""
+        """Return the place, among a contact's nodes, of the one at the claim's point."""
         contact = self.contact(claim)
         node = self._node_at(claim, contact.body)
         place = np.flatnonzero(contact.pairing.nodes == node)
@@ -77,7 +82,7 @@ def _stress(claim: Claim, answer: BodyAnswer) -> float:
 
 
 def _contact_resultant(claim: Claim, answer: BodyAnswer) -> float:
-    """The sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
+    """Return the sum of -E_N' lambda, the forces on the nodes, over the nodes of the body, or of the slave of two."""
     forces = answer.model.resultant(str(claim.at), answer.solution)
     axes = answer.model.structure.body(answer.contact(claim).body).axes
     return float(forces[axes.index(str(claim.along))]) if str(claim.along) in axes else 0.0
@@ -89,7 +94,7 @@ def _half_width(claim: Claim, answer: BodyAnswer, nodes: NDArray[np.bool_]) -> f
 
 
 def _friction(claim: Claim, answer: BodyAnswer) -> NDArray[np.float64]:
-    """lambda_T of each paired node along the claim's axis, (p,)."""
+    """Return lambda_T of each paired node along the claim's axis, (p,) [force]."""
     vectors = answer.model.friction_vectors(str(claim.at), answer.solution)
     return np.asarray(vectors[:, answer.scene.axes.index(str(claim.along))])
 
@@ -104,7 +109,7 @@ def _energy(_: Claim, answer: BodyAnswer) -> float:
 
 
 def _support_force(claim: Claim, answer: BodyAnswer) -> float:
-    """Summed over the nodes of the support; a node that two supports hold along one axis counts in both."""
+    """Return the sum over the nodes of the support; a node that two supports hold along one axis counts in both."""
     i = [support.name for support in answer.scene.supports].index(str(claim.at))
     return answer.model.support_force(i, answer.solution, answer.instant.time)
 
@@ -144,10 +149,7 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     "sticking contacts": lambda claim, answer: float(answer.model.stuck(str(claim.at), answer.solution).sum()),
     "friction resultant": lambda claim, answer: float(_friction(claim, answer).sum()),
     "friction traction": _friction_traction,
-    "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
-    "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
-    "dissipated energy": lambda claim, answer: answer.instant.energies(claim).dissipated,
-    **OF_MOTIONS,
+    **OF_BOTH,
     "node velocity": _node_velocity,
     "event time": _event_time,
     "contact impulse": _impulse,
@@ -157,20 +159,11 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
     ),
     "support force": _support_force,
     "energy": _energy,
-    "free motions": lambda _, answer: float(len(answer.solution.free_motions)),
-    "uniqueness": lambda _, answer: uniqueness_in_words(answer.solution.certificate.uniqueness),
 }
 
 
-# The answer of a scene of bodies in a few lines: its unknowns and contacts are too many to list.
-
-# Directions of motions have 1 as their largest component and are known to rounding.
-SMALL = 1e-6
-Table = tuple[list[str], list[list[str | float]]]
-
-
 def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
-    """For each body how far it moves and how fast, for each contact of the scene its force, peak pressure and gap."""
+    """Yield two tables: how far and how fast each body moves, and each contact's force, peak pressure and gap."""
     system = model.scene.system
     length, force = system.length, system.force
     pressure = system.label(KINDS["pressure"].dimension)
@@ -193,9 +186,9 @@ def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
 
 
 def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
-    """Each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
+    """Return each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
 
-    The motions of a solution are any basis; here each is told with a body that the others leave where it is.
+    The motions of a solution are any basis; each is given here with a body that the others do not move.
     """
     if not solution.free_motions:
         return []
@@ -203,7 +196,7 @@ def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
 
 
 def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
+    """Return the reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
     rows = rows.copy()
     places = []
     for i in range(len(rows)):
@@ -217,19 +210,19 @@ def _reduced(model: BodyModel, rows: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def _motion_in_words(model: BodyModel, motion: NDArray[np.float64]) -> str:
-    said = []
+    parts = []
     for body in model.structure.bodies:
         low, high = model.ranges(body.name, motion).T
         moving = np.flatnonzero(np.maximum(-low, high) > SMALL)
         if moving.size:
             same = bool(np.all((high - low)[moving] <= SMALL))
             along = " and ".join(body.axes[i] for i in moving)
-            said.append(f"{body.name} along {along}" if same else f"{body.name} turning")
-    return ", ".join(said)
+            parts.append(f"{body.name} along {along}" if same else f"{body.name} turning")
+    return ", ".join(parts)
 
 
 def summary_data(model: BodyModel, solution: Any) -> dict[str, Any]:
-    """The contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
+    """Return the contacts of the scene and its free motions for JSON; forces and pressures in the scene's units."""
     return {
         "contacts": _contacts(model, solution),
         "contact_notes": model.notes,
@@ -241,7 +234,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
     rows: list[dict[str, str | float]] = []
     for contact in model.contacts:
         gaps = model.gaps(contact.name, solution)
-        known = gaps[np.isfinite(gaps)]
+        finite = gaps[np.isfinite(gaps)]
         rows.append(
             {
                 "contact": contact.name,
@@ -249,7 +242,7 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": float(known.min()) if known.size else 0.0,
+                "smallest_gap": float(finite.min()) if finite.size else 0.0,
             }
         )
         if model.problem.frictional:

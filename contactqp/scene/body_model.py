@@ -1,4 +1,8 @@
-"""Build the contact problem of a scene of elastic bodies: meshes, supports, loads, pairs."""
+"""From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
+
+An entry of the scene's contacts becomes many contacts of the problem, one for each paired node; `ContactEntries` finds
+the forces and gaps of an entry among those of the problem.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements import loads, solid
-from contactqp.elements.facet import Surface, diameters
 from contactqp.elements.material import Material
-from contactqp.elements.membrane import Membrane as MembranePart
+from contactqp.elements.membrane import Membrane
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.mortar import OVERLAP, pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
@@ -26,12 +29,13 @@ from contactqp.elements.pairing import Pairing, pair, pair_scalar
 from contactqp.elements.solid import stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
+from contactqp.elements.surface import Surface, diameters
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import Solution
-from contactqp.scene.geometry import body_mesh, height_of, nearest_node, obstacle
+from contactqp.scene.body_geometry import body_mesh, height_of, nearest_node, obstacle
 from contactqp.scene.units import number, vector
 from contactqp.scene.unknowns import GRAVITY, Factors, end_time, factors_at, has_corners
 
@@ -44,16 +48,20 @@ class ContactAnswer(Protocol):
     """What is asked of a solution: contact by contact of the problem, all of them."""
 
     @property
-    def normal_force(self) -> Vector: ...
+    def normal_force(self) -> Vector:
+        """Return lambda_N, (m,) [force]."""
 
     @property
-    def friction_force(self) -> NDArray[np.float64] | None: ...
+    def friction_force(self) -> NDArray[np.float64] | None:
+        """Return lambda_T, (m, d-1) [force]."""
 
     @property
-    def gap(self) -> Vector: ...
+    def gap(self) -> Vector:
+        """Return the gaps, (m,) [length]."""
 
     @property
-    def contact_status(self) -> Any: ...
+    def contact_status(self) -> Any:
+        """Return the statuses, (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,78 +92,93 @@ class ContactEntries(ABC):
     @property
     @abstractmethod
     def kept(self) -> NDArray[np.int64]:
-        """Which rows of all pairings are contacts of the problem: those that a free unknown moves."""
+        """Return which rows of all pairings are contacts of the problem: those that a free unknown moves."""
 
     @property
     def row_names(self) -> list[str]:
-        """``floor 12`` for each row of all pairings: its entry in the scene and its node."""
+        """Return ``floor 12`` for each row of all pairings: its entry in the scene and its node."""
         return [f"{contact.name} {node}" for contact in self.contacts for node in contact.pairing.nodes]
 
     @property
     def row_friction(self) -> Vector | None:
-        """The coefficient of each row of all pairings; None where nothing rubs."""
+        """Return the coefficient of each row of all pairings; None where nothing has friction."""
         each = [np.full(len(contact.pairing.gap), float(contact.friction)) for contact in self.contacts]
         friction = np.concatenate([np.zeros(0), *each])
         return friction if friction.any() else None
 
     @property
     def notes(self) -> list[str]:
-        """What the pairings say of themselves, entry by entry."""
+        """Return the notes of the pairings, entry by entry."""
         return [f"{contact.name}: {note}" for contact in self.contacts for note in contact.pairing.notes]
 
     def place(self, name: str) -> int:
-        """The place of an entry of the scene's contacts among them."""
+        """Return the place of an entry of the scene's contacts among them."""
         return [contact.name for contact in self.contacts].index(name)
 
     def normal_forces(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
+        """Return lambda_N of each paired node of one entry, (p,) [force]; 0 where only supported nodes meet."""
         return self.of_entry(name, solution.normal_force, 0.0)
 
     def pressures(self, name: str, solution: ContactAnswer) -> Vector:
-        """At each paired node of one entry, (p,) [force / length^2], positive in compression; `Pairing.pressure`.
+        """Return the pressure at each paired node of one entry, (p,) [force / length^2], positive in compression.
+
+        NaN where only supported nodes meet, whose forces are not known; see `Pairing.pressure`.
 
         NaN where only supported nodes meet, whose forces nobody knows.
         """
-        known = self.of_entry(name, solution.normal_force, np.nan)
-        return self.contacts[self.place(name)].pairing.pressure(known)
+        forces = self.of_entry(name, solution.normal_force, np.nan)
+        return self.contacts[self.place(name)].pairing.pressure(forces)
 
     def friction_tractions(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda_T per area of each paired node along the axes, (p, d) [force / length^2]; NaN where unknown."""
+        """Return lambda_T per area of each paired node along the axes, (p, d) [force / length^2].
+
+        NaN where only supported nodes meet.
+        """
         unknown = np.isnan(self.of_entry(name, solution.normal_force, np.nan))
         vectors = np.where(unknown[:, np.newaxis], np.nan, self.friction_vectors(name, solution))
         pairing = self.contacts[self.place(name)].pairing
         return np.column_stack([pairing.per_area(component) for component in vectors.T])
 
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
-        """lambda_T of each paired node of one entry along the axes, (p, d) [force]: what it does to what it touches."""
+        """Return lambda_T of each paired node of one entry along the axes, (p, d) [force].
+
+        It is what the node does to what it touches.
+        """
         pairing = self.contacts[self.place(name)].pairing
         frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
         return np.asarray(np.einsum("pk,pkd->pd", along, frames))
 
     def closed(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press, (p,)."""
+        """Return which paired nodes of one entry press, (p,)."""
         return self._has_status(name, solution, "closed", "stick", "slip")
 
     def stuck(self, name: str, solution: ContactAnswer) -> NDArray[np.bool_]:
-        """Which paired nodes of one entry press and stick, (p,)."""
+        """Return which paired nodes of one entry press and stick, (p,)."""
         return self._has_status(name, solution, "stick")
 
     def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> NDArray[np.bool_]:
         return self.of_entry(name, np.isin(solution.contact_status, statuses).astype(float), 0.0) > 0
 
     def gaps(self, name: str, solution: ContactAnswer) -> Vector:
-        """The gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes meet."""
+        """Return the gap of each paired node of one entry, (p,), positive when open; NaN where only supported nodes
+        meet.
+        """
         return self.of_entry(name, solution.gap, np.nan)
 
     def tangential(self, name: str, values: Any) -> Vector:
-        """Return tangential values (p, d-1) at the paired nodes of an entry; 0 at supported nodes, without friction."""
+        """Return values (m, d-1) of the problem's contacts at each paired node of one entry, (p, d-1).
+
+        0 where only supported nodes meet, and without friction.
+        """
         width = self.contacts[self.place(name)].pairing.points.shape[1] - 1
         if values is None:
             return np.zeros((len(self.contacts[self.place(name)].pairing.gap), width))
         return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
 
     def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
-        """The values (m,) of the problem's contacts that belong to one entry, (p,)."""
+        """Return the values (m,) of the problem's contacts that belong to one entry, (p,); `otherwise` where there is
+        none.
+        """
         sizes = [len(contact.pairing.gap) for contact in self.contacts]
         every = np.full(sum(sizes), otherwise)
         every[self.kept] = values
@@ -163,7 +186,160 @@ class ContactEntries(ABC):
         return every[start : start + sizes[self.place(name)]]
 
 
-# What holds and loads the bodies of a scene: its supports and loads, made from their keys.
+@dataclass(frozen=True, eq=False)
+class BodyModel(ContactEntries):
+    """The structure, supports, loads and pairs of a scene of bodies, all numbers in the scene's units."""
+
+    scene: SceneData
+    structure: Structure
+    system: System
+    supports: tuple[Held, ...]
+    loads: Mapping[str, Vector]  # on all unknowns at their full values, by their names
+
+    @cached_property
+    def problem(self) -> ContactProblem:
+        """Return the contact problem on the free unknowns."""
+        with stage(BUILD):
+            return self.system.problem(
+                [contact.pairing for contact in self.contacts],
+                friction=self.row_friction,
+                units=Units(length=self.scene.units.length, force=self.scene.units.force),
+                names=self.row_names,
+            )
+
+    @property
+    def kept(self) -> NDArray[np.int64]:
+        """Return which rows of all pairings are contacts of the problem."""
+        return self.system.free_contacts([contact.pairing for contact in self.contacts])
+
+    def load_on_all(self, time: Fraction) -> Vector:
+        """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        if not has_corners(self.scene):
+            return float(time) * self.system.load
+        return sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
+
+    def load_at(self, time: Fraction) -> Vector:
+        """Return the right-hand side under that load; prescribed displacements stay."""
+        return np.asarray((self.load_on_all(time) - self.structure.stiffness @ self.system.given)[self.system.free])
+
+    def displacement(self, solution: Solution) -> Vector:
+        """Return u of all unknowns, prescribed ones included."""
+        return self.system.expand(solution.displacement)
+
+    def node_at(self, body: str, point: ArrayLike) -> int:
+        """Return the node of a body at a point."""
+        return nearest_node(self.structure.body(body), point, f"the body {body!r}")
+
+    def displacement_at(self, body: str, node: int, solution: Solution) -> Vector:
+        """Return the displacement of a node of a body, (d,) [length]."""
+        return np.asarray(self.structure.displacements(body, self.displacement(solution))[node])
+
+    def stress_at(self, body: str, node: int, solution: Solution) -> Vector:
+        """Return the stress at a node of a body, (6,), the mean over its elements."""
+        u = self.structure.displacements(body, self.displacement(solution))
+        return np.asarray(stress_at_nodes(self.structure.solid(body), u.ravel())[node])
+
+    def resultant(self, name: str, solution: Solution) -> Vector:
+        """Return the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave, (d,)."""
+        contact = self.contacts[self.place(name)]
+        forces = -(contact.pairing.normal.T @ self.normal_forces(name, solution))
+        return np.asarray(self.structure.displacements(contact.body, forces).sum(axis=0))
+
+    def ranges(self, body: str, field: Vector) -> Vector:
+        """Return the lowest and the highest value of a field on all unknowns, at the nodes of a body, (d, 2)."""
+        values = self.structure.displacements(body, field)
+        return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
+
+    def free_motions(self, solution: Solution) -> NDArray[np.float64]:
+        """Return the directions of the solution's free motions, (q, all unknowns); supports stand still."""
+        return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
+
+    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
+        """Return the column of some fields (q, all unknowns) where field i is largest, and its place."""
+        at = int(np.argmax(np.abs(rows[i])))
+        return rows[:, at].copy(), at
+
+    def energy(self, solution: Solution, time: Fraction) -> float:
+        """Return 1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
+        u = self.displacement(solution)
+        return float(u @ (self.structure.stiffness @ u) / 2 - self.load_on_all(time) @ u)
+
+    def support_force(self, support: int, solution: Solution, time: Fraction) -> float:
+        """Return what an entry of the scene's supports does to its body, along its axis [force]."""
+        return float(self.support_forces(solution, time)[self.held_by(support)].sum())
+
+    def velocity(self, free: Vector) -> Vector:
+        """Return v of all unknowns from that of the free ones; supports stand still."""
+        every = np.zeros(self.structure.size)
+        every[self.system.free] = free
+        return every
+
+    def support_forces(self, solution: Solution, time: Fraction) -> Vector:
+        """Return what the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
+        pressed = self.system.load - self.load_on_all(time)
+        for contact in self.contacts:
+            pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
+            if solution.friction_force is not None:
+                along = self.tangential(contact.name, solution.friction_force)
+                pressed = pressed + contact.pairing.tangent.T @ along.ravel()
+        return self.system.support_forces(self.displacement(solution), pressed)
+
+    def held_by(self, support: int) -> NDArray[np.int64]:
+        """Return the places in u of the unknowns that an entry of the scene's supports holds."""
+        entry = self.supports[support]
+        body = self.structure.body(entry.body)
+        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, entry.nodes) + entry.axis
+
+
+def body_model(scene: SceneData) -> BodyModel:
+    """Return the meshes, structure, supports, loads and pairs of a scene.
+
+    Raises
+    ------
+    SceneError
+        What is no good, its key first.
+    """
+    bodies: list[Part] = []
+    for i, body in enumerate(scene.bodies):
+        with at_key(f"bodies[{i}] ({body.name!r})"):
+            bodies.append(solid_body(scene, body, body_mesh(scene, body)))
+    for i, membrane in enumerate(scene.membranes):
+        with at_key(f"membranes[{i}] ({membrane.name!r})"):
+            tension = number(scene.system, membrane.tension)
+            bodies.append(Membrane(body_mesh(scene, membrane), tension, name=membrane.name))
+    with at_key("bodies"):
+        whole = Structure(bodies)
+    acting = list(loads_of(scene, whole))
+    supports = list(supports_of(scene, whole))
+    with at_key("supports"):
+        system = whole.assemble(supports, [load for _, load in acting])
+    by_name: dict[str, Vector] = {}
+    if has_corners(scene):
+        for name, _ in acting:
+            by_name[name] = whole.assemble((), [load for other, load in acting if other == name]).load
+        system = replace(system, load=sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
+    contacts = []
+    for i, contact in enumerate(scene.contacts):
+        with at_key(f"contacts[{i}] ({contact.name!r})"):
+            if contact.membrane is not None:
+                contacts.append(_membrane_contact(scene, whole, contact, contact.membrane))
+            else:
+                contacts.append(paired_contact(scene, whole, contact))
+    return BodyModel(tuple(contacts), scene, whole, system, tuple(supports), by_name)
+
+
+def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
+    """Return an elastic body of the scene on its mesh."""
+    density = 0.0 if body.density is None else number(scene.system, body.density)
+    material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
+    thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
+    return solid.Body(mesh, material, body.model, thickness=thickness, name=body.name)
+
+
+def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
+    """Return the sum of the loads times their factors, (size,) [force]."""
+    return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
+
 
 # From a body, a point and what a message calls the body to the number of the node there.
 NodeAt = Callable[[Part, ArrayLike, str], int]
@@ -171,7 +347,7 @@ NodeAt = Callable[[Part, ArrayLike, str], int]
 
 @contextmanager
 def at_key(where: str) -> Iterator[None]:
-    """What the elements refuse is refused with the key that they were made from."""
+    """Refuse what the elements refuse, with the key that they were made from."""
     try:
         yield
     except InvalidProblem as error:
@@ -186,6 +362,7 @@ def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_
 
 
 def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
+    """Yield the supports of a scene as the structure takes them."""
     for i, support in enumerate(scene.supports):
         with at_key(f"supports[{i}] ({support.name!r})"):
             nodes = _nodes(scene, whole, support, node_at)
@@ -194,7 +371,7 @@ def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_no
 
 
 def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
-    """Every load with its name; what bodies weigh is called gravity."""
+    """Yield every load with its name; what bodies weigh is called gravity."""
     for i, traction in enumerate(scene.tractions):
         with at_key(f"tractions[{i}] ({traction.name!r})"):
             whole.body(traction.body).mesh.side(traction.nodes)
@@ -217,180 +394,24 @@ def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node)
                     yield GRAVITY, loads.Weight(body.name, acceleration, scene.motion.mass == "lumped")
 
 
-# From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
-
-
 class Surfaces(Protocol):
     """Sides of bodies, numbered in one u."""
 
     @property
-    def size(self) -> int: ...
+    def size(self) -> int:
+        """Return the number of unknowns."""
 
-    def surface(self, body: str, side: str) -> Surface: ...
-
-
-@dataclass(frozen=True, eq=False)
-class BodyModel(ContactEntries):
-    """What a scene of bodies is made into, all numbers in the scene's units."""
-
-    scene: SceneData
-    structure: Structure
-    system: System
-    supports: tuple[Held, ...]
-    loads: Mapping[str, Vector]  # on all unknowns at their full values, by their names
-
-    @cached_property
-    def problem(self) -> ContactProblem:
-        """On the free unknowns."""
-        with stage(BUILD):
-            return self.system.problem(
-                [contact.pairing for contact in self.contacts],
-                friction=self.row_friction,
-                units=Units(length=self.scene.units.length, force=self.scene.units.force),
-                names=self.row_names,
-            )
-
-    @property
-    def kept(self) -> NDArray[np.int64]:
-        """Which rows of all pairings are contacts of the problem."""
-        return self.system.free_contacts([contact.pairing for contact in self.contacts])
-
-    def load_on_all(self, time: Fraction) -> Vector:
-        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
-        if not has_corners(self.scene):
-            return float(time) * self.system.load
-        return sum_of(self.loads, factors_at(self.scene, time), self.structure.size)
-
-    def load_at(self, time: Fraction) -> Vector:
-        """The right-hand side under that load; prescribed displacements stay."""
-        return np.asarray((self.load_on_all(time) - self.structure.stiffness @ self.system.given)[self.system.free])
-
-    def displacement(self, solution: Solution) -> Vector:
-        """u of all unknowns, prescribed ones included."""
-        return self.system.expand(solution.displacement)
-
-    def node_at(self, body: str, point: ArrayLike) -> int:
-        """The node of a body at a point."""
-        return nearest_node(self.structure.body(body), point, f"the body {body!r}")
-
-    def displacement_at(self, body: str, node: int, solution: Solution) -> Vector:
-        """(d,) of a node of a body."""
-        return np.asarray(self.structure.displacements(body, self.displacement(solution))[node])
-
-    def stress_at(self, body: str, node: int, solution: Solution) -> Vector:
-        """(6,) at a node of a body, the mean over its elements."""
-        u = self.structure.displacements(body, self.displacement(solution))
-        return np.asarray(stress_at_nodes(self.structure.solid(body), u.ravel())[node])
-
-    def resultant(self, name: str, solution: Solution) -> Vector:
-        """(d,) the sum of -E_N' lambda of one entry over the nodes of its body, of two bodies the slave."""
-        contact = self.contacts[self.place(name)]
-        forces = -(contact.pairing.normal.T @ self.normal_forces(name, solution))
-        return np.asarray(self.structure.displacements(contact.body, forces).sum(axis=0))
-
-    def ranges(self, body: str, field: Vector) -> Vector:
-        """(d, 2) the lowest and the highest value of a field on all unknowns, at the nodes of a body."""
-        values = self.structure.displacements(body, field)
-        return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
-
-    def free_motions(self, solution: Solution) -> NDArray[np.float64]:
-        """(q, all unknowns) the directions of the solution's free motions; supports stand still."""
-        return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
-
-    def largest(self, rows: NDArray[np.float64], i: int) -> tuple[Vector, int]:
-        """The column of some fields (q, all unknowns) where field i is largest, and its place."""
-        at = int(np.argmax(np.abs(rows[i])))
-        return rows[:, at].copy(), at
-
-    def energy(self, solution: Solution, time: Fraction) -> float:
-        """1/2 u'Ku - f'u of all unknowns, prescribed ones included."""
-        u = self.displacement(solution)
-        return float(u @ (self.structure.stiffness @ u) / 2 - self.load_on_all(time) @ u)
-
-    def support_force(self, support: int, solution: Solution, time: Fraction) -> float:
-        """What an entry of the scene's supports does to its body, along its axis."""
-        return float(self.support_forces(solution, time)[self.held_by(support)].sum())
-
-    def velocity(self, free: Vector) -> Vector:
-        """v of all unknowns from that of the free ones; supports stand still."""
-        every = np.zeros(self.structure.size)
-        every[self.system.free] = free
-        return every
-
-    def support_forces(self, solution: Solution, time: Fraction) -> Vector:
-        """What the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
-        pressed = self.system.load - self.load_on_all(time)
-        for contact in self.contacts:
-            pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
-            if solution.friction_force is not None:
-                along = self.tangential(contact.name, solution.friction_force)
-                pressed = pressed + contact.pairing.tangent.T @ along.ravel()
-        return self.system.support_forces(self.displacement(solution), pressed)
-
-    def held_by(self, support: int) -> NDArray[np.int64]:
-        """The places in u of the unknowns that an entry of the scene's supports holds."""
-        held = self.supports[support]
-        body = self.structure.body(held.body)
-        return self.structure.first(body.name) + len(body.axes) * loads.node_numbers(body, held.nodes) + held.axis
-
-
-def body_model(scene: SceneData) -> BodyModel:
-    """Meshes, structure, supports, loads and pairs of a scene.
-
-    Raises
-    ------
-    SceneError
-        What is no good, its key first.
-    """
-    bodies: list[Part] = []
-    for i, body in enumerate(scene.bodies):
-        with at_key(f"bodies[{i}] ({body.name!r})"):
-            bodies.append(solid_body(scene, body, body_mesh(scene, body)))
-    for i, membrane in enumerate(scene.membranes):
-        with at_key(f"membranes[{i}] ({membrane.name!r})"):
-            tension = number(scene.system, membrane.tension)
-            bodies.append(MembranePart(body_mesh(scene, membrane), tension, name=membrane.name))
-    with at_key("bodies"):
-        whole = Structure(bodies)
-    acting = list(loads_of(scene, whole))
-    supports = list(supports_of(scene, whole))
-    with at_key("supports"):
-        system = whole.assemble(supports, [load for _, load in acting])
-    by_name: dict[str, Vector] = {}
-    if has_corners(scene):
-        for name, _ in acting:
-            by_name[name] = whole.assemble((), [load for other, load in acting if other == name]).load
-        system = replace(system, load=sum_of(by_name, factors_at(scene, end_time(scene)), whole.size))
-    contacts = []
-    for i, contact in enumerate(scene.contacts):
-        with at_key(f"contacts[{i}] ({contact.name!r})"):
-            if contact.membrane is not None:
-                contacts.append(_membrane_contact(scene, whole, contact, contact.membrane))
-            else:
-                contacts.append(paired_contact(scene, whole, contact))
-    return BodyModel(tuple(contacts), scene, whole, system, tuple(supports), by_name)
-
-
-def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
-    """The loads times their factors."""
-    return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
-
-
-def solid_body(scene: SceneData, body: Body, mesh: Mesh) -> solid.Body:
-    """An elastic body of the scene on its mesh."""
-    density = 0.0 if body.density is None else number(scene.system, body.density)
-    material = Material(number(scene.system, body.modulus), float(body.poisson), density, name="material")
-    thickness = 1.0 if body.thickness is None else number(scene.system, body.thickness)
-    return solid.Body(mesh, material, body.model, thickness=thickness, name=body.name)
+    def surface(self, body: str, side: str) -> Surface:
+        """Return a side of a body."""
 
 
 def sides_of(contact: Contact) -> list[tuple[str, str]]:
-    """The bodies and sides of an entry of the scene's contacts."""
+    """Return the bodies and sides of an entry of the scene's contacts."""
     return [(side.partition(".")[0], side.partition(".")[2]) for side in contact.touching_sides]
 
 
 def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> PairedContact:
-    """An entry of the scene's contacts between sides of bodies, or one side and an obstacle."""
+    """Return the pairing of an entry of the scene's contacts: two sides of bodies, or one side and an obstacle."""
     ends = sides_of(contact)
     surfaces = [whole.surface(*end) for end in ends]
     overlap = None if contact.overlap is None else number(scene.system, contact.overlap)
@@ -409,7 +430,7 @@ def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> Paire
 
 
 def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
-    """A side may start inside an obstacle as little as inside another body, unless the case says how much."""
+    """Refuse a side that starts deeper inside an obstacle than inside another body, unless the case says how much."""
     allowed = OVERLAP * diameters(surface.points[surface.facets]).max() if overlap is None else overlap
     i = int(np.argmin(found.gap))
     if found.gap[i] < -allowed:
@@ -421,9 +442,9 @@ def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float 
 
 
 def _membrane_contact(scene: SceneData, whole: Structure, contact: Contact, name: str) -> PairedContact:
-    """All free nodes of a membrane over an obstacle; where the obstacle has no height there is no contact."""
+    """Pair all free nodes of a membrane with an obstacle; where the obstacle has no height there is no contact."""
     membrane = whole.body(name)
-    if not isinstance(membrane, MembranePart) or contact.obstacle is None:
+    if not isinstance(membrane, Membrane) or contact.obstacle is None:
         raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")
     heights = height_of(obstacle(scene, contact.obstacle), contact.obstacle, membrane.mesh.points)
     if not np.isfinite(heights).any():

@@ -1,4 +1,12 @@
-"""Build the numbers of a scene of nodes: first exact, then the ContactProblem."""
+"""From a scene to the numbers of its contact problem: first exact, then rounded once.
+
+Ties are also eliminated exactly, for claims about the problem on the masters::
+
+    A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
+    K^ = T'K T,    f^ = T'(f - K c)
+
+(course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
+"""
 
 from __future__ import annotations
 
@@ -9,90 +17,51 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import chain
 from numbers import Rational
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import bar, beam, obstacle, spring, string
-from contactqp.elements.exact import Number, Numbers, square_root, squared_length
+from contactqp.elements import node_contact, point_mass
 from contactqp.elements.obstacle import Plane
+from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
+from contactqp.linalg.exact_algebra import reduced
 from contactqp.linalg.runtime import BUILD, stage
 from contactqp.model.problem import ContactProblem, Units
-from contactqp.scene.geometry import obstacle as obstacle_named
-from contactqp.scene.units import KINDS, read_unit
-from contactqp.scene.unknowns import (
-    GRAVITY,
-    ROTATION,
-    Factors,
-    Unknowns,
-    displacements,
-    end_time,
-    ends,
-    factors_at,
-    of_node,
-    of_scene,
-    point,
-    value,
-)
+from contactqp.scene.body_geometry import obstacle
+from contactqp.scene.unknowns import GRAVITY, Factors, Unknowns, end_time, factors_at, unknowns_of
 
 if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
-    from contactqp.scene.schema import Bar, Beam, Contact, SceneData, Spring
-
-# The loads of a scene of nodes at their full values, and their sum at a point of the load path, in exact numbers.
+    from contactqp.scene.schema import Contact, SceneData
 
 # A linear form of the unknowns by their names; what is zero is left out.
 Row = Mapping[str, Number]
-
-
-def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
-    """The loads at their full values by their names; what has mass weighs by the name of gravity."""
-    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
-    for load in scene.loads:
-        total[load.name][load.unknown] += value(scene, load.value)
-    for line_load in scene.line_loads:
-        per_length = np.array([value(scene, b) for b in line_load.value])
-        for segment in scene.string(line_load.string).segments:
-            forces = string.uniform_load(per_length, *ends(scene, segment))
-            for name, force in zip(displacements(scene, segment), forces, strict=True):
-                total[line_load.name][name] += force
-    for name, force in _weights(scene):
-        total[GRAVITY][name] += force
-    return {name: dict(row) for name, row in total.items()}
-
-
-def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
-    """What weighs at each unknown; half of a bar at each end, which is M g of either mass matrix."""
-    if scene.gravity is None:
-        return
-    gravity = np.array([value(scene, g) for g in scene.gravity])
-    at_nodes: list[tuple[str, Number]] = [(mass.node, value(scene, mass.mass)) for mass in scene.masses]
-    for rod in scene.bars:
-        if rod.density is not None:
-            per_length = value(scene, rod.density) * value(scene, rod.area)
-            for segment in rod.segments:
-                start, end = ends(scene, segment)
-                half = per_length * square_root(squared_length(end - start)) / 2
-                at_nodes += [(node, half) for node in segment]
-    for node, mass in at_nodes:
-        yield from zip(of_node(scene, node), spring.weight(mass, gravity), strict=True)
-
-
-def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
-    total: defaultdict[str, Number] = defaultdict(Fraction)
-    for name, row in loads.items():
-        for unknown, force in row.items():
-            total[unknown] += factors.of(name) * force
-    return dict(total)
-
-
 # By the unknowns' names; what is zero is left out.
 Stiffness = Mapping[tuple[str, str], Number]
 # Below this a dense matrix costs nothing and is easier to look at.
 DENSE_SIZE = 64
+Model: TypeAlias = "NodeModel | BodyModel"
+
+
+def build(scene: SceneData) -> Model:
+    """Return the model of a scene: nodes in exact numbers, or elastic bodies and membranes in floats.
+
+    Raises
+    ------
+    SceneError
+        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
+    BackendMissing
+        A mesh file that needs meshlane, which is not installed.
+    """
+    with stage(BUILD):
+        if scene.meshed:
+            from contactqp.scene.body_model import body_model
+
+            return body_model(scene)
+        return NodeModel(scene, exact_problem(scene))
 
 
 @dataclass(frozen=True)
@@ -133,7 +102,7 @@ class ExactProblem:
 
     @property
     def rational(self) -> bool:
-        """Whether every number is a Fraction."""
+        """Return whether every number is a Fraction."""
         return all(isinstance(number, Rational) for number in self._numbers())
 
     def _numbers(self) -> Iterator[Number]:
@@ -153,28 +122,105 @@ def exact_problem(scene: SceneData) -> ExactProblem:
     """Assemble the scene in exact numbers, in its own units."""
     loads = exact_loads(scene)
     return ExactProblem(
-        unknowns=of_scene(scene),
-        stiffness=assembled(_element_matrices(scene)),
+        unknowns=unknowns_of(scene),
+        stiffness=assembled(part for _, element in scene.elements for part in element.stiffnesses(scene)),
         load=sum_of(loads, factors_at(scene, end_time(scene))),
         loads=loads,
         contacts=tuple(_contact_form(scene, contact) for contact in scene.contacts),
         ties=tuple(
-            TieForm(tie.name, {term.unknown: value(scene, term.factor) for term in tie.terms}, value(scene, tie.value))
+            TieForm(tie.name, {term.unknown: scene.value(term.factor) for term in tie.terms}, scene.value(tie.value))
             for tie in scene.ties
         ),
     )
 
 
+def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
+    """Return the sum of element matrices by the names of their unknowns; what is zero is left out."""
+    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
+    for names, matrix in matrices:
+        for i, row in zip(names, matrix, strict=True):
+            for j, entry in zip(names, row, strict=True):
+                if entry:
+                    total[i, j] += entry
+    return dict(total)
+
+
+def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
+    if contact.node is not None and contact.obstacle is not None:
+        rows = _against(scene, scene.point(contact.node), contact.obstacle)
+    else:
+        first, second = (scene.point(node) for node in contact.touched)
+        direction = second - first if contact.direction is None else np.array(contact.direction)
+        rows = node_contact.between_nodes(first, second, direction)
+    names = scene.displacements(*contact.touched)
+    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
+    origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
+    return ContactForm(
+        name=contact.name,
+        normal=_row(names, rows.normal),
+        gap=rows.gap,
+        tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
+        friction=contact.friction or Fraction(0),
+        slip_origin=tuple(np.dot(tangent, np.array(origin)) for tangent in along),
+    )
+
+
+def _row(names: Iterable[str], values: Numbers) -> Row:
+    return {name: value for name, value in zip(names, values, strict=True) if value}
+
+
+def _against(scene: SceneData, where: Numbers, name: str) -> node_contact.ContactRows:
+    """Return a node's row against an obstacle, exact for planes; round ones occur at large deformations alone."""
+    item = scene.obstacle(name)
+    if item.kind == "plane":
+        plane = Plane(point=np.array([scene.value(x) for x in item.point or ()]), normal=np.array(item.normal or ()))
+        return node_contact.against_plane(where, plane)
+    return node_contact.against_surface(where, obstacle(scene, name))
+
+
+def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
+    """Return the loads at their full values by their names; what masses weigh is called gravity."""
+    total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
+    for load in scene.loads:
+        total[load.name][load.unknown] += scene.value(load.value)
+    strings = {string.name: string for string in scene.strings}
+    for line_load in scene.line_loads:
+        for name, force in line_load.forces(scene, strings[line_load.string]):
+            total[line_load.name][name] += force
+    for name, force in _weights(scene):
+        total[GRAVITY][name] += force
+    return {name: dict(row) for name, row in total.items()}
+
+
+def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
+    """Yield what gravity pulls with at each unknown of a node that has mass."""
+    if scene.gravity is None:
+        return
+    gravity = np.array([scene.value(g) for g in scene.gravity])
+    for _, element in scene.elements:
+        for node, mass in element.weights(scene):
+            yield from zip(scene.displacements(node), point_mass.weight(mass, gravity), strict=True)
+
+
+def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
+    """Return the sum of the loads times their factors, by the names of the unknowns."""
+    total: defaultdict[str, Number] = defaultdict(Fraction)
+    for name, row in loads.items():
+        for unknown, force in row.items():
+            total[unknown] += factors.of(name) * force
+    return dict(total)
+
+
 @dataclass(frozen=True, eq=False)
 class NodeModel:
-    """What a scene of nodes is made into."""
+    """A scene of nodes with its exact numbers, and the contact problem that they round to."""
 
     scene: SceneData
     exact: ExactProblem
 
     @cached_property
     def problem(self) -> ContactProblem:
-        """On the free unknowns, in the scene's units; every number is rounded once.
+        """Return the contact problem on the free unknowns, in the scene's units; every number is rounded once.
 
         Tangential rows are there only if a contact has friction.
         """
@@ -182,7 +228,7 @@ class NodeModel:
             return _rounded(self.scene, self.exact)
 
     def along_axes(self, tangential: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
+        """Return sum_k v_k t_k of each contact, (m, d), from v (m, d-1); t_k are the tangents of its (first) node."""
         axes = self.scene.axes
         vectors = np.zeros((len(self.exact.contacts), len(axes)))
         for i, contact in enumerate(self.exact.contacts if tangential is not None else ()):
@@ -192,11 +238,11 @@ class NodeModel:
         return vectors
 
     def exact_load_at(self, time: Fraction) -> Row:
-        """The load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
+        """Return the load on all unknowns at a pseudo-time of the load path; without corners, a factor on all loads."""
         return sum_of(self.exact.loads, factors_at(self.scene, time))
 
     def load_at(self, time: Fraction) -> NDArray[np.float64]:
-        """The same on the free unknowns, rounded."""
+        """Return the same on the free unknowns, rounded, (n,) [force]."""
         load = self.exact_load_at(time)
         return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])
 
@@ -231,118 +277,25 @@ def _matrix(entries: Iterable[tuple[tuple[int, int], Number]], shape: tuple[int,
 
 
 def _rows(rows: Iterable[Row], place: Mapping[str, int]) -> Any:
-    """The rows on the free unknowns."""
+    """Return the rows on the free unknowns."""
     rows = list(rows)
     entries = [((i, place[name]), value) for i, row in enumerate(rows) for name, value in row.items() if name in place]
     return _matrix(entries, (len(rows), len(place)))
 
 
-def spring_direction(scene: SceneData, item: Spring) -> Numbers:
-    """As stated, or from the first node to the second; along the axis of a scene that has only one."""
-    if item.direction is not None:
-        return np.array(item.direction)
-    if len(item.nodes) == 1:
-        return np.array([Fraction(1)])
-    return point(scene, item.nodes[1]) - point(scene, item.nodes[0])
-
-
-def _element_matrices(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
-    """The unknowns and the stiffness of every element."""
-    for rod in scene.bars:
-        for segment in rod.segments:
-            yield displacements(scene, segment), _bar_stiffness(scene, rod, segment)
-    for item in scene.springs:
-        formula = spring.stiffness if len(item.nodes) == 2 else spring.to_ground
-        stiffness = formula(value(scene, item.stiffness), spring_direction(scene, item))
-        yield displacements(scene, item.nodes), stiffness
-    for girder in scene.beams:
-        names = tuple(name for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}"))
-        yield names, _beam_stiffness(scene, girder)
-    for wire in scene.strings:
-        tension = value(scene, wire.tension)
-        for segment in wire.segments:
-            yield displacements(scene, segment), string.stiffness(tension, *ends(scene, segment))
-    for matrix in scene.matrices:
-        unit = read_unit(matrix.unit)[0] / read_unit(scene.system.label(KINDS["stiffness"].dimension))[0]
-        yield matrix.unknowns, np.array([[unit * number for number in row] for row in matrix.rows])
-
-
-def _bar_stiffness(scene: SceneData, item: Bar, segment: Iterable[str]) -> Numbers:
-    return bar.truss_stiffness(value(scene, item.modulus), value(scene, item.area), *ends(scene, segment))
-
-
-def _beam_stiffness(scene: SceneData, item: Beam) -> Numbers:
-    modulus, area, inertia = (value(scene, q) for q in (item.modulus, item.area, item.inertia))
-    return beam.stiffness(modulus, area, inertia, *ends(scene, item.nodes))
-
-
-def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
-    """The sum of element matrices by the names of their unknowns; what is zero is left out."""
-    total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
-    for names, matrix in matrices:
-        for i, row in zip(names, matrix, strict=True):
-            for j, entry in zip(names, row, strict=True):
-                if entry:
-                    total[i, j] += entry
-    return dict(total)
-
-
-def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
-    if contact.node is not None and contact.obstacle is not None:
-        rows = _against(scene, point(scene, contact.node), contact.obstacle)
-    else:
-        first, second = (point(scene, node) for node in contact.touched)
-        direction = second - first if contact.direction is None else np.array(contact.direction)
-        rows = obstacle.between_nodes(first, second, direction)
-    names = displacements(scene, contact.touched)
-    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
-    origin = [value(scene, x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
-    return ContactForm(
-        name=contact.name,
-        normal=_row(names, rows.normal),
-        gap=rows.gap,
-        tangent=tuple(_row(names, tangent) for tangent in rows.tangent),
-        friction=contact.friction or Fraction(0),
-        slip_origin=tuple(np.dot(tangent, np.array(origin)) for tangent in along),
-    )
-
-
-def _row(names: Iterable[str], values: Numbers) -> Row:
-    return {name: value for name, value in zip(names, values, strict=True) if value}
-
-
-def _against(scene: SceneData, where: Numbers, name: str) -> obstacle.ContactRows:
-    """Exact for planes; at large deformations, which alone have others, these rows are those of the start."""
-    item = scene.obstacle(name)
-    if item.kind == "plane":
-        plane = Plane(point=np.array([value(scene, x) for x in item.point or ()]), normal=np.array(item.normal or ()))
-        return obstacle.against_plane(where, plane)
-    return obstacle.against_surface(where, obstacle_named(scene, name))
-
-
-# Ties as matrices, in exact numbers: A, its rank, and the problem that is left on the masters.
-#
-#     A_s u_s + A_m u_m = b    gives    u = T u_m + c,    T = [I; -A_s^-1 A_m],    c = [0; A_s^-1 b]
-#     K^ = T'K T,    f^ = T'(f - K c)
-#
-# (course chapter, eqs 2.17-2.20, with the term K_us A_s^-1 b that the printed first right-hand block of 2.20 lacks).
-
-Rows = list[list[Fraction]]
-
-
 def tie_matrix(exact: ExactProblem, columns: Sequence[str]) -> list[Number]:
-    """A on the given unknowns, row by row."""
+    """Return A on the given unknowns, row by row."""
     return [tie.row.get(name, Fraction(0)) for tie in exact.ties for name in columns]
 
 
 def rank(exact: ExactProblem) -> int:
-    """The number of independent ties."""
+    """Return the number of independent ties."""
     free = exact.unknowns.free
-    return len(_eliminate([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
+    return len(reduced([[Fraction(tie.row.get(name, 0)) for name in free] for tie in exact.ties], len(free))[1])
 
 
 def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
-    """K^ = T'KT, row by row in the order of the masters."""
+    """Return K^ = T'KT, row by row in the order of the masters."""
     T, _ = _transformation(exact, masters)
     K = exact.stiffness
     return [
@@ -353,7 +306,7 @@ def reduced_stiffness(exact: ExactProblem, masters: Sequence[str]) -> list[Numbe
 
 
 def reduced_load(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
-    """f^ = T'(f - K c)."""
+    """Return f^ = T'(f - K c)."""
     T, c = _transformation(exact, masters)
     residual = {name: Fraction(exact.load.get(name, 0)) for name in T}
     for (i, j), k in exact.stiffness.items():
@@ -365,61 +318,18 @@ def reduced_load(exact: ExactProblem, masters: Sequence[str]) -> list[Number]:
 def _transformation(
     exact: ExactProblem, masters: Sequence[str]
 ) -> tuple[dict[str, list[Fraction]], dict[str, Fraction]]:
-    """T and c of u = T u_m + c, by the names of the unknowns."""
+    """Return T and c of u = T u_m + c, by the names of the unknowns."""
     slaves = [name for name in exact.unknowns.free if name not in masters]
     order = [*slaves, *masters]
     rows = [[Fraction(tie.row.get(name, 0)) for name in order] + [Fraction(tie.value)] for tie in exact.ties]
-    reduced, pivots = _eliminate(rows, len(slaves))
+    rows, pivots = reduced(rows, len(slaves))
     if len(pivots) != len(slaves):
         raise SceneError(
             f"unknowns: expected masters that decide the {len(slaves)} others by the ties, got {list(masters)}"
         )
     T = {name: [Fraction(name == master) for master in masters] for name in masters}
     c = dict.fromkeys(masters, Fraction(0))
-    for name, row in zip(slaves, reduced, strict=False):
+    for name, row in zip(slaves, rows, strict=False):
         T[name] = [-entry for entry in row[len(slaves) : -1]]
         c[name] = row[-1]
     return T, c
-
-
-def _eliminate(rows: Rows, columns: int) -> tuple[Rows, list[int]]:
-    """Gauss-Jordan on the first columns, exactly; the rows with pivots come first."""
-    rows = [list(row) for row in rows]
-    pivots: list[int] = []
-    for column in range(columns):
-        top = len(pivots)
-        found = next((i for i in range(top, len(rows)) if rows[i][column]), None)
-        if found is None:
-            continue
-        rows[top], rows[found] = rows[found], rows[top]
-        rows[top] = [entry / rows[top][column] for entry in rows[top]]
-        for i, row in enumerate(rows):
-            if i != top and row[column]:
-                rows[i] = [entry - row[column] * above for entry, above in zip(row, rows[top], strict=True)]
-        pivots.append(column)
-    return rows, pivots
-
-
-if TYPE_CHECKING:
-    Model = NodeModel | BodyModel
-
-
-# From a scene to what it is computed with.
-
-
-def build(scene: SceneData) -> Model:
-    """Nodes with bars and springs in exact numbers, or elastic bodies and membranes in floats.
-
-    Raises
-    ------
-    SceneError
-        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
-    BackendMissing
-        A mesh file that needs meshlane, which is not installed.
-    """
-    with stage(BUILD):
-        if scene.meshed:
-            from contactqp.scene.body_model import body_model
-
-            return body_model(scene)
-        return NodeModel(scene, exact_problem(scene))

@@ -1,46 +1,73 @@
-"""Whether what a case says of its answer fits the scene: names, quantities and methods that exist."""
+"""Whether what a case says of its answer fits the scene: names, quantities, instants and methods that exist."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import SceneError
-from contactqp.scene.checking_bodies import large_claim_fits, motion_claim_fits, time_fits
+from contactqp.scene.blocks import BLOCKS
+from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import QUANTITIES, Claim
-from contactqp.scene.fields import unknown
-from contactqp.scene.unknowns import Unknowns
+from contactqp.scene.fields import no_such
+from contactqp.scene.units import Quantity
+from contactqp.scene.unknowns import Unknowns, end_time
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData
 
 
+@dataclass(frozen=True)
+class _Claimable:
+    """What the claims of a scene can be about, looked up once for all of them."""
+
+    scene: SceneData
+    kind: str  # "bodies" or "nodes"
+    places: Mapping[str, tuple[str, ...]]  # what ``at`` and ``along`` can name
+    large: bool
+    control: str
+    corners: bool
+    path_end: Fraction
+    frictional: frozenset[str | None]  # the contacts that have friction
+
+
 def claims_fit(scene: SceneData, unknowns: Unknowns) -> None:
     """Raise SceneError at the first claim, study or method that does not fit the scene."""
-    places = _places(scene, unknowns)
+    path = scene.path
+    claimable = _Claimable(
+        scene=scene,
+        kind="bodies" if scene.meshed else "nodes",
+        places=_places(scene, unknowns),
+        large=scene.large,
+        control="load" if path is None or path.control is None else path.control,
+        corners=path is not None and path.corners is not None,
+        path_end=end_time(scene),
+        frictional=frozenset(contact.name for contact in scene.contacts if contact.friction),
+    )
+    known = {method.name: method for method in methods()}
     for key in ("expect", "published"):
         for i, claim in enumerate(getattr(scene, key)):
-            _claim_fits(f"{key}[{i}]", claim, scene, places)
+            _claim_fits(f"{key}[{i}]", claim, claimable)
             if claim.method is not None:
-                _method_fits(f"{key}[{i}]", claim.method, claim.knobs)
+                _method_fits(f"{key}[{i}]", claim.method, claim.knobs, known)
     for i, study in enumerate(scene.study):
-        _method_fits(f"study[{i}]", study.method, {**dict([study.knob]), **study.options})
+        _method_fits(f"study[{i}]", study.method, {**dict([study.knob]), **study.options}, known)
     for i, name in enumerate(scene.report.methods if scene.report else ()):
-        _method_exists(f"report.methods[{i}]", name)
+        _method_exists(f"report.methods[{i}]", name, known)
 
 
-def _method_exists(key: str, name: str) -> Method:
-    known = {method.name: method for method in methods()}
+def _method_exists(key: str, name: str, known: Mapping[str, Method]) -> Method:
     if name not in known:
-        raise SceneError(f"{key}: {unknown(name, known, 'method')}")
+        raise SceneError(f"{key}: {no_such(name, known, 'method')}")
     return known[name]
 
 
-def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
-    """The method exists, and its knobs are its own, of values that it can have."""
-    method = _method_exists(f"{where}.method", name)
+def _method_fits(where: str, name: str, knobs: Mapping[str, object], known: Mapping[str, Method]) -> None:
+    """Refuse a method that does not exist, and knobs that it has not or of values that it cannot have."""
+    method = _method_exists(f"{where}.method", name, known)
     own = [*method.options, *(["tolerance"] if method.knob == "tolerance" else [])]
     for knob, stated in knobs.items():
         if knob not in own:
@@ -53,46 +80,144 @@ def _method_fits(where: str, name: str, knobs: Mapping[str, object]) -> None:
 
 
 def _places(scene: SceneData, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
-    """What ``at`` can name, for each thing a quantity can be asked of."""
-    named: Callable[[str], tuple[str, ...]] = lambda key: tuple(item.name for item in getattr(scene, key))  # noqa: E731
+    """Return what ``at`` can name, for each thing a quantity can be asked of."""
+
+    def named(*keys: str) -> tuple[str, ...]:
+        return tuple(item.name for key in keys for item in getattr(scene, key))
+
+    inertial = [key for key, kind in BLOCKS.items() if kind.inertial]
     return {
         "unknown": unknowns.free,
         "support": named("supports") if scene.meshed else tuple(n for n in unknowns.names if n in unknowns.fixed),
         "contact": named("contacts"),
-        "bar": named("bars"),
-        "spring": named("springs"),
+        **{kind.noun: named(key) for key, kind in BLOCKS.items()},
         "tie": named("ties"),
-        "body": tuple(item.name for item in scene.meshed),
+        "body": named("bodies", "membranes"),
         "elastic body": named("bodies"),
-        "moving part": named("bodies") if scene.meshed else (*named("bars"), *named("masses")),
+        "moving part": named("bodies") if scene.meshed else named(*inertial),
         "axis": scene.axes,
     }
 
 
-def _claim_fits(where: str, claim: Claim, scene: SceneData, places: dict[str, tuple[str, ...]]) -> None:
-    measure, kind = claim.measure, "bodies" if scene.meshed else "nodes"
+def _claim_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
+    measure, scene, kind, places = claim.measure, claimable.scene, claimable.kind, claimable.places
     if measure.of not in (kind, "both"):
         own = ", ".join(repr(name) for name, other in QUANTITIES.items() if other.of in (kind, "both"))
         raise SceneError(f"{where}.quantity: {claim.quantity!r} is asked of scenes of {measure.of}; of {kind}: {own}")
+    _places_fit(where, claim, measure, claimable)
+    for j, name in enumerate(claim.unknowns or ()):
+        if name not in places["unknown"]:
+            raise SceneError(f"{where}.unknowns[{j}]: {no_such(name, places['unknown'], 'unknown')}")
+    _motion_fits(where, claim, measure, scene)
+    _large_fits(where, claim, measure, claimable)
+    if measure.path and scene.path is None and scene.motion is None:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
+    if measure.friction and claim.at not in claimable.frictional:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, {claim.at!r} has none")
+    if claim.quantity == "uniqueness" and not claimable.frictional:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, and there is none")
+    if claim.load_factor != 1 and not measure.solved:
+        raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")
+    if scene.motion is None:
+        _time_fits(where, claim, measure, claimable)
+
+
+def _places_fit(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:
+    scene, places = claimable.scene, claimable.places
     if claim.near is not None and len(claim.near) != len(scene.axes):
         raise SceneError(f"{where}.near: expected {len(scene.axes)} components, got {len(claim.near)}")
     if measure.at is not None and claim.at not in places[measure.at]:
-        raise SceneError(f"{where}.at: {unknown(claim.at, places[measure.at], measure.at)}")
-    if measure.at == "bar" and any(bar.divisions > 1 for bar in scene.bars if bar.name == claim.at):
-        raise SceneError(f"{where}.at: expected a bar in one piece, got {claim.at!r}, each part of which has its own")
+        raise SceneError(f"{where}.at: {no_such(claim.at, places[measure.at], measure.at)}")
+    if measure.read is not None:
+        scene.element(str(measure.at), str(claim.at)).check_claim(f"{where}.at")
     if measure.along is not None and claim.along not in places[measure.along]:
-        raise SceneError(f"{where}.along: {unknown(claim.along, places[measure.along], measure.along)}")
-    for j, name in enumerate(claim.unknowns or ()):
-        if name not in places["unknown"]:
-            raise SceneError(f"{where}.unknowns[{j}]: {unknown(name, places['unknown'], 'unknown')}")
-    motion_claim_fits(where, claim, scene)
-    large_claim_fits(where, claim, scene)
-    if measure.path and scene.path is None and scene.motion is None:
-        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [path], and there is none")
-    if measure.friction and not any(c.friction for c in scene.contacts if c.name == claim.at):
-        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, {claim.at!r} has none")
-    if claim.quantity == "uniqueness" and not any(c.friction for c in scene.contacts):
-        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects a contact with friction, and there is none")
-    if claim.load_factor != Fraction(1) and not measure.solved:
-        raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")
-    time_fits(where, claim, scene)
+        raise SceneError(f"{where}.along: {no_such(claim.along, places[measure.along], measure.along)}")
+
+
+def _large_fits(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:
+    """Raise SceneError if the claim means nothing at large deformations, or, without them, needs them."""
+    control = claimable.control
+    if not claimable.large:
+        if measure.large:
+            raise SceneError(f"{where}.quantity: {claim.quantity!r} expects deformation = 'large'")
+        if claim.reached is not None:
+            raise SceneError(f"{where}.reached: expected with deformation = 'large' only, got {claim.reached}")
+        return
+    if measure.small:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} means nothing with deformation = 'large'")
+    if claim.quantity.startswith("limit") and control == "load":
+        raise SceneError(
+            f"{where}.quantity: {claim.quantity!r} expects control = 'displacement' or 'arc-length': load control "
+            "jumps over limit points ('snap-through load')"
+        )
+    if claim.quantity.startswith("snap-through") and control != "load":
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} expects control = 'load', got {control!r}")
+    if claim.reached is not None and (control != "displacement" or measure.whole_way):
+        what = f"{claim.quantity!r} is of the whole path" if measure.whole_way else f"got control = {control!r}"
+        raise SceneError(f"{where}.reached: expected with control = 'displacement' only: {what}")
+    if control != "load" and (claim.time is not None or claim.load_factor != 1):
+        key = "load_factor" if claim.time is None else "time"
+        instead = "'reached'" if control == "displacement" else "none"
+        raise SceneError(
+            f"{where}.{key}: expected {instead} with control = {control!r}, whose load factor comes and goes"
+        )
+
+
+def _motion_fits(where: str, claim: Claim, measure: Measure, scene: SceneData) -> None:
+    """Raise SceneError if the claim means nothing in a motion, or, without one, needs it."""
+    motion = scene.motion
+    in_time = claim.quantity == "event time" and any(any(number.dimension) for number in claim.stated)
+    if motion is None:
+        if measure.motion:
+            raise SceneError(f"{where}.quantity: {claim.quantity!r} expects [motion], and there is none")
+        if isinstance(claim.time, Quantity):
+            raise SceneError(f"{where}.time: expected a time only with [motion], got {claim.time}")
+        if in_time:
+            raise SceneError(f"{where}: {claim.quantity!r} expects a pseudo-time, a number, without [motion]")
+        return
+    if measure.statics:
+        raise SceneError(f"{where}.quantity: {claim.quantity!r} is asked of statics, and not in a motion")
+    if claim.load_factor != 1:
+        raise SceneError(f"{where}.load_factor: expected none in a motion, whose loads are constant")
+    if claim.quantity == "event time" and not in_time:
+        raise SceneError(f'{where}: {claim.quantity!r} expects a time such as "2 ms" in a motion, got a number')
+    if claim.time is None:
+        return
+    if not isinstance(claim.time, Quantity):
+        raise SceneError(f'{where}.time: expected a time such as "2 ms" in a motion, got {claim.time}')
+    if not motion.start.si <= claim.time.si <= motion.end:
+        raise SceneError(
+            f"{where}.time: expected one from {float(motion.start.si):.12g} s to {float(motion.end):.12g} s, where the "
+            f"motion ends, got {claim.time}"
+        )
+    if not measure.solved or measure.whole_way:
+        raise SceneError(f"{where}.time: {claim.quantity!r} depends on no time")
+
+
+def _time_fits(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:
+    """Raise SceneError if the claim is asked of an instant that the scene has not."""
+    scene = claimable.scene
+    if isinstance(claim.time, Fraction):
+        if scene.path is None:
+            raise SceneError(f"{where}.time: expected [path], whose pseudo-time it is, and there is none")
+        if not 0 <= claim.time <= claimable.path_end:
+            raise SceneError(
+                f"{where}.time: expected one from 0 to {claimable.path_end}, the end of the path, got {claim.time}"
+            )
+        if not measure.solved or measure.whole_way:
+            raise SceneError(f"{where}.time: {claim.quantity!r} depends on no time")
+    if claimable.corners:
+        if claim.load_factor != 1:
+            raise SceneError(f"{where}.load_factor: expected 'time', since the load path has corners")
+        if claim.quantity.startswith("closing load"):
+            instead = "event time" if claim.quantity == "closing load factor" else "event load"
+            raise SceneError(
+                f"{where}.quantity: expected {instead!r} with event = 'closed', since the load path has corners, "
+                f"got {claim.quantity!r}"
+            )
+    if claim.load_factor != 1 and scene.path is None and claimable.frictional:
+        raise SceneError(
+            f"{where}.load_factor: expected none with friction and no load path: the answer depends on the way to it"
+        )
+    if claim.quantity == "slip" and scene.path is not None:
+        raise SceneError(f"{where}.quantity: 'slip' expects no [path], along which it starts anew at every step")

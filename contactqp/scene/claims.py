@@ -1,57 +1,39 @@
-"""What a case claims of its answer: quantities, exact expectations, printed numbers, knobs to sweep."""
+"""What a case claims of its answer, and the vocabulary of quantities that it can claim.
+
+An expectation has an exact value, a published number our verdict on it; a study names the knobs that a report sweeps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.scene import fields
-from contactqp.scene.fields import Block, KnobStiffness, Name, Number, unknown
+from contactqp.scene.blocks import element_quantities
+from contactqp.scene.blocks.element import Measure
+from contactqp.scene.fields import Block, KnobStiffness, Name, Number, no_such
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
-
-# What a case can say of its answer: each quantity by its name, the kind of number it is, and what it is asked of.
 
 STATUSES = ("open", "closed", "grazing", "stick", "slip")
 ONE_ANSWER = "one answer"
 
 
 def uniqueness_in_words(findings: Iterable[str]) -> str:
-    """A certificate's findings as the value of "uniqueness"."""
+    """Return a certificate's findings as the value of "uniqueness"."""
     return "; ".join(findings) or ONE_ANSWER
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One row of the vocabulary of ``quantity``."""
-
-    meaning: str
-    kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
-    words: tuple[str, ...] = ()  # that its value may be of; several are joined by "; ", and all must be said
-    at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "bar", "spring", "tie", "body"
-    along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
-    near: bool = False  # ``near`` is a point: the node there is meant
-    component: bool = False  # ``component`` is one of COMPONENTS
-    matrix: bool = False  # its value is ``rows``
-    solved: bool = True  # needs a solution; otherwise read off the problem
-    path: bool = False  # needs the load path, or a motion
-    motion: bool = False  # needs a motion
-    statics: bool = False  # means nothing in a motion
-    large: bool = False  # needs large deformations
-    small: bool = False  # means nothing at large deformations
-    counted: bool = False  # there are several of it: ``occurrence`` says which
-    event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
-    friction: bool = False  # needs a contact with friction
-    whole_way: bool = False  # of the whole load path, not of an instant of it
-    of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
 
 
 def _of_bodies(meaning: str, kind: str, **asked: Any) -> Measure:
     return Measure(meaning, (kind,), of="bodies", **asked)
+
+
+def _at_contact(meaning: str, kind: str, **asked: Any) -> Measure:
+    return _of_bodies(meaning, kind, at="contact", **asked)
 
 
 def _of_large(meaning: str, kind: str, **asked: Any) -> Measure:
@@ -64,7 +46,7 @@ def _of_motions(meaning: str, kind: str, **asked: Any) -> Measure:
 
 # Stresses in the order of contactqp.elements.solid, and the equivalent one.
 COMPONENTS = ("xx", "yy", "zz", "xy", "yz", "zx", "von-mises")
-_WAY: dict[str, Any] = {"path": True, "whole_way": True}
+_WHOLE_PATH: dict[str, Any] = {"path": True, "whole_way": True}
 _POINT: dict[str, Any] = {"counted": True, "whole_way": True}
 _READ_OFF: dict[str, Any] = {"solved": False, "small": True}
 QUANTITIES = {
@@ -100,8 +82,7 @@ QUANTITIES = {
     ),
     "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support", statics=True),
-    "bar force": Measure("axial force, positive in tension", ("force",), at="bar"),
-    "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring"),
+    **element_quantities(),
     "energy": Measure(
         "1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones; elastic energy - f'u where it is large",
         ("energy",),
@@ -132,10 +113,10 @@ QUANTITIES = {
         small=True,
     ),
     "closing load factor": Measure(
-        "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WAY
+        "load factor at which a contact closes", ("number",), at="contact", statics=True, **_WHOLE_PATH
     ),
     "closing load": Measure(
-        "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WAY
+        "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WHOLE_PATH
     ),
     "event time": Measure(
         "pseudo-time of an event, in a motion its time; a side closes with its first node and opens with its last",
@@ -143,7 +124,7 @@ QUANTITIES = {
         at="contact",
         event=True,
         of="both",
-        **_WAY,
+        **_WHOLE_PATH,
     ),
     "event load": Measure(
         "load on `along` at an event of a contact",
@@ -152,9 +133,9 @@ QUANTITIES = {
         along="unknown",
         event=True,
         statics=True,
-        **_WAY,
+        **_WHOLE_PATH,
     ),
-    "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WAY),
+    "events": Measure("number of events of a contact, of all kinds", ("number",), at="contact", **_WHOLE_PATH),
     "stiffness": Measure("entry of K at two unknowns", ("stiffness",), at="unknown", along="unknown", **_READ_OFF),
     "tie matrix": Measure("the rows A of the ties, in the scene's units", ("number",), matrix=True, **_READ_OFF),
     "tie rank": Measure("number of independent ties", ("number",), **_READ_OFF),
@@ -170,11 +151,7 @@ QUANTITIES = {
     "snap-through load": _of_large("load on an unknown where load control jumps", "force", at="unknown", **_POINT),
     "snap-throughs": _of_large("number of jumps on the path", "number", whole_way=True),
     "node displacement": _of_bodies(
-        "displacement of the node of a body at `near`, along an axis",
-        "length",
-        at="body",
-        along="axis",
-        near=True,
+        "displacement of the node of a body at `near`, along an axis", "length", at="body", along="axis", near=True
     ),
     "node velocity": _of_bodies(
         "velocity of the node at `near`, along an axis", "velocity", at="body", along="axis", near=True, motion=True
@@ -186,58 +163,42 @@ QUANTITIES = {
         near=True,
         component=True,
     ),
-    "contact force": _of_bodies(
-        "sum of the normal forces of a contact, each along its own normal, positive in compression",
-        "force",
-        at="contact",
+    "contact force": _at_contact(
+        "sum of the normal forces of a contact, each along its own normal, positive in compression", "force"
     ),
-    "contact resultant": _of_bodies(
+    "contact resultant": _at_contact(
         "sum of the normal forces of a contact as vectors, on the body or the slave, along an axis",
         "force",
-        at="contact",
         along="axis",
     ),
-    "friction resultant": _of_bodies(
+    "friction resultant": _at_contact(
         "sum of lambda_T of a contact as vectors along an axis: what the body or the slave does to what it touches",
         "force",
-        at="contact",
         along="axis",
         friction=True,
     ),
-    "friction traction": _of_bodies(
+    "friction traction": _at_contact(
         "lambda_T per area at the contact's node at `near`, along an axis; projected as pressures are",
         "pressure",
-        at="contact",
         along="axis",
         near=True,
         friction=True,
     ),
-    "stick half-width": _of_bodies(
-        "largest distance from `near`, the centre, to a node that sticks",
-        "length",
-        at="contact",
-        near=True,
-        friction=True,
+    "stick half-width": _at_contact(
+        "largest distance from `near`, the centre, to a node that sticks", "length", near=True, friction=True
     ),
-    "sticking contacts": _of_bodies("number of nodes of a contact that stick", "number", at="contact", friction=True),
-    "peak pressure": _of_bodies(
-        "largest pressure at the nodes of a contact: forces projected onto its side",
-        "pressure",
-        at="contact",
+    "sticking contacts": _at_contact("number of nodes of a contact that stick", "number", friction=True),
+    "peak pressure": _at_contact(
+        "largest pressure at the nodes of a contact: forces projected onto its side", "pressure"
     ),
-    "contact pressure": _of_bodies(
-        "pressure at the contact's node at `near`: forces projected onto its side",
-        "pressure",
-        at="contact",
-        near=True,
+    "contact pressure": _at_contact(
+        "pressure at the contact's node at `near`: forces projected onto its side", "pressure", near=True
     ),
-    "contact half-width": _of_bodies(
-        "largest distance from `near`, the centre, to a node that presses", "length", at="contact", near=True
+    "contact half-width": _at_contact(
+        "largest distance from `near`, the centre, to a node that presses", "length", near=True
     ),
-    "closed contacts": _of_bodies("number of nodes of a contact that press", "number", at="contact"),
-    "node gap": _of_bodies(
-        "gap of the contact's node at `near`, positive when open", "length", at="contact", near=True
-    ),
+    "closed contacts": _at_contact("number of nodes of a contact that press", "number"),
+    "node gap": _at_contact("gap of the contact's node at `near`, positive when open", "length", near=True),
     "support force": _of_bodies(
         "sum of the forces of a support on the body, along the support's axis", "force", at="support", statics=True
     ),
@@ -249,12 +210,12 @@ KNOBS = ("penalty", "perturbation")
 
 def _known_quantity(value: str) -> str:
     if value not in QUANTITIES:
-        raise ValueError(unknown(value, QUANTITIES, "quantity"))
+        raise ValueError(no_such(value, QUANTITIES, "quantity"))
     return value
 
 
 def _text(value: Any) -> str:
-    """Numbers are kept as they were written: their digits say how exact they are."""
+    """Return a number as it was written: its digits say how exact it is."""
     if isinstance(value, bool | list | tuple | dict):
         raise ValueError(f'expected a number with its unit such as "41/31500 m", got {value}')
     return str(value)
@@ -272,7 +233,7 @@ def _tolerance(value: Any) -> Quantity:
 
 
 def _instant(value: Any) -> Fraction | Quantity:
-    """A pseudo-time is a number, a time has its unit."""
+    """Return a pseudo-time, which is a number, or a time, which has its unit."""
     time = read_quantity(value, [KINDS["number"], KINDS["time"]], roots=True)
     return time if any(time.dimension) else time.si
 
@@ -317,23 +278,25 @@ class Claim(Block):
     perturbation: KnobStiffness | None = None
     update: Literal["simultaneous", "uzawa"] | None = None
 
-    @property
+    @cached_property
     def measure(self) -> Measure:
+        """Return the row of the vocabulary that the quantity is."""
         return QUANTITIES[self.quantity]
 
-    @property
+    @cached_property
     def kinds(self) -> list[Kind]:
+        """Return the kinds of numbers that its value can be."""
         return [KINDS[name] for name in self.measure.kinds]
 
-    @property
+    @cached_property
     def knobs(self) -> dict[str, Quantity | str]:
-        """The options of the method that are stated."""
+        """Return the options of the method that are stated."""
         stated = {name: getattr(self, name) for name in (*KNOBS, "update")}
         return {name: value for name, value in stated.items() if value is not None}
 
     @property
     def stated(self) -> list[Quantity]:
-        """The numbers that are claimed."""
+        """Return the numbers that are claimed."""
         return []
 
     @model_validator(mode="after")
@@ -396,21 +359,22 @@ class Expectation(Claim):
         if not self.kinds:
             for word in str(self.value).split("; "):
                 if word not in self.measure.words:
-                    raise ValueError(f"value: {unknown(word, self.measure.words, self.quantity)}")
+                    raise ValueError(f"value: {no_such(word, self.measure.words, self.quantity)}")
             return self
         for target in self.targets:
             if target.si == 0 and self.tolerance.dimension != target.dimension and not self.measure.matrix:
                 raise ValueError('tolerance: expected one with a unit such as "1e-15 m", since the value is zero')
         return self
 
-    @property
+    @cached_property
     def targets(self) -> list[Quantity]:
-        """The exact values, row by row."""
+        """Return the exact values, row by row."""
         texts = [self.value] if self.rows is None else [f"{text} {self.unit}" for row in self.rows for text in row]
         return [read_quantity(text, self.kinds, roots=True) for text in texts]
 
     @property
     def stated(self) -> list[Quantity]:
+        """Return the numbers that are claimed; none for words."""
         return self.targets if self.kinds else []
 
 
@@ -434,17 +398,19 @@ class Published(Claim):
         self.target, self.half_digit  # noqa: B018  refused here if they cannot be read
         return self
 
-    @property
+    @cached_property
     def target(self) -> Quantity:
+        """Return the printed number."""
         return read_quantity(self.printed, self.kinds)
 
     @property
     def stated(self) -> list[Quantity]:
+        """Return the printed number."""
         return [self.target]
 
-    @property
+    @cached_property
     def half_digit(self) -> Quantity:
-        """Half a unit of the last printed digit."""
+        """Return half a unit of the last printed digit."""
         number, _, unit = self.printed.partition(" ")
         mantissa, _, exponent = number.lower().partition("e")
         digits = len(mantissa.partition(".")[2])
@@ -482,12 +448,12 @@ class Study(Block):
 
     @property
     def knob(self) -> tuple[str, tuple[Quantity | Fraction, ...]]:
-        """Its name and values."""
+        """Return its name and values."""
         return next((name, getattr(self, name)) for name in (*KNOBS, "tolerance") if getattr(self, name))
 
     @property
     def options(self) -> dict[str, str]:
-        """What the method is told besides its knob."""
+        """Return the options of the method besides its knob."""
         return {} if self.update is None else {"update": self.update}
 
 

@@ -19,9 +19,9 @@ from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTrus
 from contactqp.elements.obstacle_contact import ContactGroup, ObstacleContact
 from contactqp.errors import InvalidProblem, NotConverged, SceneError
 from contactqp.model.arrays import Array
+from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import NodeModel
-from contactqp.scene.geometry import obstacle
-from contactqp.scene.unknowns import end_time, of_node, point
+from contactqp.scene.unknowns import end_time
 
 # Steps of a path that states none.
 DEFAULT_STEPS = 10
@@ -32,20 +32,20 @@ _BY_PLACE = re.compile(r"\bunknown (\d+)\b")
 
 @dataclass(frozen=True, eq=False)
 class DeformableModel:
-    """The bars and obstacles of a scene as they are at large displacements; its unknowns are those of the model."""
+    """The bars and obstacles of a scene at large displacements; its unknowns are those of the model."""
 
     model: NodeModel
 
     @cached_property
     def truss(self) -> NonlinearTruss:
-        """On all unknowns."""
+        """Return the bars on all unknowns."""
         scene = self.model.scene
         nodes = list(scene.every_node)
         place = {node: i for i, node in enumerate(nodes)}
         bars = [(bar, segment) for bar in scene.bars for segment in bar.segments]
         laws = [bar.law or "green" for bar, _ in bars]
         return NonlinearTruss(
-            nodes=[[float(x) for x in point(scene, node)] for node in nodes],
+            nodes=[[float(x) for x in scene.point(node)] for node in nodes],
             bars=[[place[node] for node in segment] for _, segment in bars],
             modulus=[float(scene.system.value(bar.modulus)) for bar, _ in bars],
             area=[float(scene.system.value(bar.area)) for bar, _ in bars],
@@ -54,13 +54,13 @@ class DeformableModel:
 
     @cached_property
     def body(self) -> Supported:
-        """On the free unknowns."""
+        """Return the bars on the free unknowns."""
         unknowns = self.model.exact.unknowns
         return Supported(self.truss, held={unknowns.place[name]: 0.0 for name in unknowns.fixed})
 
     @cached_property
     def contact(self) -> ContactGeometry | None:
-        """All contacts in the order of the scene, over all unknowns; None if there are none."""
+        """Return all contacts in the order of the scene, over all unknowns; None if there are none."""
         parts = list(self._contacts())
         return ContactGroup(parts) if parts else None
 
@@ -69,14 +69,14 @@ class DeformableModel:
         for name, group in groupby(scene.contacts, lambda contact: str(contact.obstacle)):
             nodes = [str(contact.node) for contact in group]
             yield ObstacleContact(
-                points=[[float(x) for x in point(scene, node)] for node in nodes],
+                points=[[float(x) for x in scene.point(node)] for node in nodes],
                 obstacle=obstacle(scene, name),
-                unknowns=np.array([[place[unknown] for unknown in of_node(scene, node)] for node in nodes]),
+                unknowns=np.array([[place[unknown] for unknown in scene.displacements(node)] for node in nodes]),
                 dimension=len(place),
             )
 
     def bar_force(self, name: str, displacement: Array) -> float:
-        """The true axial force of a bar in one piece, positive in tension."""
+        """Return the true axial force of a bar in one piece, positive in tension [force]."""
         first = 0
         for bar in self.model.scene.bars:
             if bar.name == name:
@@ -85,7 +85,7 @@ class DeformableModel:
         return float(self.truss.axial_force(self.body.expand(displacement))[first])
 
     def support_forces(self, solution: LargeSolution) -> Array:
-        """What supports do to the body at fixed unknowns, at all unknowns: f_int + E_N' l_N + E_T' l_T - f.
+        """Return the forces of the supports on the body, at all unknowns: f_int + E_N' l_N + E_T' l_T - f.
 
         At free unknowns it is what Newton's method left out of balance.
         """
@@ -102,7 +102,7 @@ class DeformableModel:
 
 
 def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
-    """The path that the scene states, at large deformations.
+    """Follow the path that the scene states, at large deformations.
 
     Raises
     ------
@@ -140,13 +140,13 @@ def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
         raise SceneError(f"path: {_named(model, str(error))}") from None
     except NotConverged as error:
         so_far = error.history
-        known = _of_scene(model, so_far) if isinstance(so_far, LargeHistory) else so_far
-        raise NotConverged(_named(model, str(error)), known, error.solution) from error
+        until_then = _of_scene(model, so_far) if isinstance(so_far, LargeHistory) else so_far
+        raise NotConverged(_named(model, str(error)), until_then, error.solution) from error
     return _of_scene(model, history)
 
 
 def _of_scene(model: NodeModel, history: LargeHistory) -> LargeHistory:
-    """The same with the names and units of the scene."""
+    """Return the history with the names and units of the scene."""
     names = [contact.name for contact in model.exact.contacts]
     return LargeHistory(
         [_solution_of_scene(model, solution) for solution in history if isinstance(solution, LargeSolution)],
@@ -158,12 +158,14 @@ def _of_scene(model: NodeModel, history: LargeHistory) -> LargeHistory:
 
 
 def _solution_of_scene(model: NodeModel, solution: LargeSolution) -> LargeSolution:
-    known = model.problem
-    problem = solution.problem.replace(dof_names=known.dof_names, contact_names=known.contact_names, units=known.units)
+    stated = model.problem
+    problem = solution.problem.replace(
+        dof_names=stated.dof_names, contact_names=stated.contact_names, units=stated.units
+    )
     return replace(solution, problem=problem)
 
 
 def _named(model: NodeModel, text: str) -> str:
-    """Unknowns by their names in place of their numbers."""
+    """Return a text with unknowns by their names in place of their numbers."""
     free = model.exact.unknowns.free
     return _BY_PLACE.sub(lambda found: free[int(found[1])], text)

@@ -1,7 +1,8 @@
-"""Explain a scene: its unknowns and constraints, the blocks it got and those it did not, and why."""
+"""A scene in words: its unknowns and constraints, the blocks that its problem has and those it has not, and why."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,9 +12,10 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.building import ExactProblem, NodeModel, Row, build
 from contactqp.scene.schema import Contact, SceneData
@@ -23,8 +25,7 @@ from contactqp.scene.unknowns import is_rotation, load_names
 if TYPE_CHECKING:
     from contactqp.scene.schema import LoadPath
 
-
-# What an explanation consists of, and the parts that scenes of nodes and of bodies share.
+MOST_NAMES = 12
 
 
 @dataclass(frozen=True)
@@ -47,117 +48,6 @@ class Explanation:
     contacts: tuple[str, ...]
     ties: tuple[str, ...]
     blocks: tuple[BuildingBlock, ...]
-
-
-def path_block(scene: SceneData) -> BuildingBlock:
-    """Whether loads grow, and how changes are found."""
-    if scene.path is None:
-        constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
-        return BuildingBlock("load path", False, constant)
-    if scene.large:
-        return BuildingBlock("load path", True, _large_path(scene.path))
-    from contactqp.analysis.load_path import DEFAULT_STEPS
-
-    exactly = scene.path.events is not None
-    steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
-    steps = f"{scene.path.steps} steps" if scene.path.steps else steps
-    found = "every change of contact is found exactly" if exactly else "a change is seen at the next step"
-    if scene.path.corners is None:
-        return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
-    names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
-    corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
-    return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
-
-
-def _large_path(path: LoadPath) -> str:
-    from contactqp.scene.deforming import DEFAULT_STEPS
-
-    control = path.control or "load"
-    steps = f"{path.steps or DEFAULT_STEPS} steps"
-    if control == "load":
-        grown = f"{len(path.corners)} corners" if path.corners else "the full loads"
-        return f"load control: from nothing to {grown}, {steps} a leg; a jump is told with its load"
-    way = f"{path.controlled} goes to {path.target}" if control == "displacement" else "along the path"
-    return f"{control} control: {way} in {steps}; the load factor follows, through limit points"
-
-
-def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
-    """Whether tangents change, and with what; `kinds` are the elements of the scene."""
-    if not scene.large:
-        return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
-    laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
-    return BuildingBlock(
-        "Newton loop",
-        True,
-        f"large displacements: tangents, gaps and normals are updated in every step, one contact problem each; bars by "
-        f"the law {laws}",
-    )
-
-
-def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
-    """The mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
-    motion = scene.motion
-    if motion is None:
-        yield BuildingBlock("mass matrix", False, f"statics: {masses}")
-        yield BuildingBlock("time stepping", False, "statics: nothing moves in time")
-        return
-    yield BuildingBlock("mass matrix", True, f"{motion.mass}, {masses}")
-    steps = f"{motion.steps} steps of {float(motion.time_step.si):.6g} s from {float(motion.start.si):.6g} s"
-    yield BuildingBlock("time stepping", True, f"{motion.scheme}, {steps}; one small contact problem each")
-
-
-def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
-    """Tangential rows, which all contacts get where one has friction; `coefficients` of all of them."""
-    name, rubbing = "tangential rows E_T, friction", sum(map(bool, coefficients))
-    if not rubbing:
-        return BuildingBlock(name, False, "no contact has friction")
-    each = "one row" if axes == 2 else "two rows"
-    some = f"{rubbing} contact{'s' * (rubbing > 1)} with friction"
-    others = "" if rubbing == len(coefficients) else f" of {len(coefficients)}"
-    return BuildingBlock(name, True, f"{some}{others}, {each} each; what sticks or slips depends on the load's way")
-
-
-def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
-    """Which methods a report tries on the case, where not all of them."""
-    if report_note(scene):
-        yield BuildingBlock("all methods in a report", False, report_note(scene))
-
-
-def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
-    """The methods that a report is limited to, and why; None where it tries all."""
-    if scene.report is not None:
-        return scene.report.methods, scene.report.why
-    if scene.large:
-        return ("active-set",), "methods differ only in Newton's steps, and the convex ones refuse unstable tangents"
-    if scene.motion is not None:
-        return ("active-set",), "a motion solves one small contact problem a step, and methods differ in no more"
-    frictional = any(contact.friction for contact in scene.contacts)
-    if frictional and scene.path is not None and scene.path.events is not None:
-        return ("active-set",), "from one exact event to the next all is linear, and no exact method has a part in it"
-    return None
-
-
-def report_note(scene: SceneData) -> str:
-    """The same in words; empty where all are tried."""
-    limit = report_methods(scene)
-    return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
-
-
-def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
-    """A block that is included where there is one of them or more."""
-    return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
-
-
-MOST_NAMES = 12
-_EXACT = "exact rational numbers"
-_ELEMENTS = (
-    ("bars", "axial bars"),
-    ("springs", "springs"),
-    ("beams", "plane Euler-Bernoulli beams"),
-    ("strings", "strings under constant tension"),
-    ("masses", "point masses"),
-    ("matrices", "stiffness matrices from elsewhere"),
-)
 
 
 def explain(scene: SceneData) -> Explanation:
@@ -196,42 +86,35 @@ def _explained(scene: SceneData) -> Explanation:
 
 
 def _blocks(scene: SceneData, exact: ExactProblem) -> Iterator[BuildingBlock]:
-    for key, name in _ELEMENTS:
+    for key, kind in BLOCKS.items():
         count = len(getattr(scene, key))
-        yield BuildingBlock(name, count > 0, f"{count} in the scene" if count else "none in the scene")
-    yield _rotations(exact)
-    yield _supports(exact)
+        yield BuildingBlock(kind.title, count > 0, f"{count} in the scene" if count else "none in the scene")
+    rotations = sum(is_rotation(name) for name in exact.unknowns.free)
+    yield counted("rotations", rotations, "free rotation", "no beam ends at a free node")
+    fixed = len(exact.unknowns.fixed)
+    some = f"{fixed} fixed unknown{'s' * (fixed > 1)}, left out of the system"
+    yield BuildingBlock("supports", fixed > 0, some if fixed else "nothing is fixed")
     yield counted("contact rows E_N u <= g", len(exact.contacts), "contact", "nothing can touch anything")
     yield friction_block([contact.friction for contact in exact.contacts], len(scene.axes))
     yield counted("tie rows A u = b", len(exact.ties), "tie", "no ties")
     yield _condensation(exact)
     yield path_block(scene)
     yield from motion_blocks(scene, _masses(scene))
-    kinds = ", ".join(name for key, name in _ELEMENTS if getattr(scene, key)) or "contacts alone"
+    kinds = ", ".join(kind.title for key, kind in BLOCKS.items() if getattr(scene, key)) or "contacts alone"
     yield newton_block(scene, kinds)
     yield BuildingBlock("finite-element library", False, "the scene has no solid bodies")
-    yield BuildingBlock(_EXACT, False, "large displacements are in floats") if scene.large else _exactness(exact)
+    rational = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
+    exactness = "large displacements are in floats" if scene.large else rational
+    yield BuildingBlock("exact rational numbers", exact.rational and not scene.large, exactness)
     yield from report_blocks(scene)
 
 
 def _masses(scene: SceneData) -> str:
-    bars, masses = sum(bar.density is not None for bar in scene.bars), len(scene.masses)
+    heavy = Counter(element.noun for _, element in scene.elements if element.has_mass)
     if scene.motion is None:
-        return "masses only weigh" if bars or masses else "the scene has no masses"
-    kinds = ((bars, "bar", "bars"), (masses, "point mass", "point masses"))
-    counts = (f"{count} {many if count > 1 else one}" for count, one, many in kinds if count)
+        return "masses only weigh" if heavy else "the scene has no masses"
+    counts = (f"{count} {noun}{'s' * (count > 1)}" for noun, count in heavy.items())
     return f"of {' and '.join(counts)}; nothing else has any"
-
-
-def _rotations(exact: ExactProblem) -> BuildingBlock:
-    count = sum(is_rotation(name) for name in exact.unknowns.free)
-    return counted("rotations", count, "free rotation", "no beam ends at a free node")
-
-
-def _supports(exact: ExactProblem) -> BuildingBlock:
-    count = len(exact.unknowns.fixed)
-    some = f"{count} fixed unknown{'s' * (count > 1)}, left out of the system"
-    return BuildingBlock("supports", count > 0, some if count else "nothing is fixed")
 
 
 def _condensation(exact: ExactProblem) -> BuildingBlock:
@@ -244,13 +127,8 @@ def _condensation(exact: ExactProblem) -> BuildingBlock:
     return BuildingBlock("condensation onto the contact unknowns", 0 < len(touched) < len(free), some)
 
 
-def _exactness(exact: ExactProblem) -> BuildingBlock:
-    reason = "every number of the problem is rational" if exact.rational else "a length or a normal is irrational"
-    return BuildingBlock(_EXACT, exact.rational, reason)
-
-
 def _form(row: Row) -> str:
-    """``u(1.x) - u(2.x)``."""
+    """Write a row as in ``u(1.x) - u(2.x)``."""
     text = ""
     for name, factor in row.items():
         sign = "-" if factor < 0 else "+"
@@ -260,30 +138,27 @@ def _form(row: Row) -> str:
 
 
 def _written(number: Number) -> str:
-    """A fraction as it is unless it is a short decimal."""
+    """Write a fraction as it is unless it is a short decimal."""
     if isinstance(number, Fraction) and Fraction(f"{float(number):.6g}") != number:
         return str(number)
     return f"{float(number):.6g}"
 
 
 def shortened(names: Sequence[str]) -> str:
-    """The first of many names."""
+    """Return the first of many names in one line."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f", and {more} more" if more > 0 else "")
-
-
-# A scene of elastic bodies in words.
 
 
 def explain_bodies(model: BodyModel) -> Explanation:
     """Read off the meshes and the pairs; nothing is solved."""
     scene, names, system = model.scene, model.structure.unknown_names(), model.system
-    held = np.flatnonzero(~np.isnan(system.prescribed))
+    supported = np.flatnonzero(~np.isnan(system.prescribed))
     return Explanation(
         title=scene.title,
         units=f"{scene.units.length}, {scene.units.force}",
         unknowns=tuple(names[j] for j in system.free),
-        fixed=tuple(names[j] for j in held),
+        fixed=tuple(names[j] for j in supported),
         contacts=tuple(
             _paired_contact(contact, paired, scene.units.length)
             for contact, paired in zip(scene.contacts, model.contacts, strict=True)
@@ -313,8 +188,8 @@ def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
         size = f"{body.mesh.elements} elements ({kinds}), {len(body.mesh.points)} nodes, {kind}"
         yield BuildingBlock(f"body {body.name}", True, size)
     yield BuildingBlock("bars, springs, beams, strings, point masses", False, "none in a scene of bodies")
-    held = int(np.sum(~np.isnan(model.system.prescribed)))
-    yield counted("supports", held, "held unknown", "nothing is held")
+    supported = int(np.sum(~np.isnan(model.system.prescribed)))
+    yield counted("supports", supported, "held unknown", "nothing is held")
     for key, what in (("tractions", "traction"), ("pressures", "pressure"), ("point_loads", "point load")):
         yield counted(key.replace("_", " "), len(getattr(scene, key)), what, "none in the scene")
     weighs = scene.gravity is not None and any(body.density is not None and body.density.si for body in scene.bodies)
@@ -335,11 +210,118 @@ def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
     yield from report_blocks(scene)
 
 
-# An explanation on a screen.
+def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
+    """Return a block that is included where there is one of them or more.
+
+    Parameters
+    ----------
+    name : str
+        What the block is called.
+    count : int
+    what : str
+        What one of them is called; its plural has an s.
+    otherwise : str
+        The reason where there is none.
+    """
+    return BuildingBlock(name, count > 0, f"{count} {what}{'s' * (count > 1)}" if count else otherwise)
+
+
+def path_block(scene: SceneData) -> BuildingBlock:
+    """Say whether loads grow, and how changes of contact are found."""
+    if scene.path is None:
+        constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
+        return BuildingBlock("load path", False, constant)
+    if scene.large:
+        return BuildingBlock("load path", True, _large_path(scene.path))
+    from contactqp.analysis.load_path import DEFAULT_STEPS
+
+    exactly = scene.path.events is not None
+    steps = "no steps but the events" if exactly else f"{DEFAULT_STEPS} steps"
+    steps = f"{scene.path.steps} steps" if scene.path.steps else steps
+    found = "every change of contact is found exactly" if exactly else "a change is seen at the next step"
+    if scene.path.corners is None:
+        return BuildingBlock("load path", True, f"loads grow from nothing, {steps}; {found}")
+    names = ", ".join(dict.fromkeys(str(name) for _, name in load_names(scene)))
+    corners = f"{len(scene.path.corners)} corner{'s' * (len(scene.path.corners) > 1)} of the loads {names}"
+    return BuildingBlock("load path", True, f"from nothing to {corners}, each leg with {steps}; {found}")
+
+
+def _large_path(path: LoadPath) -> str:
+    from contactqp.scene.deforming import DEFAULT_STEPS
+
+    control = path.control or "load"
+    steps = f"{path.steps or DEFAULT_STEPS} steps"
+    if control == "load":
+        grown = f"{len(path.corners)} corners" if path.corners else "the full loads"
+        return f"load control: from nothing to {grown}, {steps} a leg; a jump is told with its load"
+    course = f"{path.controlled} goes to {path.target}" if control == "displacement" else "along the path"
+    return f"{control} control: {course} in {steps}; the load factor follows, through limit points"
+
+
+def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
+    """Say whether tangents change, and with what; `kinds` are the elements of the scene."""
+    if not scene.large:
+        return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
+    laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
+    return BuildingBlock(
+        "Newton loop",
+        True,
+        f"large displacements: tangents, gaps and normals are updated in every step, one contact problem each; bars by "
+        f"the law {laws}",
+    )
+
+
+def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
+    """Yield the mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
+    motion = scene.motion
+    if motion is None:
+        yield BuildingBlock("mass matrix", False, f"statics: {masses}")
+        yield BuildingBlock("time stepping", False, "statics: nothing moves in time")
+        return
+    yield BuildingBlock("mass matrix", True, f"{motion.mass}, {masses}")
+    steps = f"{motion.steps} steps of {float(motion.time_step.si):.6g} s from {float(motion.start.si):.6g} s"
+    yield BuildingBlock("time stepping", True, f"{motion.scheme}, {steps}; one small contact problem each")
+
+
+def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
+    """Say which contacts have friction; where one has, all get tangential rows."""
+    name, frictional = "tangential rows E_T, friction", sum(map(bool, coefficients))
+    if not frictional:
+        return BuildingBlock(name, False, "no contact has friction")
+    each = "one row" if axes == 2 else "two rows"
+    some = f"{frictional} contact{'s' * (frictional > 1)} with friction"
+    others = "" if frictional == len(coefficients) else f" of {len(coefficients)}"
+    return BuildingBlock(name, True, f"{some}{others}, {each} each; what sticks or slips depends on the load's way")
+
+
+def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
+    """Say which methods a report tries on the case, where not all of them."""
+    if report_note(scene):
+        yield BuildingBlock("all methods in a report", False, report_note(scene))
+
+
+def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
+    """Return the methods that a report is limited to, and why; None where it tries all."""
+    if scene.report is not None:
+        return scene.report.methods, scene.report.why
+    if scene.large:
+        return ("active-set",), "methods differ only in Newton's steps, and the convex ones refuse unstable tangents"
+    if scene.motion is not None:
+        return ("active-set",), "a motion solves one small contact problem a step, and methods differ in no more"
+    frictional = any(contact.friction for contact in scene.contacts)
+    if frictional and scene.path is not None and scene.path.events is not None:
+        return ("active-set",), "from one exact event to the next all is linear, and no exact method has a part in it"
+    return None
+
+
+def report_note(scene: SceneData) -> str:
+    """Return the same in words; empty where all are tried."""
+    limit = report_methods(scene)
+    return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
 
 
 def print_explanation(console: Console, explanation: Explanation) -> None:
-    """Unknowns, constraints, blocks."""
+    """Print the unknowns, the constraints, and which blocks the problem has."""
     console.print(f"[bold]{escape(explanation.title)}[/bold] (in {escape(explanation.units)})")
     console.print(escape(f"unknowns: {len(explanation.unknowns)}: {shortened(explanation.unknowns)}"))
     if explanation.fixed:

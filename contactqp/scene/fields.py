@@ -1,14 +1,18 @@
-"""The types of the keys of a case file, and how a wrong one is worded."""
+"""The types that the keys of a case file can have, and the one line that refuses a wrong one.
+
+A message has the key's path, what was expected, what came, and the nearest name that there is.
+"""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
+from contactqp.errors import SceneError
 from contactqp.scene.units import KINDS, NotANumber, Quantity, describe, read_number, read_quantity
 
 
@@ -17,15 +21,36 @@ class Block(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with some keys changed, without what was computed of the old ones."""
+        copied = super().model_copy(update=update, deep=deep)
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]
+        return copied
+
+
+def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: Sequence[str]) -> None:
+    """Raise ValueError where a table lacks a key that its kind needs, or has one of another kind.
+
+    Parameters
+    ----------
+    table : Block
+    kind : str
+        What the table is, as in "sphere".
+    required, optional : sequences of str
+        The keys of the kind; those that tables of all kinds have are among the optional ones, first.
+    """
+    for key in required:
+        if getattr(table, key) is None:
+            raise ValueError(f"{key}: expected for a {kind}, and missing")
+    for key in type(table).model_fields:
+        if key not in (*required, *optional) and getattr(table, key) is not None:
+            own = ", ".join([*optional[:2], *required, *optional[2:]])
+            raise ValueError(f"{key}: a {kind} has no such key; its own: {own}")
+
 
 def _reader(kind: str, roots: bool = False) -> Callable[[Any], Quantity]:
     return lambda value: read_quantity(value, [KINDS[kind]], roots=roots)
-
-
-def _positive(value: Quantity) -> Quantity:
-    if value.si <= 0:
-        raise ValueError(f"expected a positive number, got {value.text!r}")
-    return value
 
 
 def _number(value: Any) -> Fraction:
@@ -35,28 +60,20 @@ def _number(value: Any) -> Fraction:
         raise ValueError(f"expected a number, got {error}") from None
 
 
-def _not_negative(value: Fraction) -> Fraction:
-    if value < 0:
-        raise ValueError(f"expected a number that is not negative, got {float(value):g}")
-    return value
+def _must(holds: Callable[[Any], bool], expected: str) -> AfterValidator:
+    """Return a check of a number or quantity that says what it expected."""
+
+    def check(value: Any) -> Any:
+        if not holds(value.si if isinstance(value, Quantity) else value):
+            got = repr(value.text) if isinstance(value, Quantity) else f"{float(value):g}"
+            raise ValueError(f"expected {expected}, got {got}")
+        return value
+
+    return AfterValidator(check)
 
 
-def _poisson(value: Fraction) -> Fraction:
-    if not -1 < value < Fraction(1, 2):
-        raise ValueError(f"expected Poisson's ratio above -1 and below 0.5, got {float(value):g}")
-    return value
-
-
-def _grading(value: Fraction) -> Fraction:
-    if value < 1:
-        raise ValueError(f"expected a ratio of sizes of at least 1, got {float(value):g}")
-    return value
-
-
-def _zero_or_more(value: Quantity) -> Quantity:
-    if value.si < 0:
-        raise ValueError(f"expected zero or a positive number, got {value.text!r}")
-    return value
+_POSITIVE = _must(lambda size: size > 0, "a positive number")
+_NOT_NEGATIVE = _must(lambda size: size >= 0, "zero or a positive number")
 
 
 def _name(value: Any) -> str:
@@ -67,39 +84,38 @@ def _name(value: Any) -> str:
     return value
 
 
-def _node_name(value: Any) -> str:
-    if "." in _name(value):
-        raise ValueError(f"expected a node's name without a full stop (node.axis names an unknown), got {value!r}")
-    return _name(value)
+def _plain_name(owner: str, part: str) -> Callable[[Any], str]:
+    """Return a reader of names without a full stop, which stands between the name and what belongs to it."""
 
+    def read(value: Any) -> str:
+        if "." in _name(value):
+            raise ValueError(f"expected a {owner}'s name without a full stop ({part}), got {value!r}")
+        return _name(value)
 
-def _body_name(value: Any) -> str:
-    if "." in _name(value):
-        raise ValueError(f"expected a body's name without a full stop (body.side names a side), got {value!r}")
-    return _name(value)
+    return read
 
 
 Name = Annotated[str, PlainValidator(_name)]
-NodeName = Annotated[str, PlainValidator(_node_name)]
+NodeName = Annotated[str, PlainValidator(_plain_name("node", "node.axis names an unknown"))]
 TwoNames = Annotated[tuple[Name, ...], Field(min_length=2, max_length=2)]
-BodyName = Annotated[str, PlainValidator(_body_name)]
+BodyName = Annotated[str, PlainValidator(_plain_name("body", "body.side names a side"))]
 Number = Annotated[Fraction, PlainValidator(_number)]
-FrictionCoefficient = Annotated[Number, AfterValidator(_not_negative)]
+FrictionCoefficient = Annotated[Number, _must(lambda size: size >= 0, "a number that is not negative")]
 Length = Annotated[Quantity, PlainValidator(_reader("length"))]
-PositiveLength = Annotated[Quantity, PlainValidator(_reader("length")), AfterValidator(_positive)]
-NotNegativeLength = Annotated[Quantity, PlainValidator(_reader("length")), AfterValidator(_zero_or_more)]
-Area = Annotated[Quantity, PlainValidator(_reader("area")), AfterValidator(_positive)]
-Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), AfterValidator(_positive)]
-Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), AfterValidator(_positive)]
-Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), AfterValidator(_positive)]
-Tension = Annotated[Quantity, PlainValidator(_reader("tension")), AfterValidator(_positive)]
+PositiveLength = Annotated[Quantity, PlainValidator(_reader("length")), _POSITIVE]
+NotNegativeLength = Annotated[Quantity, PlainValidator(_reader("length")), _NOT_NEGATIVE]
+Area = Annotated[Quantity, PlainValidator(_reader("area")), _POSITIVE]
+Inertia = Annotated[Quantity, PlainValidator(_reader("second moment of area")), _POSITIVE]
+Modulus = Annotated[Quantity, PlainValidator(_reader("modulus")), _POSITIVE]
+Stiffness = Annotated[Quantity, PlainValidator(_reader("stiffness")), _POSITIVE]
+Tension = Annotated[Quantity, PlainValidator(_reader("tension")), _POSITIVE]
 KnobStiffness = Annotated[Quantity, PlainValidator(_reader("stiffness"))]  # the method says what it accepts
-Mass = Annotated[Quantity, PlainValidator(_reader("mass")), AfterValidator(_positive)]
-Density = Annotated[Quantity, PlainValidator(_reader("density")), AfterValidator(_zero_or_more)]
-Poisson = Annotated[Number, AfterValidator(_poisson)]
-Grading = Annotated[Number, AfterValidator(_grading)]
+Mass = Annotated[Quantity, PlainValidator(_reader("mass")), _POSITIVE]
+Density = Annotated[Quantity, PlainValidator(_reader("density")), _NOT_NEGATIVE]
+Poisson = Annotated[Number, _must(lambda size: -1 < size < Fraction(1, 2), "Poisson's ratio above -1 and below 0.5")]
+Grading = Annotated[Number, _must(lambda size: size >= 1, "a ratio of sizes of at least 1")]
 Pressure = Annotated[Quantity, PlainValidator(_reader("pressure"))]
-PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), AfterValidator(_positive)]
+PositiveForce = Annotated[Quantity, PlainValidator(_reader("force")), _POSITIVE]
 PureForce = Annotated[Quantity, PlainValidator(_reader("force"))]
 Acceleration = Annotated[Quantity, PlainValidator(_reader("acceleration"))]
 Force = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["force"], KINDS["moment"]]))]
@@ -107,7 +123,7 @@ Factor = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [
 TieValue = Annotated[Quantity, PlainValidator(lambda value: read_quantity(value, [KINDS["length"], KINDS["angle"]]))]
 # Times in which a wave crosses an element are roots.
 Time = Annotated[Quantity, PlainValidator(_reader("time", roots=True))]
-PositiveTime = Annotated[Time, AfterValidator(_positive)]
+PositiveTime = Annotated[Time, _POSITIVE]
 Velocity = Annotated[Quantity, PlainValidator(_reader("velocity"))]
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
@@ -119,13 +135,14 @@ Velocities = Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=3)]
 Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
 
-# How a wrong case is spoken of: one line, the key's path, what was expected, what came, the nearest known name.
-
 Location = tuple[int | str, ...]
 
 
-def unknown(name: object, known: Iterable[str], what: str) -> str:
-    """``there is no node 'B1'; nearest: 'B'``, or all that there are if none is near."""
+def no_such(name: object, known: Iterable[str], what: str) -> str:
+    """Say that there is none of a name, with the nearest name, or all where none is near.
+
+    ``there is no node 'B1'; nearest: 'B'``.
+    """
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=1)
     if near:
@@ -133,8 +150,24 @@ def unknown(name: object, known: Iterable[str], what: str) -> str:
     return f"there is no {what} {name!r}; known: " + (", ".join(repr(n) for n in sorted(names)) or "none")
 
 
+def refuse_unknown(key: str, name: object, known: Collection[str], what: str) -> None:
+    """Raise SceneError unless a name is one that there is.
+
+    Parameters
+    ----------
+    key : str
+        Where the name stands, as in ``bars[1].nodes[0] ('left')``.
+    name : str
+    known : collection of str
+    what : str
+        What is called so, as in "node".
+    """
+    if name not in known:
+        raise SceneError(f"{key}: {no_such(name, known, what)}")
+
+
 def key_path(location: Location, data: Mapping[str, Any]) -> str:
-    """``bars[1].area (bar 'left')``, from where pydantic found the error."""
+    """Return the path of a key, as in ``bars[1].area ('left')``, from where pydantic found the error."""
     path = ""
     for part in location:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
@@ -143,7 +176,7 @@ def key_path(location: Location, data: Mapping[str, Any]) -> str:
 
 
 def _name_of(location: Location, data: Any) -> str | None:
-    """The name of the innermost table that the location is in and that has one."""
+    """Return the name of the innermost table that the location is in and that has one."""
     name = None
     for part in location:
         try:
@@ -156,8 +189,8 @@ def _name_of(location: Location, data: Any) -> str | None:
 
 
 def first_error(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
-    """The first thing that is wrong, in one line, and how many more there are."""
-    # An unknown key explains the key that is then missing, so it is said first.
+    """Return the first thing that is wrong in one line, and how many more there are."""
+    # An unknown key explains the key that is then missing, so it comes first.
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first, others = errors[0], len(errors) - 1
     message = f"{key_path(first['loc'], data)}: {_sentence(first, model)}".removeprefix(": ")
@@ -168,7 +201,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
     kind, context = error["type"], error.get("ctx", {})
     if kind == "extra_forbidden":
         *table, key = error["loc"]
-        return unknown(key, table_keys(model, table), "key")
+        return no_such(key, table_keys(model, table), "key")
     if kind == "missing":
         return "expected, and missing"
     if kind == "value_error":
@@ -193,7 +226,7 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
 
 
 def table_keys(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
-    """The known keys of the table at a location of the scene."""
+    """Return the keys that the table at a location of the scene can have."""
     for part in location:
         if isinstance(part, str) and part in model.model_fields:
             model = _inner_model(model.model_fields[part].annotation) or model

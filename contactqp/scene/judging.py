@@ -1,4 +1,4 @@
-"""Hold the claims of a case against each method's answer, number by number."""
+"""A case judged: the methods that it is solved by, and its claims compared with each answer, number by number."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.history import History
-from contactqp.elements.exact import Number
+from contactqp.elements.scalars import Number
 from contactqp.errors import (
     BackendFailed,
     BackendMissing,
@@ -27,10 +27,10 @@ from contactqp.errors import (
 )
 from contactqp.model.engines import SERIAL, engine_named
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import READERS, Answer, Instant
+from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
-from contactqp.scene.scene import built, run_model
+from contactqp.scene.scene import build_for, run_model
 from contactqp.scene.schema import SceneData
 from contactqp.scene.units import KINDS, NotANumber, Quantity, UnitSystem, read_quantity
 from contactqp.scene.unknowns import end_time, has_corners
@@ -41,113 +41,6 @@ if TYPE_CHECKING:
     from contactqp.scene.body_answers import BodyAnswer
     from contactqp.scene.body_model import BodyModel
     from contactqp.scene.building import Model
-
-# A case's claims held against an answer, number by number.
-
-Shown = float | str | tuple[float, ...]
-
-
-def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
-    """A solution of the model's problem; without an instant, at the end of the load path or under the full load."""
-    instant = instant or Instant(end_time(model.scene))
-    if isinstance(model, NodeModel):
-        return Answer(model, solution, instant)
-    from contactqp.scene.body_answers import BodyAnswer
-
-    return BodyAnswer(model.scene, model, solution, instant)
-
-
-def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
-    """What the answer says of the claim's quantity, in the scene's units: a number, words, or a matrix row by row."""
-    value = READERS[claim.quantity](claim, answer) if isinstance(answer, Answer) else answer.value_of(claim)
-    if isinstance(value, str):
-        return value
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One row: a quantity, what it should be, what the answer says, and whether that is close enough."""
-
-    quantity: str
-    expected: Shown
-    got: Shown
-    unit: str
-    error: float  # relative to the largest expected number, or in `unit` if the tolerance is
-    tolerance: float
-    relative: bool
-    ok: bool
-    reason: str  # the derivation, or why the printed number is right or wrong
-    verdict: str | None = None  # on a printed number
-    erratum: str | None = None  # its number in the list of errata
-
-
-def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
-    """The exact value against the answer's."""
-    got = value_of(expectation, answer)
-    if isinstance(got, str):
-        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
-        return Comparison(
-            str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
-        )
-    system, targets, tolerance = answer.scene.system, expectation.targets, expectation.tolerance
-    exact = [system.value(target) for target in targets]
-    relative = tolerance.dimension != targets[0].dimension or not any(tolerance.dimension)
-    scale = max(map(abs, exact)) if relative else Fraction(1)
-    allowed = system.value(tolerance)
-    error = _distance(got, exact) / float(scale) if scale else _distance(got, exact)
-    return Comparison(
-        quantity=str(expectation),
-        expected=_shown(exact),
-        got=_shown(got),
-        unit=_unit(expectation, targets, system),
-        error=error,
-        tolerance=float(allowed),
-        relative=relative,
-        ok=len(got) == len(exact) and error <= float(allowed),
-        reason=expectation.derivation,
-    )
-
-
-def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
-    """A printed number against the answer: a right one agrees to half a unit of its last digit, a wrong one not."""
-    got = value_of(published, answer)
-    system, target = answer.scene.system, published.target
-    printed, half_digit = system.value(target), system.value(published.half_digit)
-    error = math.inf if isinstance(got, str) else _distance(got, [printed])
-    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
-    agrees = error <= float(half_digit) * (1 + 1e-9)
-    return Comparison(
-        quantity=str(published),
-        expected=_shown([printed]),
-        got=got if isinstance(got, str) else _shown(got),
-        unit=_unit(published, [target], system),
-        error=error,
-        tolerance=float(half_digit),
-        relative=False,
-        ok=agrees == (published.verdict == "right"),
-        reason=f"{published.where}: {published.why}",
-        verdict=published.verdict,
-        erratum=published.erratum,
-    )
-
-
-def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
-    """The largest difference, formed exactly; infinite where a number is not finite."""
-    if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
-        return math.inf
-    return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
-
-
-def _shown(numbers: Sequence[Number]) -> Shown:
-    floats = tuple(float(number) for number in numbers)
-    return floats[0] if len(floats) == 1 else floats
-
-
-def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
-    """Return the unit of a claim's numbers; every column of a matrix of ties has its own."""
-    return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
-
 
 Knob = Quantity | str | float | int | bool
 # A step of a motion is over at a time if it is so up to this part of a step.
@@ -166,14 +59,14 @@ class Trial:
     checkpoint: str | None = None  # the folder for the steps of a load path, of engines that keep them
 
     def options(self, scene: SceneData) -> dict[str, Any]:
-        """The knobs as numbers in the scene's units."""
+        """Return the knobs as numbers in the scene's units."""
         return {
             name: float(scene.system.value(knob)) if isinstance(knob, Quantity) else knob
             for name, knob in self.knobs.items()
         }
 
     def concerns(self, claim: Claim) -> bool:
-        """Whether the claim is about this method: by name and knobs, or because both are about the exact answer."""
+        """Return whether the claim is about this method: by name and knobs, or as both are about the exact answer."""
         if claim.method is None:
             return self.engine != SERIAL or find(self.method).exact
         stated = {name: knob for name, knob in self.knobs.items() if name in (*KNOBS, "update")}
@@ -197,12 +90,12 @@ class Judgement:
 
     @property
     def solution(self) -> Solution:
-        """At the end of the load path, or under the full load."""
+        """Return the solution at the end of the load path, or under the full load."""
         return self.history[-1]
 
     @property
     def met(self) -> bool:
-        """Whether all that the case says of this method holds."""
+        """Return whether all that the case says of this method holds."""
         return all(row.ok for row in (*self.expectations, *self.published))
 
 
@@ -224,7 +117,19 @@ def judge_all(
     engine: str = SERIAL,
     checkpoint: str | None = None,
 ) -> list[Judgement | Failure]:
-    """Every trial of a scene; with an engine of several ranks the same on all of them.
+    """Run every trial of a scene and judge it; with an engine of several ranks the same on all of them.
+
+    Parameters
+    ----------
+    scene : SceneData
+    methods : sequence of str
+        Names of methods; without any, those that `trials` finds in the case.
+    knobs : mapping of str to Knob, optional
+        Options of the methods; quantities carry their units.
+    engine : str
+        "serial" or "petsc", as for `contactqp.run`.
+    checkpoint : str, optional
+        The folder for the steps of a load path, of engines that keep them.
 
     Raises
     ------
@@ -253,7 +158,7 @@ def _outcome(scene: SceneData, trial: Trial, where: str) -> Judgement | Failure:
 
 
 def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob] | None = None) -> tuple[Trial, ...]:
-    """What a case is run with.
+    """Return the methods and knobs that a case is run with.
 
     Without `method`: active-set, and every method that the case itself says something about. With `method`, but
     without a knob that it needs: each of the knobs that the case states for it.
@@ -297,9 +202,9 @@ def _distinct(many: Iterable[Trial]) -> tuple[Trial, ...]:
 def judge(scene: SceneData, trial: Trial) -> Judgement:
     """Solve a scene by one method and compare with all that the case says of that method.
 
-    Methods that are approximate by design are asked along a load path only where the way matters, with friction.
+    Methods that are approximate by design follow a load path only with friction, where the answer depends on it.
     """
-    options, model = trial.options(scene), built(scene, trial.engine)
+    options, model = trial.options(scene), build_for(scene, trial.engine)
     history: History
     if trial.engine != SERIAL:
         history = run_model(model, trial.method, trial.engine, trial.checkpoint, **options)
@@ -326,19 +231,15 @@ def judge(scene: SceneData, trial: Trial) -> Judgement:
     )
 
 
-def _seconds(time: Fraction | Quantity) -> Fraction:
-    return time.si if isinstance(time, Quantity) else time
-
-
 class _Answers:
-    """Answers by time: from the motion or load path where it has been there, solved for otherwise."""
+    """The answers of a trial at the times that claims ask of: steps of its path or motion, else solved for."""
 
     def __init__(self, model: Model, trial: Trial, history: History) -> None:
         self._model, self._trial, self._history = model, trial, history
         self._known: dict[Fraction | Quantity, Answer | BodyAnswer] = {}
 
     def of(self, claim: Claim) -> Answer | BodyAnswer:
-        """The answer that the claim is about.
+        """Return the answer that the claim is about.
 
         Raises
         ------
@@ -357,13 +258,13 @@ class _Answers:
         return self._known[time]
 
     def _moving(self, time: Fraction) -> Answer | BodyAnswer:
-        """At the end of the last step that is over at a time, to a rounding of the step."""
+        """Return the answer at the end of the last step that is over at a time, to a rounding of the step."""
         times = self._history.times
         step = max(int(np.searchsorted(times, float(time) + SAME_STEP * (times[1] - times[0]), side="right")) - 1, 0)
         return answer_of(self._model, self._history[step], Instant(history=self._history, step=step))
 
     def _deformed(self, claim: Claim) -> Answer | BodyAnswer:
-        """At a step of the path, which no other load has an answer without."""
+        """Return the answer at a step of the path; no load beside the path has one."""
         scene, history = self._model.scene, self._history
         wanted, found, what = float(end_time(scene)), history.times, "load factor"
         if claim.time is not None or claim.load_factor != 1:
@@ -403,16 +304,122 @@ class _Answers:
         return answer_of(self._model, solve(problem, trial.method, **options), Instant(time, self._history))
 
 
-# What stands on a command line, read: case files, and the knobs of a method.
+def _seconds(time: Fraction | Quantity) -> Fraction:
+    return time.si if isinstance(time, Quantity) else time
+
+
+def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
+    """Return what claims are asked of; without an instant, at the end of the load path or under the full load."""
+    instant = instant or Instant(end_time(model.scene))
+    if isinstance(model, NodeModel):
+        return Answer(model, solution, instant)
+    from contactqp.scene.body_answers import BodyAnswer
+
+    return BodyAnswer(model.scene, model, solution, instant)
+
+
+def value_of(claim: Claim, answer: Answer | BodyAnswer) -> tuple[Number, ...] | str:
+    """Return the claim's quantity in the scene's units: a number, words, or a matrix row by row."""
+    value = answer.value_of(claim)
+    if isinstance(value, str):
+        return value
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+Shown = float | str | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One row: a quantity, its expected value, the answer's, and whether that is close enough."""
+
+    quantity: str
+    expected: Shown
+    got: Shown
+    unit: str
+    error: float  # relative to the largest expected number, or in `unit` if the tolerance is
+    tolerance: float
+    relative: bool
+    ok: bool
+    reason: str  # the derivation, or why the printed number is right or wrong
+    verdict: str | None = None  # on a printed number
+    erratum: str | None = None  # its number in the list of errata
+
+
+def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
+    """Compare the exact value with the answer's."""
+    got = value_of(expectation, answer)
+    if isinstance(got, str):
+        same = set(str(expectation.value).split("; ")) <= set(got.split("; "))
+        return Comparison(
+            str(expectation), str(expectation.value), got, "", float(not same), 0.0, False, same, expectation.derivation
+        )
+    system, targets, tolerance = answer.scene.system, expectation.targets, expectation.tolerance
+    exact = [system.value(target) for target in targets]
+    relative = tolerance.dimension != targets[0].dimension or not any(tolerance.dimension)
+    scale = max(map(abs, exact)) if relative else Fraction(1)
+    allowed = system.value(tolerance)
+    error = _distance(got, exact) / float(scale) if scale else _distance(got, exact)
+    return Comparison(
+        quantity=str(expectation),
+        expected=_shown(exact),
+        got=_shown(got),
+        unit=_unit(expectation, targets, system),
+        error=error,
+        tolerance=float(allowed),
+        relative=relative,
+        ok=len(got) == len(exact) and error <= float(allowed),
+        reason=expectation.derivation,
+    )
+
+
+def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comparison:
+    """Compare a printed number with the answer: a right one agrees to half a unit of its last digit."""
+    got = value_of(published, answer)
+    system, target = answer.scene.system, published.target
+    printed, half_digit = system.value(target), system.value(published.half_digit)
+    error = math.inf if isinstance(got, str) else _distance(got, [printed])
+    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
+    agrees = error <= float(half_digit) * (1 + 1e-9)
+    return Comparison(
+        quantity=str(published),
+        expected=_shown([printed]),
+        got=got if isinstance(got, str) else _shown(got),
+        unit=_unit(published, [target], system),
+        error=error,
+        tolerance=float(half_digit),
+        relative=False,
+        ok=agrees == (published.verdict == "right"),
+        reason=f"{published.where}: {published.why}",
+        verdict=published.verdict,
+        erratum=published.erratum,
+    )
+
+
+def _distance(got: Sequence[Number], exact: Sequence[Fraction]) -> float:
+    """Return the largest difference, formed exactly; infinite where a number is not finite."""
+    if not all(math.isfinite(number) for number in got) or len(got) != len(exact):
+        return math.inf
+    return float(max(abs(Fraction(a) - b) for a, b in zip(got, exact, strict=True)))
+
+
+def _shown(numbers: Sequence[Number]) -> Shown:
+    floats = tuple(float(number) for number in numbers)
+    return floats[0] if len(floats) == 1 else floats
+
+
+def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
+    """Return the unit of the claim's numbers; none for a matrix of ties, where every column has its own."""
+    return "" if claim.quantity == "tie matrix" else system.label(targets[0].dimension)
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:
-    """Whether all that is named is case files by their suffix."""
+    """Return whether all that is named is case files by their suffix."""
     return all(Path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir() for argument in arguments)
 
 
 def case_files(arguments: Iterable[str]) -> list[str]:
-    """The files that are named, and all case files of the folders that are."""
+    """Return the files that are named, and all case files of the folders that are."""
     files: list[str] = []
     for argument in arguments:
         if not Path(argument).is_dir():
@@ -426,7 +433,7 @@ def case_files(arguments: Iterable[str]) -> list[str]:
 
 
 def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[str]) -> dict[str, Knob]:
-    """Stiffnesses with their units, and any other ``key=value``."""
+    """Return stiffnesses with their units, and any other ``key=value``, as knobs of a method."""
     knobs: dict[str, Knob] = {}
     for name, text in (("penalty", penalty), ("perturbation", perturbation)):
         if text is not None:
@@ -445,7 +452,7 @@ def read_knobs(penalty: str | None, perturbation: str | None, options: Iterable[
 
 
 def _value(text: str) -> Knob:
-    """A truth value, a whole number, a number or a word."""
+    """Read a truth value, a whole number, a number or a word."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):

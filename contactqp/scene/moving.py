@@ -1,4 +1,4 @@
-"""A scene in motion: its masses, the call of `impact`, and the momentum of its parts."""
+"""A scene in motion: its mass, exact for nodes and by quadrature for bodies, its starts, the momentum of its parts."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.impact import impact
-from contactqp.analysis.motion.history import MotionHistory
-from contactqp.elements import spring
-from contactqp.elements.exact import Number, Numbers
-from contactqp.elements.loads import bar_mass, solid_mass
+from contactqp.analysis.motion.motion_history import MotionHistory
+from contactqp.elements.loads import solid_mass
+from contactqp.elements.scalars import Number
 from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.building import NodeModel, assembled
-from contactqp.scene.unknowns import displacements, ends, of_node, started, value
+from contactqp.scene.unknowns import start_values
 from contactqp.solving.methods import find
 
 if TYPE_CHECKING:
@@ -26,28 +25,14 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData
 
 
-# The mass of a scene: exact for nodes, by quadrature for bodies.
-
-
 def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:
-    """M on all unknowns by their names, in the scene's units; what is zero is left out."""
-    return assembled(_element_masses(scene))
-
-
-def _element_masses(scene: SceneData) -> Iterator[tuple[tuple[str, ...], Numbers]]:
+    """Return M on all unknowns by their names, in the scene's units; what is zero is left out."""
     lumped = scene.motion is not None and scene.motion.mass == "lumped"
-    for bar in scene.bars:
-        if bar.density is not None:
-            for segment in bar.segments:
-                start, end = ends(scene, segment)
-                density, area = value(scene, bar.density), value(scene, bar.area)
-                yield displacements(scene, segment), bar_mass(density, area, start, end, lumped)
-    for mass in scene.masses:
-        yield of_node(scene, mass.node), spring.inertia(value(scene, mass.mass), len(scene.axes))
+    return assembled(part for _, element in scene.elements for part in element.masses(scene, lumped))
 
 
 def mass_on_all(model: Model) -> Any:
-    """M on all unknowns, free or not, CSR."""
+    """Return M on all unknowns, free or not, CSR."""
     if not isinstance(model, NodeModel):
         motion = model.scene.motion
         lumped = motion is not None and motion.mass == "lumped"
@@ -73,7 +58,7 @@ OWN = ("theta", "restitution", "penalty", "duration", "time_step", "scheme", "st
 
 
 def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> MotionHistory:
-    """The motion that the scene states, of the model's own problem or a copy of it.
+    """Follow the motion that the scene states, of the model's own problem or a copy of it.
 
     Raises
     ------
@@ -117,7 +102,7 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
 
 
 def start_of(model: Model, key: str) -> Vector:
-    """What all unknowns start with, ``displacements`` or ``velocities``, in the scene's units.
+    """Return the ``displacements`` or ``velocities`` that all unknowns start with, in the scene's units.
 
     Raises
     ------
@@ -126,20 +111,28 @@ def start_of(model: Model, key: str) -> Vector:
     """
     places = dict(_places(model))
     start = np.zeros(sum(len(at) for at in places.values()))
-    held = np.ones(len(start), dtype=bool)
-    held[free_places(model)] = False
+    supported = np.ones(len(start), dtype=bool)
+    supported[free_places(model)] = False
     for i, item in enumerate(getattr(model.scene.motion, key)):
-        for name, number in started(model.scene, item):
-            if number and held[places[name]].any():
+        for name, number in start_values(model.scene, item):
+            if number and supported[places[name]].any():
                 raise SceneError(f"motion.{key}[{i}] ({item.of!r}): expected 0 for {name!r}, which supports hold")
             start[places[name]] = float(number)
     return start
 
 
 def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, part: str | None = None) -> float:
-    """The sum of M v over the unknowns along an axis, of one bar, point mass or body or of the whole scene.
+    """Return the sum of M v over the unknowns along an axis [force time]; M is what the scheme steps with.
 
-    M is what the scheme steps with. At nodes that parts share, the mass of all of them counts.
+    Parameters
+    ----------
+    model : NodeModel or BodyModel
+    history : MotionHistory
+    velocity : (n,) array
+        Of the free unknowns [length / time].
+    axis : str
+    part : str, optional
+        One bar, point mass or body; by default the whole scene. At nodes that parts share, the mass of all counts.
     """
     free = free_places(model)
     sums = mass_on_all(model)[:, free] @ velocity  # fixed unknowns too: a consistent mass spreads to them
@@ -154,12 +147,12 @@ def _along(model: Model, axis: str, part: str | None) -> list[str]:
         return [name for name, _ in _places(model) if name.rpartition(".")[2] == axis]
     if not isinstance(model, NodeModel):
         return [f"{part}.{axis}"]
-    nodes = {bar.name: bar.chain for bar in scene.bars} | {mass.name: (mass.node,) for mass in scene.masses}
-    return [f"{node}.{axis}" for node in nodes[part]]
+    nodes = next(element.chain for _, element in scene.elements if element.inertial and element.name == part)
+    return [f"{node}.{axis}" for node in nodes]
 
 
 def _places(model: Model) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """What starts are named by, unknowns or ``body.axis``, and where it stands among all unknowns."""
+    """Yield the names of starts, unknowns or ``body.axis``, and their places among all unknowns."""
     if isinstance(model, NodeModel):
         for name, place in model.exact.unknowns.place.items():
             yield name, np.array([place])

@@ -1,4 +1,4 @@
-"""Print judgements as tables, with events, courses of forces and pictures in letters, and as JSON."""
+"""Judgements on a screen and as plain data for JSON: tables, events of a path, and courses drawn in one line each."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from contactqp.analysis import is_moving
 from contactqp.analysis.history import History
-from contactqp.analysis.kinds import is_moving
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.model.solution import FIGURES_ALONE, STATE, Certificate, Solution
 from contactqp.scene.answers import friction_along_axes
@@ -26,63 +26,8 @@ from contactqp.scene.tables import ROUNDING, Drawn, Letters, bars, course, print
 from contactqp.scene.units import KINDS
 from contactqp.scene.unknowns import has_corners, is_rotation
 
-# What happened on a load path or in a motion: events, limit points and notes, of one that was cut short too.
-
-
-def print_failure(console: Console, failure: Failure) -> None:
-    """How far a path or a motion came that was cut short; the message itself is not printed."""
-    history = failure.history
-    if history is None or len(history) == 0:
-        return
-    what = when(failure.scene)
-    console.print(escape(f"{failure.scene.title}: {len(history)} instants so far, to {what} {history.times[-1]:.12g}"))
-    print_way(console, history, what)
-    print_notes(console, history)
-
-
-def print_way(console: Console, history: History, when: str) -> None:
-    """Events and limit points."""
-    names = history[-1].problem.contact_name
-    rows = [[event.kind, event.name or names(event.contact), written(event.time)] for event in history.events]
-    print_table(console, ["event", "contact", when], rows)
-    if isinstance(history, LargeHistory):
-        points = [[point.kind, written(point.load_factor), _shape(point.smooth)] for point in history.limit_points]
-        print_table(console, ["limit point", "load factor", "form"], points)
-
-
-def _shape(smooth: bool) -> str:
-    return "smooth" if smooth else "corner: a contact closes or opens"
-
-
-def print_notes(console: Console, history: History) -> None:
-    for note in history.notes:
-        console.print(f"[yellow]{escape(note)}[/yellow]")
-
-
-def when(scene: SceneData) -> str:
-    """What the time of an event is."""
-    if scene.motion is not None:
-        return "time [s]"
-    return "time" if has_corners(scene) else "load factor"
-
-
-def large_data(history: History) -> dict[str, Any]:
-    """Load factors, limit points and snaps of a large deformation."""
-    if not isinstance(history, LargeHistory):
-        return {}
-    return {
-        "load_factors": [float(t) for t in history.times],
-        "stable": [bool(stable) for stable in history.stable],
-        "limit_points": [
-            {"kind": point.kind, "load_factor": point.load_factor, "after": point.after, "smooth": point.smooth}
-            for point in history.limit_points
-        ],
-        "snap_throughs": [{"above": snap.low, "load_factor": snap.high} for snap in history.snaps],
-    }
-
-
-# The course of contact forces over a path or a motion, and of pressures along a side, each in one line.
-
+# What a table calls them where that is not the key of the JSON.
+ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
 # Contacts beyond which their sum is drawn.
 MOST_CONTACTS = 6
 # Nodes beside those that press which are drawn with them.
@@ -93,106 +38,8 @@ EVEN = 48
 SAME_PLACE = 1e-9
 
 
-@dataclass(frozen=True)
-class Course:
-    """Values in their order, drawn in one line."""
-
-    contact: str
-    what: str
-    unit: str
-    over: str  # along or over what, and from where to where
-    values: NDArray[np.float64]
-
-    @property
-    def said(self) -> list[str]:
-        """Contact, what is drawn and its largest value, over what."""
-        largest = f"at most {np.max(self.values):.4g} {self.unit}".rstrip()
-        return [self.contact, f"{self.what}, {largest}", self.over]
-
-
-def print_courses(console: Console, judgement: Judgement) -> None:
-    """One table of them, where there is a course of anything."""
-    courses = [*_pressures(judgement), *_histories(judgement)]
-
-    def draw(width: int, letters: Letters) -> list[str]:
-        return [course(each.values, width, letters) for each in courses]
-
-    print_table(console, ["contact", "course of", "over"], [each.said for each in courses], [Drawn(1, draw)])
-
-
-def _pressures(judgement: Judgement) -> Iterator[Course]:
-    """Yield the pressures along the longest axis of each side; across it the largest one counts."""
-    model, solution = judgement.model, judgement.solution
-    if isinstance(model, NodeModel):
-        return
-    system = model.scene.system
-    for contact in model.contacts:
-        points, pressures = contact.pairing.points, np.nan_to_num(model.pressures(contact.name, solution))
-        if len(points) < 2 or not np.any(pressures > 0):
-            continue
-        axis = int(np.argmax(np.ptp(points, axis=0)))
-        place, largest = _across(points[:, axis], pressures)
-        pressing = np.flatnonzero(largest > 0)
-        near = slice(max(int(pressing[0]) - BESIDE, 0), int(pressing[-1]) + BESIDE + 1)
-        unit = system.label(KINDS["pressure"].dimension)
-        over = _range(model.scene.axes[axis], place[near], system.length)
-        yield Course(contact.name, "pressure", unit, over, largest[near])
-
-
-def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The places in their order, each once, and the largest value at each."""
-    order = np.argsort(place, kind="stable")
-    first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
-    starts = np.flatnonzero(first)
-    return place[order][starts], np.maximum.reduceat(values[order], starts)
-
-
-def _histories(judgement: Judgement) -> Iterator[Course]:
-    """Yield the normal force of each contact over a path or a motion (of many their sum) and turning load factors."""
-    history, scene = judgement.history, judgement.scene
-    if len(history) < 2:
-        return
-    name, times = when(scene), history.times
-    if isinstance(history, LargeHistory):
-        over = f"{len(history)} equilibria"
-        if not bool(np.all(np.diff(times) > 0)):
-            yield Course("", "load factor", "", over, times)
-    else:
-        over = _range(name.removesuffix(" [s]"), times, "s" if name.endswith("[s]") else "")
-    for contact, force in _forces(judgement, history):
-        yield Course(contact, "normal force", scene.units.force, over, _even(times, force))
-
-
-def _even(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values at even times, where few of them stand at uneven ones: at the events of a path."""
-    if len(times) >= EVEN or not np.all(np.diff(times) > 0):
-        return values
-    return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
-
-
-def _forces(judgement: Judgement, history: History) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    forces = np.asarray(history.normal_forces).reshape(len(history), -1)
-    model = judgement.model
-    if not isinstance(model, NodeModel):
-        for contact in model.contacts:
-            yield contact.name, np.array([model.of_entry(contact.name, row, 0.0).sum() for row in forces])
-    elif 0 < forces.shape[1] <= MOST_CONTACTS:
-        yield from zip(judgement.solution.problem.contact_names or (), forces.T, strict=True)
-    elif forces.shape[1]:
-        yield "all together", forces.sum(axis=1)
-
-
-def _range(name: str, values: ArrayLike, unit: str) -> str:
-    ends = np.asarray(values, dtype=float)
-    return f"{name} {ends[0]:.4g} to {ends[-1]:.4g} {unit}".rstrip()
-
-
-# What a table calls them where that is not the key of the JSON.
-ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
-
-
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
-    """The answer of the first trial of a scene in full, and in one table what is said of the other methods."""
+    """Print the answer of a scene's first trial in full, and in one table the claims about the other methods."""
     if not judgements:
         return
     print_judgement(console, judgements[0])
@@ -204,13 +51,15 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
 
 
 def print_judgement(console: Console, judgement: Judgement) -> None:
-    """Displacements, contact forces, the certificate's verdict, and what was expected of them."""
+    """Print displacements, contact forces, the certificate's verdict, and what was expected of them."""
     solution, scene = judgement.solution, judgement.scene
     how = "" if solution.method == judgement.trial.method else f" ({solution.method})"
     if scene.motion is not None:
         how = f" ({solution.method}, {len(judgement.history) - 1} steps)"
     if isinstance(judgement.history, LargeHistory):
-        how = f" ({len(judgement.history)} equilibria, the last at {when(scene)} {judgement.history.times[-1]:.6g})"
+        how = (
+            f" ({len(judgement.history)} equilibria, the last at {time_label(scene)} {judgement.history.times[-1]:.6g})"
+        )
     console.print(f"[bold]{escape(scene.title)}[/bold], {escape(str(judgement.trial) + how)}: {_verdict(judgement)}")
     length, force = scene.units.length, scene.units.force
     names = list(solution.problem.contact_names or ())
@@ -231,7 +80,7 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         print_table(console, header, rows, [_drawn(3, solution.normal_force), _drawn(4, _gaps(solution))])
     print_courses(console, judgement)
-    print_way(console, judgement.history, when(scene))
+    print_events(console, judgement.history, time_label(scene))
     energies = ", ".join(f"{ENERGIES.get(name, name)} {value:.12g}" for name, value in _energies(judgement).items())
     if energies:
         console.print(escape(f"{energies} {force}*{length}"))
@@ -246,18 +95,18 @@ def print_judgement(console: Console, judgement: Judgement) -> None:
 
 
 def _gaps(solution: Solution) -> NDArray[np.float64]:
-    """Gaps without what rounding leaves of closed ones, which is no picture."""
+    """Return the gaps without what rounding leaves of closed ones, which is not drawn."""
     size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
     return np.where(abs(solution.gap) > ROUNDING * size, solution.gap, 0.0)
 
 
 def _drawn(before: int, values: ArrayLike) -> Drawn:
-    """A bar for each value, in front of a column."""
+    """Return a bar for each value, in front of a column."""
     return Drawn(before, lambda width, letters: bars(values, width, letters))
 
 
 def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], float]]]:
-    """Displacements, in a motion velocities too; of divided bars only those of their ends.
+    """Return displacements, in a motion velocities too; of divided bars only those of their ends.
 
     Each row with what is drawn of it: its displacement, and no rotation, which is none.
     """
@@ -275,7 +124,7 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], fl
 
 
 def _energies(judgement: Judgement) -> dict[str, float]:
-    """What became of the work, where the way matters: in a motion, and on a load path with friction."""
+    """Return where the work went, where the answer depends on the path: in a motion, and on a path with friction."""
     scene = judgement.scene
     end = judgement.history.energies[-1] if scene.motion or scene.path else None
     if end is None or not (scene.motion or scene.large or judgement.solution.problem.frictional):
@@ -295,14 +144,14 @@ def _verdict(judgement: Judgement) -> str:
 
 
 def _unproven(certificate: Certificate) -> str:
-    """What a verdict rests on that is not proven."""
+    """Return what a verdict rests on that is not proven."""
     if certificate.basis == STATE:
         return ", compared with the answer of its own states"
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
 
 
 def _print_comparisons(console: Console, judgements: Sequence[Judgement], before: list[str]) -> None:
-    """Two tables, with the columns `before` where there is more than one method."""
+    """Print two tables, with the columns `before` where there is more than one method."""
     header = [*before, "expected", "value", "got", "unit", "error", "allowed", ""]
     rows = [[*_trial(j)[: len(before)], *_comparison(row)] for j in judgements for row in j.expectations]
     print_table(console, header, rows)
@@ -330,8 +179,140 @@ def _comparison(row: Comparison) -> list[str | Text]:
     ]
 
 
+def time_label(scene: SceneData) -> str:
+    """Return what the time of an event is called."""
+    if scene.motion is not None:
+        return "time [s]"
+    return "time" if has_corners(scene) else "load factor"
+
+
+def print_failure(console: Console, failure: Failure) -> None:
+    """Print how far a path or a motion came that was cut short; the message itself is not printed."""
+    history = failure.history
+    if history is None or len(history) == 0:
+        return
+    what = time_label(failure.scene)
+    console.print(escape(f"{failure.scene.title}: {len(history)} instants so far, to {what} {history.times[-1]:.12g}"))
+    print_events(console, history, what)
+    print_notes(console, history)
+
+
+def print_events(console: Console, history: History, when: str) -> None:
+    """Print events and limit points."""
+    names = history[-1].problem.contact_name
+    rows = [[event.kind, event.name or names(event.contact), written(event.time)] for event in history.events]
+    print_table(console, ["event", "contact", when], rows)
+    if isinstance(history, LargeHistory):
+        points = [[point.kind, written(point.load_factor), _shape(point.smooth)] for point in history.limit_points]
+        print_table(console, ["limit point", "load factor", "form"], points)
+
+
+def _shape(smooth: bool) -> str:
+    return "smooth" if smooth else "corner: a contact closes or opens"
+
+
+def print_notes(console: Console, history: History) -> None:
+    """Print the notes of a history."""
+    for note in history.notes:
+        console.print(f"[yellow]{escape(note)}[/yellow]")
+
+
+@dataclass(frozen=True)
+class Course:
+    """Values in their order, drawn in one line."""
+
+    contact: str
+    what: str
+    unit: str
+    over: str  # along or over what, and from where to where
+    values: NDArray[np.float64]
+
+    @property
+    def cells(self) -> list[str]:
+        """Return the cells of its row: contact, what is drawn and its largest value, over what."""
+        largest = f"at most {np.max(self.values):.4g} {self.unit}".rstrip()
+        return [self.contact, f"{self.what}, {largest}", self.over]
+
+
+def print_courses(console: Console, judgement: Judgement) -> None:
+    """Print one table of courses, where there is a course of anything."""
+    courses = [*_pressures(judgement), *_histories(judgement)]
+
+    def draw(width: int, letters: Letters) -> list[str]:
+        return [course(each.values, width, letters) for each in courses]
+
+    print_table(console, ["contact", "course of", "over"], [each.cells for each in courses], [Drawn(1, draw)])
+
+
+def _pressures(judgement: Judgement) -> Iterator[Course]:
+    """Yield the pressures of elastic bodies along the axis along which a side is longest, across it the largest."""
+    model, solution = judgement.model, judgement.solution
+    if isinstance(model, NodeModel):
+        return
+    system = model.scene.system
+    for contact in model.contacts:
+        points, pressures = contact.pairing.points, np.nan_to_num(model.pressures(contact.name, solution))
+        if len(points) < 2 or not np.any(pressures > 0):
+            continue
+        axis = int(np.argmax(np.ptp(points, axis=0)))
+        place, largest = _across(points[:, axis], pressures)
+        pressing = np.flatnonzero(largest > 0)
+        near = slice(max(int(pressing[0]) - BESIDE, 0), int(pressing[-1]) + BESIDE + 1)
+        unit = system.label(KINDS["pressure"].dimension)
+        over = _range(model.scene.axes[axis], place[near], system.length)
+        yield Course(contact.name, "pressure", unit, over, largest[near])
+
+
+def _across(place: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the places in their order, each once, and the largest value at each."""
+    order = np.argsort(place, kind="stable")
+    first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
+    starts = np.flatnonzero(first)
+    return place[order][starts], np.maximum.reduceat(values[order], starts)
+
+
+def _histories(judgement: Judgement) -> Iterator[Course]:
+    """Yield each contact's normal force over a path or a motion, of many their sum, and a load factor that turns."""
+    history, scene = judgement.history, judgement.scene
+    if len(history) < 2:
+        return
+    name, times = time_label(scene), history.times
+    if isinstance(history, LargeHistory):
+        over = f"{len(history)} equilibria"
+        if not bool(np.all(np.diff(times) > 0)):
+            yield Course("", "load factor", "", over, times)
+    else:
+        over = _range(name.removesuffix(" [s]"), times, "s" if name.endswith("[s]") else "")
+    for contact, force in _forces(judgement, history):
+        yield Course(contact, "normal force", scene.units.force, over, _even(times, force))
+
+
+def _even(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values at even times, where the history has only the uneven times of a path's events."""
+    if len(times) >= EVEN or not np.all(np.diff(times) > 0):
+        return values
+    return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
+
+
+def _forces(judgement: Judgement, history: History) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    forces = np.asarray(history.normal_forces).reshape(len(history), -1)
+    model = judgement.model
+    if not isinstance(model, NodeModel):
+        for contact in model.contacts:
+            yield contact.name, np.array([model.of_entry(contact.name, row, 0.0).sum() for row in forces])
+    elif 0 < forces.shape[1] <= MOST_CONTACTS:
+        yield from zip(judgement.solution.problem.contact_names or (), forces.T, strict=True)
+    elif forces.shape[1]:
+        yield "all together", forces.sum(axis=1)
+
+
+def _range(name: str, values: ArrayLike, unit: str) -> str:
+    ends = np.asarray(values, dtype=float)
+    return f"{name} {ends[0]:.4g} to {ends[-1]:.4g} {unit}".rstrip()
+
+
 def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
-    """All that is known of one trial, for JSON; numbers are in the scene's units."""
+    """Return one trial in full, for JSON; numbers are in the scene's units."""
     if isinstance(judgement, Failure):
         return {
             "title": judgement.scene.title,
@@ -366,7 +347,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         },
         **({} if isinstance(judgement.model, NodeModel) else summary_data(judgement.model, solution)),
         **_friction_data(judgement),
-        **_way_data(judgement),
+        **_energy_data(judgement),
         **large_data(judgement.history),
         "events": [{"kind": e.kind, "contact": names[e.contact], "time": e.time} for e in judgement.history.events],
         "expectations": [_comparison_data(row) for row in judgement.expectations],
@@ -375,7 +356,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
 
 
 def _friction_data(judgement: Judgement) -> dict[str, Any]:
-    """lambda_T of each contact along the axes, and its components along the rows E_T; nothing without friction."""
+    """Return lambda_T of each contact along the axes, and along the rows E_T; nothing without friction."""
     solution, scene, model = judgement.solution, judgement.scene, judgement.model
     if not solution.problem.frictional:
         return {}
@@ -391,13 +372,28 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
     return data
 
 
-def _way_data(judgement: Judgement) -> dict[str, Any]:
-    """Energies and notes, and velocities at the end of a motion."""
+def _energy_data(judgement: Judgement) -> dict[str, Any]:
+    """Return energies and notes, and velocities at the end of a motion."""
     energies, solution = _energies(judgement), judgement.solution
     data: dict[str, Any] = {"energies": energies, "notes": list(judgement.history.notes)} if energies else {}
     if is_moving(solution):
         data |= {"time": solution.time, "velocity": _named(solution.problem.dof_names, solution.velocity)}
     return data
+
+
+def large_data(history: History) -> dict[str, Any]:
+    """Return load factors, limit points and snaps of a large deformation."""
+    if not isinstance(history, LargeHistory):
+        return {}
+    return {
+        "load_factors": [float(t) for t in history.times],
+        "stable": [bool(stable) for stable in history.stable],
+        "limit_points": [
+            {"kind": point.kind, "load_factor": point.load_factor, "after": point.after, "smooth": point.smooth}
+            for point in history.limit_points
+        ],
+        "snap_throughs": [{"above": snap.low, "load_factor": snap.high} for snap in history.snaps],
+    }
 
 
 def _comparison_data(row: Comparison) -> dict[str, Any]:
@@ -409,5 +405,5 @@ def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, fl
 
 
 def _finite(value: float) -> float | None:
-    """JSON has no numbers that are not finite."""
+    """Return a number, or None where it is not finite, which JSON cannot write."""
     return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Load a case file, check it, and run it: the contact problem that it states and its answer."""
+"""A case that has been read and checked, the contact problem that it states, and its answer."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ import tomllib
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
+from types import GenericAlias
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
-from contactqp.errors import SceneError, Unsupported
+from contactqp.errors import InvalidProblem, SceneError, Unsupported
 from contactqp.linalg.runtime import READ, STEPS, stage
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.problem import ContactProblem
+from contactqp.scene.blocks import BLOCKS, Frame
+from contactqp.scene.blocks.element import Element
 from contactqp.scene.building import build
 from contactqp.scene.checking import check
+from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import first_error
 from contactqp.scene.schema import SceneData
 from contactqp.scene.unknowns import end_time
@@ -29,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Scene(SceneData):
-    """A case: bodies, supports, ties, contacts, loads, and what is known of the answer. Frozen and checked when made.
+    """A case: bodies, supports, ties, contacts, loads, and claims about the answer. Frozen and checked when made.
 
     Raises
     ------
@@ -45,7 +50,7 @@ class Scene(SceneData):
         check(self)
 
     def problem(self) -> ContactProblem:
-        """The contact problem on the free unknowns, in the scene's units.
+        """Return the contact problem on the free unknowns, in the scene's units.
 
         Raises
         ------
@@ -57,7 +62,35 @@ class Scene(SceneData):
         return build(self).problem
 
 
-# From a case file to a Scene.
+def register_block(key: str, kind: type[Element]) -> None:
+    """Add a block of one's own elements to case files: they are loaded, checked, solved, explained and drawn.
+
+    Parameters
+    ----------
+    key : str
+        What the list is called in a case file, as in ``springs``.
+    kind : type
+        A subclass of `contactqp.scene.blocks.element.Element` with a `title`, a `noun` and its keys.
+
+    Raises
+    ------
+    InvalidProblem
+        The key, the noun or a quantity is one that something else has; `large` is set, which only bars can be.
+    """
+    nouns = {other.noun for other in BLOCKS.values()} | {str(measure.at) for measure in QUANTITIES.values()}
+    taken = [f"quantity {name!r}" for name in kind.quantities if name in QUANTITIES]
+    taken += [f"noun {kind.noun!r}"] * (kind.noun in nouns)
+    if kind.large:
+        raise InvalidProblem(f"{key}: expected no form at large displacements, which only bars have, got one")
+    if hasattr(Scene, key) or key in Scene.model_fields or taken:
+        raise InvalidProblem(f"{key}: expected a block with names of its own, got {', '.join(taken) or repr(key)}")
+    BLOCKS[key] = kind
+    QUANTITIES.update(kind.quantities)
+    entries: Any = GenericAlias(tuple, (kind, ...))
+    for model in (Frame, SceneData, Scene):
+        model.model_fields[key] = FieldInfo.from_annotated_attribute(entries, ())
+        model.model_rebuild(force=True)
+
 
 # Bytes; the parser takes about a second for each of a million.
 LARGEST = 2**25
@@ -120,9 +153,6 @@ def _tables(text: str) -> dict[str, Any]:
         raise SceneError(f"expected TOML, got numbers or tables that cannot be read ({type(error).__name__})") from None
 
 
-# A scene's answer: its motion or load path if it has one, its one solution otherwise.
-
-
 @own_floating_point
 def run(
     scene: Scene,
@@ -162,11 +192,11 @@ def run(
     InvalidProblem
         A `checkpoint` of another scene; and as `contactqp.solve`.
     """
-    return run_model(built(scene, engine), method, engine, checkpoint, **options)
+    return run_model(build_for(scene, engine), method, engine, checkpoint, **options)
 
 
-def built(scene: SceneData, engine: str = SERIAL) -> Any:
-    """The scene's model, for an engine."""
+def build_for(scene: SceneData, engine: str = SERIAL) -> Any:
+    """Return the scene's model, for an engine."""
     refuse_unknown_engine(engine)
     if engine == SERIAL:
         return build(scene)
@@ -176,17 +206,27 @@ def built(scene: SceneData, engine: str = SERIAL) -> Any:
 def run_model(
     model: Model, method: str, engine: str = SERIAL, checkpoint: str | Path | None = None, **options: Any
 ) -> History:
-    """As `run`, of a scene that is built already."""
+    """Solve a scene that is built already.
+
+    Parameters
+    ----------
+    model : NodeModel or BodyModel
+        From `build_for` with the same engine.
+    method, engine, checkpoint
+        As for `run`.
+    **options
+        Of `contactqp.solve`.
+    """
     if engine != SERIAL:
         found: History = engine_named(engine).function("run")(model, method, checkpoint, **options)
         return found
     if checkpoint is not None:
         raise Unsupported("checkpoint: only engine='petsc' keeps the steps of a load path")
-    return walk(model, model.problem, method, **options)
+    return follow(model, model.problem, method, **options)
 
 
-def walk(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
-    """As `run_model`, of the model's own problem or a copy of it."""
+def follow(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
+    """Solve the model's own problem or a copy of it, as `run_model` does."""
     if model.scene.path is None and model.scene.motion is None:
         return History([solve(problem, method, **options)], [1.0])
     with stage(STEPS):

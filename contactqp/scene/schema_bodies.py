@@ -7,9 +7,9 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from contactqp.elements.reference import KINDS as ELEMENTS
+from contactqp.elements.reference_elements import KINDS as ELEMENTS
 from contactqp.scene import fields
-from contactqp.scene.fields import Block, BodyName, Name, unknown
+from contactqp.scene.fields import Block, BodyName, Name, check_own_keys, no_such
 from contactqp.scene.units import KINDS, read_unit
 
 Axis = Literal["x", "y", "z"]
@@ -40,7 +40,7 @@ SHAPES: Mapping[str, ShapeKeys] = {
 def _known(names: tuple[str, ...] | Mapping[str, object], what: str) -> Callable[[str], str]:
     def check(value: str) -> str:
         if value not in names:
-            raise ValueError(unknown(value, names, what))
+            raise ValueError(no_such(value, names, what))
         return value
 
     return check
@@ -68,13 +68,7 @@ class Shape(Block):
     @model_validator(mode="after")
     def _own_keys(self) -> Self:
         keys = SHAPES[self.kind]
-        for name in keys.required:
-            if getattr(self, name) is None:
-                raise ValueError(f"{name}: expected for a {self.kind}, and missing")
-        for name in type(self).model_fields:
-            own = ("kind", "element", *keys.required, *keys.optional)
-            if name not in own and getattr(self, name) is not None:
-                raise ValueError(f"{name}: a {self.kind} has no such key; its own: {', '.join(own)}")
+        check_own_keys(self, self.kind, keys.required, ("kind", "element", *keys.optional))
         for name, count in (("divisions", keys.divisions), ("size", keys.dimension)):
             if getattr(self, name) is not None and len(getattr(self, name)) != count:
                 raise ValueError(f"{name}: expected {count} for a {self.kind}, got {len(getattr(self, name))}")
@@ -87,6 +81,7 @@ class Shape(Block):
 
     @property
     def dimension(self) -> int:
+        """Return the number of dimensions, 2 or 3."""
         return SHAPES[self.kind].dimension
 
 
@@ -158,11 +153,12 @@ class _Place(Block):
 
     @property
     def body(self) -> str:
+        """Return the name of the body."""
         return self.on.partition(".")[0]
 
     @property
     def nodes(self) -> str:
-        """The name of the set; empty with `near`."""
+        """Return the name of the set; empty with `near`."""
         return self.on.partition(".")[2]
 
     @model_validator(mode="after")
@@ -199,10 +195,12 @@ class _OnSide(Block):
 
     @property
     def body(self) -> str:
+        """Return the name of the body."""
         return self.side.partition(".")[0]
 
     @property
     def nodes(self) -> str:
+        """Return the name of the side."""
         return self.side.partition(".")[2]
 
     @model_validator(mode="after")

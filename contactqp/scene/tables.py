@@ -1,4 +1,4 @@
-"""Tables and small pictures in letters on a terminal."""
+"""Tables on a screen, and numbers drawn with letters: a bar for each of them, or the course of many in one line."""
 
 from __future__ import annotations
 
@@ -17,8 +17,12 @@ from rich.text import Text
 
 from contactqp.solving.methods import Method
 
-# Numbers drawn with letters: a bar for each of them, or the course of many in one line.
-
+# Rows of a table on a screen; --json has all.
+MOST_ROWS = 60
+# Letters of a picture, the widest first; what does not fit the terminal with the narrowest is left out.
+WIDTHS = (24, 16, 10, 6)
+# Wider than any table: what it would like to have is then measured.
+ENDLESS = 10_000
 # Of the largest value; what is smaller is drawn as zero.
 ROUNDING = 1e-12
 
@@ -41,7 +45,8 @@ ASCII = Letters("#", "", "", ".:-=+*#@", "0", "|")
 
 
 def bars(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> list[str]:
-    """A horizontal bar for each value, the largest as long as `width`; what is more than rounding has a trace of one.
+    """Return a horizontal bar for each value, the largest as long as `width`; no value above rounding is without a
+    trace.
 
     With negative values among them, bars go to both sides of an axis, and `width` is that of each side.
     """
@@ -67,14 +72,15 @@ def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Le
 
 
 def _filled(length: float, full: str, parts: str) -> str:
-    """So many letters, the last one in part; at least the smallest part."""
+    """Return so many letters, the last one in part; at least the smallest part."""
     steps = len(parts) + 1
     whole, part = divmod(max(round(length * steps), 1), steps)
     return full * whole + (parts[part - 1] if part else "")
 
 
 def course(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> str:
-    """The course of values in one line of at most `width` letters, from the least of them, or zero, to the largest.
+    """Return the course of values in one line of at most `width` letters, from the least of them, or zero, to the
+    largest.
 
     Of values that share a letter the one furthest from zero is drawn; zero has a letter of its own.
     """
@@ -101,14 +107,6 @@ def _height(value: float, low: float, high: float, letters: Letters) -> str:
     return letters.heights[min(int(part * steps), steps - 1)]
 
 
-# Rows of a table on a screen; --json has all.
-MOST_ROWS = 60
-# Letters of a picture, the widest first; what does not fit the terminal with the narrowest is left out.
-WIDTHS = (24, 16, 10, 6)
-# Wider than any table: what it would like to have is then measured.
-ENDLESS = 10_000
-
-
 @dataclass(frozen=True)
 class Drawn:
     """A column of pictures of as many letters as there is room for."""
@@ -118,11 +116,12 @@ class Drawn:
 
 
 def written(value: float) -> str:
+    """Write a number to twelve digits."""
     return f"{value:.12g}"
 
 
 def shown(value: float | str | Sequence[float]) -> str:
-    """A value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
+    """Write a value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
     if isinstance(value, str):
         return value
     return "(" + ", ".join(f"{x:.6g}" for x in value) + ")" if isinstance(value, Sequence) else written(value)
@@ -131,7 +130,17 @@ def shown(value: float | str | Sequence[float]) -> str:
 def print_table(
     console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]], drawn: Sequence[Drawn] = ()
 ) -> None:
-    """The first rows; the last of the columns `drawn` are left out first where the terminal is narrow."""
+    """Print the first rows of a table, with as many pictures as the terminal has room for.
+
+    Parameters
+    ----------
+    console : Console
+    header : sequence of str
+    rows : sequence of rows
+        As many cells each as the header; all are text.
+    drawn : sequence of Drawn
+        Columns of pictures; the last of them are left out first where the terminal is narrow.
+    """
     if not rows:
         return
     console.print(_fitting(console, header, rows[:MOST_ROWS], drawn))
@@ -164,11 +173,8 @@ def _table(
     return table
 
 
-# The list of methods as a table and as plain data for JSON.
-
-
 def print_methods(console: Console, methods: Iterable[Method]) -> None:
-    """Every method, installed or how to install it, and what it can do."""
+    """Print every method, installed or how to install it, and what it can do."""
     rows = [
         [
             m.name,
@@ -194,7 +200,7 @@ def _abilities(method: Method) -> str:
 
 
 def method_data(method: Method) -> dict[str, Any]:
-    """One method for JSON."""
+    """Return one method for JSON."""
     keys = (
         "name",
         "kind",

@@ -1,4 +1,4 @@
-"""Quantities with their units, exactly: "15 cm^2" is Fraction(3, 2000) m^2.
+"""Quantities with their units, exactly: "15 cm^2" is Fraction(3, 2000) m^2. Nothing is ever evaluated as a program.
 
 pint reads the units, on a short list of its own making: the whole of pint's list takes longer to read than to solve a
 small case, and knows dozens of units that a typing error in a mechanics case would hit by accident.
@@ -18,8 +18,6 @@ from typing import Any, NamedTuple
 
 import pint
 
-# Exact numbers in text: "1.5e-3", "41/31500", "22680 + 26250*sqrt(2)". Nothing is ever evaluated as a program.
-
 # Powers and products of such numbers stay inside the range of a double.
 LARGEST_EXPONENT = 100
 LONGEST_TEXT = 500
@@ -37,7 +35,7 @@ class NotANumber(ValueError):
 
 
 def split_number(text: str, *, roots: bool = False) -> tuple[Fraction, str]:
-    """The number that a text starts with, and the rest of the text (its unit).
+    """Return the number that a text starts with, and the rest of the text (its unit).
 
     Sums, products, quotients and brackets of decimals are exact. With `roots`, ``sqrt(...)`` is allowed too: exact
     where it is rational, otherwise rounded to 100 decimals.
@@ -57,14 +55,14 @@ def split_number(text: str, *, roots: bool = False) -> tuple[Fraction, str]:
 
 
 def in_range(value: Fraction, text: str) -> Fraction:
-    """The value, refused if it is too large or too small to compute with."""
+    """Return the value, refused if it is too large or too small to compute with."""
     if value and not Fraction(10) ** -LARGEST_EXPONENT <= abs(value) <= Fraction(10) ** LARGEST_EXPONENT:
         raise NotANumber(f"{text!r}, which is out of range (1e-{LARGEST_EXPONENT} to 1e{LARGEST_EXPONENT})")
     return value
 
 
 def decimal(text: str) -> Fraction:
-    """One decimal number, exactly."""
+    """Return one decimal number, exactly."""
     mantissa, _, exponent = text.lower().partition("e")
     if exponent and abs(int(exponent)) > 2 * LARGEST_EXPONENT:
         raise NotANumber(f"{text!r}, which is out of range (1e-{LARGEST_EXPONENT} to 1e{LARGEST_EXPONENT})")
@@ -72,7 +70,7 @@ def decimal(text: str) -> Fraction:
 
 
 def root(value: Fraction) -> Fraction:
-    """The square root, exact where it is rational, otherwise to ROOT_DIGITS decimals."""
+    """Return the square root, exact where it is rational, otherwise to ROOT_DIGITS decimals."""
     if value < 0:
         raise NotANumber("the root of a negative number")
     product = value.numerator * value.denominator  # sqrt(p/q) = sqrt(p q) / q
@@ -135,7 +133,7 @@ class _Reader:
         return value
 
     def take(self, signs: str) -> str:
-        """The next sign if it is one of these, which is then read; otherwise nothing."""
+        """Read the next sign if it is one of these; otherwise nothing."""
         match = _TOKEN.match(self.text, self.place)
         if match is None or not match["sign"] or match["sign"] not in signs:
             return ""
@@ -143,9 +141,15 @@ class _Reader:
         return match["sign"]
 
 
-_PREFIXES = ["nano:n", "micro:µ:u", "milli:m", "centi:c", "deci:d", "kilo:k", "mega:M", "giga:G"]
-_POWERS = dict(nano=-9, micro=-6, milli=-3, centi=-2, deci=-1, kilo=3, mega=6, giga=9)
 _DEFINITIONS = (
+    "nano- = 1e-9 = n-",
+    "micro- = 1e-6 = µ- = u-",
+    "milli- = 1e-3 = m-",
+    "centi- = 1e-2 = c-",
+    "deci- = 1e-1 = d-",
+    "kilo- = 1e3 = k-",
+    "mega- = 1e6 = M-",
+    "giga- = 1e9 = G-",
     "meter = [length] = m = metre",
     "second = [time] = s",
     "gram = [mass] = g",
@@ -206,6 +210,7 @@ class Kind:
 
     @property
     def article(self) -> str:
+        """Return its name with an article."""
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
 
 
@@ -256,11 +261,11 @@ class UnitSystem:
     force: str
 
     def value(self, quantity: Quantity) -> Fraction:
-        """The number that a quantity is in these units, exactly."""
+        """Return the number that a quantity is in these units, exactly."""
         return quantity.si / self._factor(quantity.dimension)
 
     def label(self, dimension: Dimension) -> str:
-        """How a number of that dimension is written here, as in ``kN/m``."""
+        """Return how a number of that dimension is written here, as in ``kN/m``."""
         parts = ((self.force, dimension.force), (self.length, dimension.length), ("s", dimension.time))
         above = [_power(unit, power) for unit, power in parts if power > 0]
         below = [_power(unit, -power) for unit, power in parts if power < 0]
@@ -274,12 +279,12 @@ class UnitSystem:
 
 
 def number(system: UnitSystem, quantity: Quantity) -> float:
-    """The quantity in these units, rounded once."""
+    """Return the quantity in these units, rounded once."""
     return float(system.value(quantity))
 
 
 def vector(system: UnitSystem, quantities: Sequence[Quantity]) -> tuple[float, ...]:
-    """Quantities in these units, each rounded once."""
+    """Return quantities in these units, each rounded once."""
     return tuple(number(system, quantity) for quantity in quantities)
 
 
@@ -290,11 +295,7 @@ def _power(unit: str, power: int) -> str:
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None, non_int_type=Fraction, cache_folder=None)
-    lines = []
-    for prefix in _PREFIXES:
-        name, *symbols = prefix.split(":")
-        lines.append(f"{name}- = 1e{_POWERS[name]} = " + " = ".join(f"{symbol}-" for symbol in symbols))
-    registry.load_definitions([*lines, *_DEFINITIONS])
+    registry.load_definitions(_DEFINITIONS)
     return registry
 
 
@@ -305,7 +306,7 @@ def _first_unknown(error: pint.UndefinedUnitError) -> str:
 
 @cache
 def read_unit(text: str) -> tuple[Fraction, Dimension]:
-    """The value of one such unit in newton, metre and second, and its dimension.
+    """Return the value of one such unit in newton, metre and second, and its dimension.
 
     >>> read_unit("kN/m")
     (Fraction(1000, 1), Dimension(force=1, length=-1, time=0))
@@ -331,7 +332,7 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
 
 
 def read_number(value: Any, *, roots: bool = False) -> Fraction:
-    """An exact number without a unit, from a number or a text such as ``"5/7"``.
+    """Read an exact number without a unit, from a number or a text such as ``"5/7"``.
 
     A float means the decimal digits it is printed with: 0.1 is 1/10.
     """
@@ -351,7 +352,7 @@ def read_number(value: Any, *, roots: bool = False) -> Fraction:
 
 
 def read_quantity(value: Any, kinds: Sequence[Kind], *, roots: bool = False) -> Quantity:
-    """A quantity of one of these kinds, from a text such as ``"15 cm^2"``.
+    """Read a quantity of one of these kinds, from a text such as ``"15 cm^2"``.
 
     Raises
     ------
@@ -385,7 +386,7 @@ def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
 
 
 def describe_dimension(dimension: Dimension) -> str:
-    """In words where there is a word for it."""
+    """Return the dimension in words where there is a word for it."""
     for kind in KINDS.values():
         if kind.dimension == dimension:
             return kind.article
@@ -393,7 +394,7 @@ def describe_dimension(dimension: Dimension) -> str:
 
 
 def describe(value: Any) -> str:
-    """What came instead of a number, in the words of a case file."""
+    """Return what came instead of a number, in the words of a case file."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):

@@ -25,8 +25,7 @@ from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
-from contactqp.solving.friction.combinations import MOST_CONTACTS
-from contactqp.solving.friction.enumeration import all_equilibria
+from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.local_algorithms import ALGORITHMS, TAKEN

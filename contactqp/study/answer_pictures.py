@@ -13,7 +13,6 @@ import numpy as np
 
 from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeSolution
-from contactqp.elements import beam
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.model.arrays import Array
 from contactqp.model.problem import Units
@@ -25,19 +24,15 @@ from contactqp.pictures.history_drawing import draw_history, history_figure
 from contactqp.pictures.membrane_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
+from contactqp.scene.body_geometry import obstacle
 from contactqp.scene.building import exact_problem
-from contactqp.scene.geometry import obstacle
 from contactqp.scene.judging import Failure, Judgement, Trial
 from contactqp.scene.schema import SceneData
-from contactqp.scene.unknowns import ROTATION, of_node
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # From a scene and its solution to the fields that pictures and VTU files show.
-
-# Points along a beam: its cubic looks smooth.
-BEAM_POINTS = 25
 
 
 def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFields:
@@ -66,8 +61,8 @@ def fields_of(scene: SceneData, solution: Solution) -> ContactFields | FrameFiel
         axes=scene.axes,
         nodes=tuple(scene.every_node),
         position=np.array([_point(scene, node) for node in scene.every_node]),
-        displacement=np.array([[value[name] for name in of_node(scene, node)] for node in scene.every_node]),
-        held=np.array([[name in unknowns.fixed for name in of_node(scene, node)] for node in scene.every_node]),
+        displacement=np.array([[value[name] for name in scene.displacements(node)] for node in scene.every_node]),
+        held=np.array([[name in unknowns.fixed for name in scene.displacements(node)] for node in scene.every_node]),
         members=tuple(_members(scene, value)),
         contacts=tuple(_contacts(scene, solution)),
         units=Units(length=scene.units.length, force=scene.units.force),
@@ -105,33 +100,17 @@ def _fields_of_bodies(scene: SceneData, solution: Solution) -> ContactFields:
 
 def _members(scene: SceneData, value: Mapping[str, float]) -> Iterator[Member]:
     place = _places(scene)
-
-    def straight(kind: str, names: Sequence[str]) -> Member:
-        path = np.array([_point(scene, name) for name in names])
-        moved = np.array([[value[unknown] for unknown in of_node(scene, name)] for name in names])
-        return Member(kind, tuple(place[name] for name in names), path, moved)
-
-    for bar in scene.bars:
-        yield straight("bar", bar.chain)
-    for spring in scene.springs:
-        yield straight("spring", spring.nodes)
-    for wire in scene.strings:
-        yield straight("string", wire.nodes)
-    for girder in scene.beams:
-        start, end = (_point(scene, name) for name in girder.nodes)
-        at = np.linspace(0.0, 1.0, BEAM_POINTS)
-        ends = [value[name] for node in girder.nodes for name in (*of_node(scene, node), f"{node}.{ROTATION}")]
-        moved = beam.displacements(start, end, np.array(ends), at)
-        nodes = tuple(place[name] for name in girder.nodes)
-        yield Member("beam", nodes, start + np.outer(at, end - start), moved)
-    for matrix in scene.matrices:
-        yield straight("matrix", list(dict.fromkeys(name.rpartition(".")[0] for name in matrix.unknowns)))
+    for _, element in scene.elements:
+        line = element.drawn(scene, value)
+        if line is not None:
+            nodes = tuple(place[name] for name in line.nodes)
+            yield Member(element.noun, nodes, line.path, line.displacement)
 
 
 def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
     place, gaps = _places(scene), solution.gap
     for i, (contact, form) in enumerate(zip(scene.contacts, exact_problem(scene).contacts, strict=True)):
-        push = [[-float(form.normal.get(name, 0)) for name in of_node(scene, node)] for node in contact.touched]
+        push = [[-float(form.normal.get(name, 0)) for name in scene.displacements(node)] for node in contact.touched]
         initial_gap = float(form.gap)
         if isinstance(solution, LargeSolution) and solution.position is not None:
             # The plane that touches the obstacle where it is nearest to the node now, seen from where the node was.
@@ -155,7 +134,7 @@ def _places(scene: SceneData) -> dict[str, int]:
 
 
 def _point(scene: SceneData, name: str) -> Array:
-    return np.array([float(scene.system.value(x)) for x in scene.node(name).at])
+    return np.array(scene.point(name), dtype=float)
 
 
 # Times of scenes are in seconds.

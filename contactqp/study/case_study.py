@@ -17,7 +17,7 @@ from contactqp.scene.building import build
 from contactqp.scene.claims import Expectation
 from contactqp.scene.explaining import report_methods, report_note
 from contactqp.scene.judging import answer_of, compare_expectation
-from contactqp.scene.scene import Scene, load_scene, walk
+from contactqp.scene.scene import Scene, follow, load_scene
 from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
 from contactqp.study.attempt import (
@@ -63,7 +63,7 @@ class CaseStudy:
         if not (turns or self.scene.motion is not None or self.scene.large):
             return None
         model = build(self.scene)
-        return lambda problem, method, **options: walk(model, problem, method, **options)[-1]
+        return lambda problem, method, **options: follow(model, problem, method, **options)[-1]
 
     @cached_property
     def digest(self) -> str:

@@ -203,8 +203,6 @@ def run_file(
         The file, the method or its options are no good. That a method finds no answer is an outcome.
     """
     if engine != SERIAL:
-        # MERGED
-
         return run_file_on_ranks(file, method or DEFAULT_METHOD, options or {})
     problem, chosen = solvable_form(file), dict(options or {})
     solution: Any

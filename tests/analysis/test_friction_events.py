@@ -264,9 +264,10 @@ def test_a_block_pressed_and_pushed(friction: float) -> None:
     first = {}
     for event in exact.events:
         first.setdefault((event.kind, event.contact), event.time)
-    for event in steps.events:
-        if event.kind == "closed" and event.time < 1:
-            assert -0.01 < event.time - first[event.kind, event.contact] < 0.01
+    closings = [event for event in steps.events if event.kind == "closed" and event.time < 1]
+    assert closings
+    for event in closings:
+        assert -0.01 < event.time - first[event.kind, event.contact] < 0.01
 
 
 def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -319,6 +320,7 @@ def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object], 
         )
         one = cq.follow_path(problem, loads, **options)
         scaled = cq.follow_path(other, [load * d * force for load in loads], **options)
+        assert one.events
         assert events(scaled) == events(one)
         np.testing.assert_allclose([e.time for e in scaled.events], [e.time for e in one.events], rtol=1e-10)
         size = np.max(abs(one.displacements))

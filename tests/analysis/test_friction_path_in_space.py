@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_stepping
+from contactqp.analysis import friction_step
 from tests.solving.friction.space import block, direction, elastic_block
 
 # mu N = 3 and k = 2.
@@ -174,13 +174,13 @@ def test_each_step_starts_from_the_one_before(monkeypatch: pytest.MonkeyPatch) -
     """Newton's method takes fewer iterations from the forces of the step before than from none."""
     problem = elastic_block((4, 4, 2))
     corners = [elastic_block((4, 4, 2), push=(s, s / 2)).load for s in (0.004, 0.0044)]
-    real, started = friction_stepping.solve, []
+    real, started = friction_step.solve, []
 
     def solve(one: cq.ContactProblem, method: str, **options: object) -> cq.Solution:
         started.append(options["warm_start"])
         return real(one, method, **options)
 
-    monkeypatch.setattr(friction_stepping, "solve", solve)
+    monkeypatch.setattr(friction_step, "solve", solve)
     history = cq.follow_path(problem, corners, steps=4)
     assert started[0] is None
     assert all(isinstance(one, cq.Solution) for one in started[1:])
@@ -195,13 +195,13 @@ def test_where_a_body_that_nothing_holds_closes_is_not_searched_for(
     lift: float, searched: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a spring off the plane any load drives the block onto it; with one it arrives at a load."""
-    real, widened = friction_stepping.solve, []
+    real, widened = friction_step.solve, []
 
     def solve(one: cq.ContactProblem, method: str, **options: object) -> cq.Solution:
         widened.append(one.gap[0] > 1.0)
         return real(one, method, **options)
 
-    monkeypatch.setattr(friction_stepping, "solve", solve)
+    monkeypatch.setattr(friction_step, "solve", solve)
     stiffness = np.diag([2.0, 2.0, lift])
     history = cq.follow_path(block([0.0, 0.0], stiffness=stiffness, gap=[0.1]), [PRESS], steps=1)
     assert any(widened) is searched

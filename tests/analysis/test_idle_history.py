@@ -72,6 +72,7 @@ def test_a_path_with_friction_is_that_without_them(events):
     assert plain.friction_forces is not None
     assert np.array_equal(path.friction_forces[:, 1], plain.friction_forces[:, 0])
     assert np.all(path.friction_forces[:, 0] == 0)
+    assert plain.events
     assert [(e.kind, e.contact, e.time) for e in path.events] == [(e.kind, 1, e.time) for e in plain.events]
     assert path.energies == plain.energies
     for here, there in zip(path, plain, strict=True):

@@ -32,6 +32,7 @@ def test_the_path_before_the_limit_is_the_closed_form():
 
 def test_newtons_method_converges_quadratically():
     history = cq.large_deformation(arch(), [0.28 * DOWN], steps=2)
+    assert len(history.iterations) == 3  # the start and two steps
     for iterations in history.iterations[1:]:
         assert len(orders(iterations)) >= 2
         assert orders(iterations)[-1] > 1.8

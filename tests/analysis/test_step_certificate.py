@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.motion.step_certificate import FIGURES, StepJudge
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 
 rng = np.random.default_rng(7)
 ROOT = rng.normal(size=(6, 6))
@@ -24,11 +24,11 @@ PROBLEM = cq.ContactProblem(
 )
 
 
-def step(seed: int) -> tuple[Posed, Answered]:
+def step(seed: int) -> tuple[StepProblem, StepResult]:
     rng = np.random.default_rng(seed)
-    posed = Posed(rng.normal(size=6), rng.normal(size=2), None, rng.normal(size=4), rng.normal(size=1))
+    posed = StepProblem(rng.normal(size=6), rng.normal(size=2), None, rng.normal(size=4), rng.normal(size=1))
     x = rng.normal(size=6)
-    return posed, Answered(x, rng.normal(size=2), rng.normal(size=4), rng.normal(size=1), x)
+    return posed, StepResult(x, rng.normal(size=2), rng.normal(size=4), rng.normal(size=1), x)
 
 
 def test_the_figures_are_those_of_the_certificate() -> None:
@@ -52,9 +52,9 @@ def test_each_figure_names_its_step() -> None:
     problem = PROBLEM.replace(load=rng.normal(size=6), gap=[0.1, 0.2], tie_value=[0.3])
     right = cq.solve(problem)
     assert right.friction_force is not None
-    posed = Posed(problem.load, problem.gap, None, None, problem.tie_value)
+    posed = StepProblem(problem.load, problem.gap, None, None, problem.tie_value)
     x = right.displacement
-    answer = Answered(x, right.normal_force, right.friction_force.ravel(), right.tie_force, x)
+    answer = StepResult(x, right.normal_force, right.friction_force.ravel(), right.tie_force, x)
     judge = StepJudge(PROBLEM)
     assert judge.figures([posed] * 3, [answer] * 3).first_above(1e-12) is None
     spoiled = {
@@ -79,7 +79,7 @@ def test_what_is_no_number_fails_and_a_contact_that_was_not_looked_at_has_no_for
     refused = judge.figures([posed], [nan]).first_above(1e-9)
     assert refused is not None
     assert refused[2] == np.inf
-    unseen = replace(posed, looked_at=np.array([False, False]), gap=np.array([-9.0, -9.0]))
+    unseen = replace(posed, closable=np.array([False, False]), gap=np.array([-9.0, -9.0]))
     quiet = replace(answer, normal=np.zeros(2), friction=np.zeros(4))
     assert judge.figures([unseen], [quiet]).penetration[0] == 0.0
     assert judge.figures([unseen], [replace(quiet, normal=np.array([1.0, 0.0]))]).tension[0] > 0.0

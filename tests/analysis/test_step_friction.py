@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis.motion import step_contact
-from contactqp.analysis.motion.step_contact import OPEN, SLIP_BACK, SLIP_ON, STICK, frictional_forces, states_of
+from contactqp.analysis.motion import step_friction
+from contactqp.analysis.motion.step_friction import OPEN, SLIP_BACK, SLIP_ON, STICK, frictional_forces, states_of
 
 ONE = np.array([[1.0, 0.5], [0.5, 2.0]])  # u_N, u_T of r_N, r_T
 
@@ -28,7 +28,7 @@ def still(m: int) -> np.ndarray:
 def test_one_contact_by_hand(
     free: list[float], coefficient: float, expected: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(step_contact, "solve", None)  # no local problem is needed
+    monkeypatch.setattr(step_friction, "solve", None)  # no local problem is needed
     normal, friction = frictional_forces(ONE, np.array(free), np.array([coefficient]), still(1), "active-set", {})
     np.testing.assert_allclose([normal[0], friction[0, 0]], expected, rtol=1e-14, atol=1e-15)
 
@@ -49,7 +49,7 @@ def test_states_find_what_the_algorithms_find(seed: int) -> None:
 
 
 def test_states_that_cycle_are_left_to_an_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(step_contact, "MAX_CHANGES", 0)
+    monkeypatch.setattr(step_friction, "MAX_CHANGES", 0)
     normal, friction = frictional_forces(ONE, np.array([-1.0, 2.0]), np.array([0.6]), still(1), "active-set", {})
     np.testing.assert_allclose([normal[0], friction[0, 0]], [1 / 0.7, 0.6 / 0.7], rtol=1e-12)
 

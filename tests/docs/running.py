@@ -49,7 +49,7 @@ class PageRun:
         if named in self.not_run:
             self.used.add(named)
         elif block.language == "python" and not block.words:
-            exec(compile(block.text, where, "exec"), self.scope)
+            exec(compile(block.text, where, "exec", dont_inherit=True), self.scope)
             printed = self.printed()
             assert same_lines(shown.text if shown is not None else "", printed), f"{where}\n{printed}"
         elif block.language == "pycon":

@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 from qpsolvers.solvers import solve_function
 
+from contactqp.analysis.motion.schemes import SCHEMES
 from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
 from contactqp.solving.friction.local_algorithms import ALGORITHMS
+from tests.block_registry import registered_blocks
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines
 
@@ -64,9 +66,10 @@ def page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     # What a page registers ends with it.
     for module, table in ((methods, "_REGISTRY"), (matrix_files, "READERS"), (answer_files, "READERS")):
         monkeypatch.setattr(module, table, copy.copy(getattr(module, table)))
-    tables: tuple[dict[str, Any], ...] = (solve_function, ALGORITHMS)
+    tables: tuple[dict[str, Any], ...] = (solve_function, ALGORITHMS, SCHEMES)
     before = [dict(table) for table in tables]
-    yield PageRun(tmp_path, lambda: "".join(capsys.readouterr()), NOT_RUN)
+    with registered_blocks():
+        yield PageRun(tmp_path, lambda: "".join(capsys.readouterr()), NOT_RUN)
     for table, entries in zip(tables, before, strict=True):
         table.clear()
         table.update(entries)

@@ -7,7 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from contactqp.elements.facet import Surface
+from contactqp.elements.surface import Surface
 
 FACES = {
     4: [(0, 1), (1, 2), (2, 3), (3, 0)],  # quadrilateral in the plane

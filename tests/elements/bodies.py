@@ -6,7 +6,7 @@ import numpy as np
 
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import KINDS, REFERENCES
+from contactqp.elements.reference_elements import KINDS, REFERENCES
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 

@@ -5,7 +5,7 @@ import pytest
 
 from contactqp.elements.abaqus import read_abaqus
 from contactqp.elements.mesh_files import read_mesh
-from contactqp.elements.reference import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES
 from contactqp.errors import InvalidProblem
 
 FILE = """** two squares

@@ -6,7 +6,7 @@ import scipy.sparse.linalg as spla
 
 from contactqp.elements.loads import Pressure, Traction
 from contactqp.elements.material import Material
-from contactqp.elements.reference import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body, stress_at_nodes
 from contactqp.elements.structure import Structure, Support

@@ -27,12 +27,12 @@ from benchmarks.nodal_pressures import (
     quarter,
     rigid_punch,
 )
-from contactqp.elements.facet import kind_of, normal_vectors
 from contactqp.elements.loads import Pressure
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.elements.surface import kind_of, normal_vectors
 from contactqp.elements.tributary import deviation, nodal_moments
 from contactqp.errors import InvalidProblem
 

@@ -5,7 +5,7 @@ import pytest
 
 from contactqp.elements import shapes
 from contactqp.elements.geometry import at_rule
-from contactqp.elements.reference import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES
 from contactqp.elements.shapes import spacing
 from contactqp.errors import InvalidProblem
 from tests.elements.bodies import PLANE, SOLID

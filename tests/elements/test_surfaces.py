@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.elements import facet
-from contactqp.elements.facet import kind_of, triangle_quadrature
+from contactqp.elements import surface
 from contactqp.elements.nearest_facet import closest_point
+from contactqp.elements.surface import kind_of, triangle_quadrature
 from contactqp.elements.tributary import node_normals, tributary_areas
 from contactqp.errors import InvalidProblem
 
-KINDS = list(facet.KINDS.values())
+KINDS = list(surface.KINDS.values())
 SQUARE = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 3.0, 0.0], [0.0, 3.0, 0.0]])
 
 

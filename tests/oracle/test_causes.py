@@ -7,7 +7,7 @@ import pytest
 
 import contactqp as cq
 from benchmarks.problem_families import family
-from contactqp.oracle.diagnosis import other_questions
+from contactqp.oracle.diagnosis import diagnosis
 from tests.examples import seeded_problem
 from tests.solving.friction.space import block, several
 
@@ -108,7 +108,7 @@ def test_what_is_left_out_of_large_problems_is_said(monkeypatch: pytest.MonkeyPa
     system = np.block([[np.asarray(problem.stiffness), E.T], [E, np.zeros((m, m))]])
     glued = np.linalg.solve(system, np.concatenate([problem.load, problem.gap]))
     assert causes(cq.certify(problem, glued[:12], glued[12:])) == {"bilateral"}
-    monkeypatch.setattr(other_questions, "LARGEST_OF_OTHER_ROWS", 10)
+    monkeypatch.setattr(diagnosis, "LARGEST_OF_OTHER_ROWS", 10)
     judged = cq.certify(problem, glued[:12], glued[12:])
     assert causes(judged) == set()
     assert "not-examined" in {finding.kind for finding in judged.findings}

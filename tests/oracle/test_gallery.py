@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.gallery.algebra import rank, rows_of
+from contactqp.linalg.exact_algebra import rank
+from contactqp.oracle.gallery.algebra import rows_of
 from contactqp.oracle.gallery.gallery import DIFFICULTIES, KINDS, NAMED, RANDOM, problem, problems
 from contactqp.oracle.gallery.problem import GalleryProblem
 from tests.oracle.exact_conditions import broken_conditions, doubles, is_semidefinite

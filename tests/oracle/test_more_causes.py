@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.oracle.diagnosis import other_questions
+from contactqp.oracle.diagnosis import diagnosis
 from contactqp.testing import assert_multipliers, problem
 from tests.examples import seeded_problem
 from tests.oracle.test_causes import causes
@@ -143,8 +143,8 @@ def test_no_question_is_solved_for_an_answer_that_balances_nothing(
     right: cq.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
-    solve = other_questions.solve
-    monkeypatch.setattr(other_questions, "solve", lambda problem: (asked.append("solved"), solve(problem))[1])
+    solve = diagnosis.solve
+    monkeypatch.setattr(diagnosis, "solve", lambda problem: (asked.append("solved"), solve(problem))[1])
     noise = 1 + 0.1 * np.random.default_rng(0).normal(size=12)
     assert causes(cq.certify(right.problem, right.displacement * noise, right.normal_force)) == set()
     assert asked == []

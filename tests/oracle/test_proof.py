@@ -11,20 +11,20 @@ from flint import fmpq
 
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
-from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
-from contactqp.oracle.exact.complementarity import Family, lemke
-from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
-from contactqp.oracle.exact.rational import (
+from contactqp.linalg.rational import (
     NoSolution,
     column,
     fractions,
     independent_rows,
+    is_semidefinite,
     matrix,
     null_space,
     solve_any,
     zeros,
 )
-from contactqp.oracle.exact.rational_answer import is_semidefinite
+from contactqp.oracle.exact.closed_set import Combination, balance, balanced, settle, system_of
+from contactqp.oracle.exact.complementarity import Family, lemke
+from contactqp.oracle.exact.exact_problem import STATEMENTS, RationalAnswer, RationalProblem, of_floats, status, wrong
 from tests.examples import truss
 
 LEAST = fmpq(1, 10**40)

@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.elements.geometry import Block
-from contactqp.elements.reference import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES
 from contactqp.elements.structure import Support
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.pictures.contact_fields import edge_points, edges, outline_points, pieces, sample

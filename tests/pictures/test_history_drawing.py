@@ -170,7 +170,7 @@ def test_ten_thousand_steps_are_drawn_without_a_look_at_one(monkeypatch, rod):
     def refuse(*_):
         raise AssertionError("an instant was certified to be drawn")
 
-    monkeypatch.setattr("contactqp.analysis.motion.history._looked_at", refuse)
+    monkeypatch.setattr("contactqp.analysis.motion.motion_history._solution_at", refuse)
     problem, mass = rod_at_wall(4)
     history = cq.impact(problem, mass, np.zeros(5), np.full(5, -SPEED), 10.0, 1e-3)
     figure = history_figure(history)

@@ -110,9 +110,10 @@ def test_the_knobs_of_a_case_are_tried():
 
 def test_every_quantity_has_a_meaning_and_a_reader():
     from contactqp.scene.answers import READERS
+    from contactqp.scene.blocks import element_quantities
     from contactqp.scene.body_answers import _READERS
 
-    for of, readers in (("nodes", READERS), ("bodies", _READERS)):
+    for of, readers in (("nodes", READERS | element_quantities()), ("bodies", _READERS)):
         assert set(readers) == {name for name, measure in QUANTITIES.items() if measure.of in (of, "both")}
     assert all(measure.meaning for measure in QUANTITIES.values())
 

@@ -40,7 +40,9 @@ def claim(quantity, value, **keys):
 
 
 def judged(scene, *expect):
-    return judge(Scene(**scene | {"expect": expect}), Trial()).expectations
+    found = judge(Scene(**scene | {"expect": expect}), Trial()).expectations
+    assert len(found) == len(expect) > 0
+    return found
 
 
 def tangential(scene):

@@ -53,7 +53,9 @@ def claim(quantity, value, **keys):
 
 
 def rows(data, *claims):
-    return judge(Scene(**data, expect=list(claims)), Trial()).expectations
+    found = judge(Scene(**data, expect=list(claims)), Trial()).expectations
+    assert len(found) == len(claims) > 0
+    return found
 
 
 def test_a_scene_runs_to_the_history_of_the_analysis():
@@ -63,6 +65,7 @@ def test_a_scene_runs_to_the_history_of_the_analysis():
     np.testing.assert_allclose(history.times, arch_load(w), atol=1e-11)
     assert history[-1].problem.dof_names == ("t.x", "t.z")
     assert [point.kind for point in history.limit_points] == ["maximum", "minimum"]
+    assert len(history) > 2
     assert all(solution.certificate.passed for solution in history)
 
 

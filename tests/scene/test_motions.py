@@ -56,7 +56,9 @@ def claim(quantity, value, **keys):
 
 
 def rows(data, *claims):
-    return judge(Scene(**data, expect=list(claims)), Trial()).expectations
+    found = judge(Scene(**data, expect=list(claims)), Trial()).expectations
+    assert len(found) == len(claims) > 0
+    return found
 
 
 def test_run_gives_the_motion():

@@ -1,4 +1,6 @@
-"""Tables with pictures: they fit the terminal, lose the picture before a digit, and know what letters it can show."""
+"""Tables fit the terminal; numbers are drawn with letters."""
+
+from __future__ import annotations
 
 import io
 import json
@@ -7,11 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 from rich.console import Console
 
 from contactqp.cli import main
-from contactqp.scene.tables import MOST_ROWS, Drawn, bars, print_table
+from contactqp.scene.tables import ASCII, BLOCKS, MOST_ROWS, Drawn, bars, course, print_table
 
 CASES = Path(__file__).parents[2] / "cases"
 
@@ -37,6 +42,7 @@ def test_a_picture_takes_the_room_that_there_is():
     assert "█" * 11 not in "".join(narrow)
     assert "█" not in "".join(none)
     for lines, width in ((wide, 80), (narrow, 40), (none, 22)):
+        assert len(lines) >= len(ROWS)
         assert all(len(line) <= width for line in lines)
         assert any("8.12345678901" in line for line in lines)
 
@@ -105,3 +111,51 @@ def test_a_pipe_of_another_encoding_gets_ascii_without_colours():
     assert b"#" * 24 in done.stdout
     assert b"\x1b" not in done.stdout
     assert done.stderr == b""
+
+
+def test_bars_are_in_proportion_to_the_eighth_of_a_letter():
+    assert bars([8, 4, 1, 0.5], 1) == ["█", "▌", "▏", "▏"]
+    assert bars([100.0, 50.0, 25.0], 8) == ["████████", "████", "██"]
+    assert bars([8, 4, 1], 4, ASCII) == ["####", "##", "#"]
+
+
+def test_zero_and_negative_values_are_seen():
+    assert bars([1, 0], 4) == ["████", "·"]
+    assert bars([1, 0, 1e-13], 4, ASCII) == ["####", "0", "0"]  # what rounding leaves is nothing
+    assert bars([2, 0, -1], 4) == ["    │████", "    │", "  ██│"]
+    assert bars([2, -2], 2, ASCII) == ["  |##", "##|"]
+    assert bars([0, 0], 4) == ["·", "·"]
+    assert bars([], 4) == []
+
+
+def test_what_is_no_number_has_no_bar():
+    assert bars([1.0, np.nan, np.inf], 2) == ["██", "", ""]
+
+
+def test_a_course_rises_from_zero_to_the_largest():
+    assert course([0, 1, 2, 4, 8], 5) == "·▂▃▅█"
+    assert course([0, 1, 2, 4, 8], 5, ASCII) == "0:-+@"
+    assert course([-8, -4, 0, 8], 4) == "▁▃·█"
+    assert course([0, 0], 5) == "··"
+    assert course([], 5) == ""
+    assert course([1, np.nan], 2)[1] == "?"
+
+
+def test_of_values_that_share_a_letter_the_furthest_is_drawn():
+    peak = np.zeros(1000)
+    peak[503] = 1.0
+    line = course(peak, 10)
+    assert len(line) == 10
+    assert line == "·····█····"
+
+
+@pytest.mark.parametrize("letters", [BLOCKS, ASCII], ids=["blocks", "ascii"])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(values=st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=40), width=st.integers(1, 30))
+@example(values=[5e-324], width=1)
+@example(values=[-1.7e308, 1.7e308], width=2)
+def test_any_numbers_fit_their_place(letters, values, width):
+    drawn = bars(values, width, letters)
+    assert len(drawn) == len(values)
+    assert all(len(bar) <= 2 * width + 1 for bar in drawn)
+    assert len(course(values, width, letters)) == min(width, len(values))

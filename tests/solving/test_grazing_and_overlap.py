@@ -35,9 +35,9 @@ def chains(seed: int) -> cq.ContactProblem:
 def test_which_contacts_push_is_decided_beneath_the_rounding_of_doubles(seed):
     """Of the seeds that are named, refinement used to stop before it could tell."""
     pytest.importorskip("flint")
+    from contactqp.linalg.rational import floats
     from contactqp.oracle.exact.complementarity import reduce_problem
     from contactqp.oracle.exact.exact_problem import of_floats
-    from contactqp.oracle.exact.rational import floats
 
     problem = chains(seed)
     solution = cq.solve(problem)

@@ -117,9 +117,9 @@ def test_forces_are_those_of_the_springs_whose_sums_k_rounds(seed: int) -> None:
     """A stiffness whose sums are rounded is singular to rounding only; the unrounded one, in rational numbers, is so
     exactly. Ten decades of stiffness apart the blocks' answer is that of the latter to the last digits."""
     flint = pytest.importorskip("flint")
+    from contactqp.linalg.rational import floats, rational
     from contactqp.oracle.exact.complementarity import reduce_problem
     from contactqp.oracle.exact.exact_problem import of_floats
-    from contactqp.oracle.exact.rational import floats, rational
 
     rng = np.random.default_rng(seed)
     count, wide = 3, int(rng.integers(2, 5))

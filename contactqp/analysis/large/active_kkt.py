@@ -1,4 +1,8 @@
-"""Newton steps on a set of closed contacts, with friction in the plane: systems for tangents that are not convex."""
+"""Newton steps on a set of closed contacts, for tangents that are not convex: under compressed bars, for instance.
+
+The systems are symmetric and indefinite. The closed set, and with Coulomb friction in the plane the states of stick and
+slip, are found by the signs of forces and gaps.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +24,16 @@ ZERO = 1e-12
 REFINEMENTS = 2
 # The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
 HELD = 1e6
+# A contact is closed by what lies beyond rounding of the lengths that meet.
+ROUNDED = 1e-14
+# What rounding may make of a length or a force, over the lengths and forces that meet.
+ROUNDED_SLIP = 1e-12
+# Changes of combination that are tried, a contact.
+CHANGES = 20
 
 
 def solve_system(matrix: Any, right: Vector) -> Vector:
-    """The solution of a square system, symmetric or not; dense where it is small.
+    """Return the solution of a square system, symmetric or not; dense where it is small.
 
     Raises
     ------
@@ -50,7 +60,7 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
 
 
 def determinant_sign(matrix: Any) -> float:
-    """The sign of the determinant of a square matrix, 0 if it is singular."""
+    """Return the sign of the determinant of a square matrix, 0 if it is singular."""
     if matrix.shape[0] <= DENSE_SIZE:
         return float(np.linalg.slogdet(matrix.toarray())[0])
     from scipy.sparse.linalg import splu
@@ -63,7 +73,7 @@ def determinant_sign(matrix: Any) -> float:
 
 
 def _parity(order: Any) -> float:
-    """1 for an even permutation, -1 for an odd one: a cycle of length c is c - 1 exchanges."""
+    """Return 1 for an even permutation, -1 for an odd one: a cycle of length c is c - 1 exchanges."""
     seen, sign = np.zeros(len(order), dtype=bool), 1.0
     for start in range(len(order)):
         at, length = start, 0
@@ -75,10 +85,24 @@ def _parity(order: Any) -> float:
 
 
 def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Vector, closed: Mask) -> Any:
-    """A stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed set.
+    """Find a stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed
+    set.
 
     K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
     with E u > g close, until none does. K need not be definite, and there may be other points.
+
+    Parameters
+    ----------
+    K : (n, n) matrix
+        Symmetric, definite or not.
+    load : (n,) array
+        f.
+    normal, gap : (m, n) matrix, (m,) array
+        E and g.
+    tie, value : (k, n) matrix, (k,) array
+        A and b.
+    closed : (m,) mask
+        The contacts that are closed at first.
 
     Raises
     ------
@@ -108,10 +132,6 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
     raise NotConverged("the set of closed contacts comes back: the tangent is indefinite there")
 
 
-# A contact is closed by what lies beyond rounding of the lengths that meet.
-ROUNDED = 1e-14
-
-
 def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) -> Mask:
     if not one_by_one:
         return np.asarray((closed & (tension <= 0)) | (excess > 0))
@@ -124,7 +144,9 @@ def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) ->
 
 
 def positive_semidefinite(K: Any) -> bool:
-    """Whether K is, up to rounding: by eigenvalues where it is small, by the signs of its pivots elsewhere."""
+    """Say whether K is positive semidefinite up to rounding: by eigenvalues where it is small, by the signs of its
+    pivots elsewhere.
+    """
     diagonal = np.asarray(K.diagonal(), dtype=float)
     if np.any(diagonal < 0):
         return False
@@ -140,7 +162,7 @@ def positive_semidefinite(K: Any) -> bool:
 
 
 def negative_on(K: Any, rows: Any) -> int:
-    """How many independent motions with rows u = 0 have negative energy u'Ku: 0 where the equilibrium is stable.
+    """Count the independent motions with rows u = 0 and negative energy u'Ku: none where the equilibrium is stable.
 
     Of a large K only 0 and 1, for none and some, by the pivots of K with stiff springs along the rows.
     """
@@ -152,7 +174,7 @@ def negative_on(K: Any, rows: Any) -> int:
 
 
 def restricted(K: Any, rows: Any) -> Array:
-    """Z'KZ on an orthonormal basis Z of the motions with rows u = 0."""
+    """Return Z'KZ on an orthonormal basis Z of the motions with rows u = 0."""
     from scipy.linalg import null_space
 
     dense = K.toarray()
@@ -163,19 +185,11 @@ def restricted(K: Any, rows: Any) -> Array:
 
 
 def lowest_eigenvalue(K: Any) -> float:
-    """The lowest eigenvalue of K [force / length]; a bound below it for a large K (Gershgorin)."""
+    """Return the lowest eigenvalue of K [force / length], or a bound below it for a large K (Gershgorin)."""
     if K.shape[0] <= DENSE_SIZE:
         return float(np.linalg.eigvalsh(K.toarray())[0])
     diagonal = np.asarray(K.diagonal(), dtype=float)
     return float(np.min(diagonal - (np.asarray(abs(K).sum(axis=1)).ravel() - abs(diagonal))))
-
-
-# Coulomb friction in the plane by signs: for tangents that are not convex, under compressed bars for instance.
-
-# What rounding may make of a length or a force, over the lengths and forces that meet.
-ROUNDED_SLIP = 1e-12
-# Changes of combination that are tried, a contact.
-CHANGES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +203,23 @@ class Combination:
 
 
 def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forces) -> tuple[Vector, Forces]:
-    """u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
+    """Find u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
 
     The combination of states is changed where its answer breaks the law: contacts in tension open, overlapping ones
     close and stick, friction beyond mu l_N slips, slip against its friction sticks; all at once until a combination
     comes back, then one contact at a time, which closes slipping as it moved. It starts from the states that
     `forces` show. Rows, gaps, slip origins and ties are those of `problem`, which has one tangent a contact.
+
+    Parameters
+    ----------
+    K : (n, n) matrix
+        Symmetric, definite or not.
+    problem : ContactProblem
+        Rows, gaps, slip origins, friction and ties.
+    load : (n,) array
+        f.
+    forces : Forces
+        Forces that show the states at first.
 
     Raises
     ------
@@ -229,7 +254,7 @@ def _states(coefficient: Vector, forces: Forces) -> Status:
 
 
 def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combination:
-    """Closed contacts have gap 0, sticking ones slip 0, and slipping ones l_T = +- mu l_N."""
+    """Solve with gap 0 at closed contacts, slip 0 at sticking ones, and l_T = +- mu l_N at slipping ones."""
     n, m, k = problem.dimension, problem.contacts, problem.ties
     B, S = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
     E_N, E_T = sp.csr_array(problem.normal), sp.csr_array(problem.tangent)
@@ -248,7 +273,7 @@ def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combin
 
 
 def _lawful(problem: ContactProblem, answer: Combination, status: Status, slipping: bool) -> Status:
-    """The states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
+    """Return the states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
     u, bound = answer.increment, np.asarray(problem.friction) * answer.normal
     E_T, origin = sp.csr_array(problem.tangent), np.asarray(problem.slip_origin)[:, 0]
     excess, slip = problem.normal @ u - problem.gap, E_T @ u - origin

@@ -1,25 +1,26 @@
-"""A deformable body with its contacts and ties, and the equilibria of its large deformation with their iterations."""
+"""The equilibria of a large deformation, one after the other, with the Newton iterations that found them.
+
+`LoadedBody` is a deformable body with its contacts and ties: what is out of balance at a displacement, and the Newton
+step there. `LargeSolution` and `LargeHistory` are what a user gets.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import Energies, Event, History
+from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.elements.deformable import ContactGeometry, ContactState, Deformable
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
-
-# A deformable body with its contacts and ties: what is out of balance at a displacement, and the Newton step there.
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING = 64 * np.finfo(float).eps
@@ -35,7 +36,7 @@ class Forces:
 
     @property
     def largest(self) -> float:
-        """The size of the largest normal force or tie force."""
+        """Return the size of the largest normal force or tie force."""
         return float(max(np.max(abs(self.normal), initial=0.0), np.max(abs(self.tie), initial=0.0)))
 
 
@@ -50,7 +51,7 @@ class Instant:
 
 @dataclass(frozen=True, eq=False)
 class Imbalance:
-    """What a displacement and forces leave, and whether that is nothing."""
+    """The residuals of forces and lengths at a displacement, and whether they are negligible."""
 
     force: float  # the largest residual over the largest force that meets it
     length: float  # the largest error of a gap, slip or tie over the largest displacement
@@ -58,12 +59,14 @@ class Imbalance:
 
     @property
     def size(self) -> float:
-        """The larger of both."""
+        """Return the larger of both residuals."""
         return max(self.force, self.length)
 
 
 class LoadedBody:
-    """The equations f_int(u) + E_N' l_N + E_T' l_T + A' nu = f of one body, with E_N, E_T and the gaps of now."""
+    """The equations f_int(u) + E_N' l_N + E_T' l_T + A' nu = f of one body, with E_N, E_T and gaps in the current
+    configuration.
+    """
 
     def __init__(
         self, body: Deformable, contact: ContactGeometry | None, tie: Any, friction: Vector | None = None
@@ -72,16 +75,18 @@ class LoadedBody:
 
     @property
     def dimension(self) -> int:
-        """n."""
+        """Return the number of unknowns n."""
         return self.body.dimension
 
     @property
     def contacts(self) -> int:
-        """m."""
+        """Return the number of contacts m."""
         return 0 if self.contact is None else self.contact.contacts
 
     def at(self, u: Vector) -> Instant:
-        """The body there; InvalidProblem where it cannot be or where a contact has lost its pair."""
+        """Return the body at a displacement; InvalidProblem where it cannot be, or where a contact has lost its
+        pair.
+        """
         return Instant(u, np.asarray(self.body.internal_force(u)), self._contact(u))
 
     def _contact(self, u: Vector) -> ContactState:
@@ -91,11 +96,11 @@ class LoadedBody:
         return self.contact.state(u)
 
     def no_forces(self) -> Forces:
-        """None acts."""
+        """Return forces that all vanish."""
         return Forces(np.zeros(self.contacts), np.zeros(self.tie.shape[0]))
 
     def hessian(self, now: Instant, forces: Forces) -> Any:
-        """K + curvature of the contacts under their forces, (n, n) CSC, symmetric."""
+        """Return K + curvature of the contacts under their forces, (n, n) CSC, symmetric [force / length]."""
         K = sp.csc_array(self.body.tangent(now.displacement))
         if self.contact is not None and np.any(forces.normal):
             curvature = self.contact.curvature(now.displacement, forces.normal)
@@ -103,18 +108,19 @@ class LoadedBody:
         return K
 
     def out_of_balance(self, now: Instant, load: Vector, forces: Forces | None = None) -> Vector:
-        """f - f_int - E_N' l_N - E_T' l_T - A' nu, (n,) [force]."""
-        left = load - now.internal
+        """Return f - f_int - E_N' l_N - E_T' l_T - A' nu, (n,) [force]."""
+        residual = load - now.internal
         if forces is not None:
-            left = left - now.contact.normal.T @ forces.normal - self.tie.T @ forces.tie
+            residual = residual - now.contact.normal.T @ forces.normal - self.tie.T @ forces.tie
             if forces.friction is not None and now.contact.tangent is not None:
-                left = left - now.contact.tangent.T @ forces.friction.ravel()
-        return np.asarray(left)
+                residual = residual - now.contact.tangent.T @ forces.friction.ravel()
+        return np.asarray(residual)
 
     def step_problem(
         self, now: Instant, K: Any, load: Vector, tie_value: Vector, slipped: Array | None = None
     ) -> ContactProblem:
-        """The Newton step as a contact problem in the increment: K du = f - f_int, E_N du <= gap, A du = b - A u.
+        """Return the Newton step as a contact problem in the increment: K du = f - f_int, E_N du <= gap, A du = b -
+        A u.
 
         `slipped` (m, d-1) is the slip of the load step so far: s = E_T du + slipped.
         """
@@ -141,7 +147,7 @@ class LoadedBody:
         length_rounding: Vector,
         tolerance: float,
     ) -> Imbalance:
-        """How far from balance the body is; lengths (any number,) are the errors of gaps, slips and ties."""
+        """Measure how far from balance the body is; `lengths` (any number,) are the errors of gaps, slips and ties."""
         residual = abs(self.out_of_balance(now, load, forces))
         parts = [load, now.internal, now.contact.normal.T @ forces.normal, self.tie.T @ forces.tie]
         size = max(float(np.max(abs(part), initial=0.0)) for part in parts)
@@ -158,7 +164,7 @@ class LoadedBody:
 
 @dataclass(frozen=True)
 class NewtonIteration:
-    """One step of Newton's method, and what it left."""
+    """One step of Newton's method, and the residuals after it."""
 
     force_error: float  # the largest force out of balance over the largest force that acts
     length_error: float  # the largest error of a linearised gap, slip or tie over the largest displacement
@@ -168,7 +174,7 @@ class NewtonIteration:
 
     @property
     def error(self) -> float:
-        """The larger of both errors."""
+        """Return the larger of both residuals."""
         return max(self.force_error, self.length_error)
 
 
@@ -196,28 +202,28 @@ class LargeSolution(Solution):
 
     @property
     def gap(self) -> Vector:
-        """The gaps there, positive when open [length]."""
+        """Return the gaps in the current configuration, positive when open, (m,) [length]."""
         return self.current_gap
 
     @property
     def slip(self) -> NDArray[np.float64] | None:
-        """(m, d-1): how far the contacts slid in the load step, along the tangents there [length]."""
+        """Return how far the contacts slid in the load step along the current tangents, (m, d-1) [length]."""
         return self.current_slip
 
     @property
     def energy(self) -> float:
-        """Elastic energy - f'u."""
+        """Return the elastic energy minus f'u [force * length]."""
         return self.elastic - float(self.load @ self.displacement)
 
     @property
     def stable(self) -> bool:
-        """Whether no motion that keeps the closed contacts closed lowers the energy."""
+        """Say whether no motion that keeps the closed contacts closed lowers the energy."""
         return self.negative == 0
 
 
 @dataclass(frozen=True, eq=False)
 class LimitPoint(ReadOnly):
-    """A limit point: the load that a path carries is greatest or least there."""
+    """A point of a path at which the load factor is greatest or least."""
 
     kind: str  # "maximum" or "minimum"
     load_factor: float
@@ -229,20 +235,20 @@ class LimitPoint(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Snap:
-    """A snap of load control, at a load factor between `low` and `high`."""
+    """A jump under load control: the load factor of it lies between `low` and `high`."""
 
     low: float
     high: float
-    told: bool  # whether it is known to a small part of the step
+    located: bool  # whether the bracket is a small part of the step
     unknown: int  # the one that jumps furthest
     before: float  # its displacement [length]
     after: float
 
     @property
     def note(self) -> str:
-        """In words."""
+        """Return the jump in words."""
         where = f"at load factor {self.high:.6g}"
-        if not self.told:
+        if not self.located:
             where = f"between the load factors {self.low:.6g} and {self.high:.6g}"
         return (
             f"snap-through {where}: the tangent loses its definiteness and unknown {self.unknown} jumps from "
@@ -264,14 +270,14 @@ class LargeHistory(History):
         events: Iterable[Event] | None = None,
         snaps: Iterable[Snap] = (),
     ) -> None:
-        found, told = list(solutions), tuple(notes)
+        found, located = list(solutions), tuple(notes)
         happened = _Found(found).events if events is None else partial(tuple, tuple(events))
         super().__init__(
             found,
             [solution.load_factor for solution in found],
             events=happened,
             energies=_Found(found).energies,
-            notes=partial(tuple, told),
+            notes=partial(tuple, located),
         )
         self.limit_points = tuple(limit_points)
         self.snaps = tuple(snaps)
@@ -281,12 +287,14 @@ class LargeHistory(History):
 
     @property
     def iterations(self) -> tuple[tuple[NewtonIteration, ...], ...]:
-        """What each Newton step of every solution left: squared from one to the next at the end."""
+        """Return, for every solution, the residuals after each step of Newton's method; at the end they are squared
+        from one to the next.
+        """
         return tuple(solution.iterations for solution in self._found)
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """(steps,) whether each equilibrium is."""
+        """Return whether each equilibrium is stable, (steps,)."""
         return read_only(np.array([solution.stable for solution in self._found]))
 
     @property
@@ -296,19 +304,19 @@ class LargeHistory(History):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What is computed of a history when it is asked for."""
+    """Figures of a history that are computed on first access."""
 
     solutions: Sequence[LargeSolution]
 
     def events(self) -> Iterator[Event]:
-        """Contacts that close, open, slip or stick, at the first solution that shows it."""
-        for before, now in pairwise(self.solutions):
-            for i in range(len(now.normal_force)):
-                for kind in _kinds(_doing(before, i), _doing(now, i)):
-                    yield Event(kind, i, now.load_factor, now.problem.contact_name(i))
+        """Return the contacts that close, open, slip or stick, at the first solution that shows it."""
+        states = (_pushes_and_slides(solution) for solution in self.solutions)
+        times = (solution.load_factor for solution in self.solutions)
+        return contact_changes(states, times, lambda i: self.solutions[0].problem.contact_name(i))
 
     def energies(self) -> Iterator[Energies]:
-        """Elastic energy of the body; the work of loads and ties by the trapezoidal rule; l_T . s of every step.
+        """Return the elastic energy of the body, the work of loads and ties by the trapezoidal rule, and the sum of
+        l_T . s over the steps.
 
         Where a path jumps, work and elastic energy differ by what the jump sets free.
         """
@@ -323,18 +331,6 @@ class _Found:
             yield Energies(now.elastic, kinetic=0.0, work=work, dissipated=dissipated)
 
 
-def _doing(solution: LargeSolution, i: int) -> str:
-    status = str(solution.contact_status[i])
-    return status if status in ("stick", "slip") else "closed" if solution.normal_force[i] > 0 else "open"
-
-
-def _kinds(before: str, now: str) -> list[str]:
-    """The events that lead from one state to the next."""
-    if before == now:
-        return []
-    if now == "open":
-        return ["opened"]
-    closes = ["closed"] if before == "open" else []
-    slips = ["slip"] if now == "slip" else []
-    sticks = ["stick"] if now == "stick" and before == "slip" else []
-    return closes + slips + sticks
+def _pushes_and_slides(solution: LargeSolution) -> tuple[Mask, Mask]:
+    slides = solution.contact_status == "slip"
+    return slides | (solution.contact_status == "stick") | (solution.normal_force > 0), slides

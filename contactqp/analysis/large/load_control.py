@@ -1,30 +1,47 @@
-"""Load control of a large deformation: step after step up the load, jumps told."""
+"""Load control of a large deformation: one step after another up the load, with jumps noted.
+
+A balance that Newton's method found becomes a certified solution of the history. Where contacts slide far and close
+within a step, their slips count from anchors.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import negative_on, positive_semidefinite
-from contactqp.analysis.large.constrained_newton import Balance, balance_with_anchors, find_balance, large_solution
+from contactqp.analysis.large.constrained_newton import (
+    Balance,
+    NewtonSettings,
+    Target,
+    find_balance,
+    in_displacement,
+    slipped,
+)
 from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolution, LoadedBody, Snap
-from contactqp.analysis.large.newton_step import NewtonSettings, Target
+from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.elements.deformable import ContactGeometry, ContactState
 from contactqp.errors import NotCertified, NotConverged
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
+from contactqp.model.solution import Work
 
-# Halvings of a step in search of a jump: its load factor is known to a millionth of the step.
+# Halvings of a step in search of a jump: they bracket its load factor to a millionth of the step.
 HALVINGS = 20
-# A load factor is told if it is known to this part of the step.
-KNOWN = 1e-3
+# The load factor of a jump counts as located where its bracket is below this part of the step.
+LOCATED = 1e-3
 # What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
 JUMP = 0.3
 # A motion of less stiffness than this part of the largest has none.
 NO_STIFFNESS = 1e-10
 # Where between the ends of a step a crest of the energy is looked for: Newton's method may have leapt over it.
 BETWEEN = (0.25, 0.5, 0.75)
+# Friction within this part of its bound is at it.
+STICKS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +53,11 @@ class Program:
 
     @property
     def end(self) -> int:
-        """The last load factor."""
+        """Return the last load factor."""
         return len(self.loads) - 1
 
     def at(self, t: float) -> Target:
-        """Load and tie value, without anchors."""
+        """Return load and tie value at a load factor, without anchors."""
         leg = min(int(t), self.end - 1)
         part = t - leg
         if part == 1:
@@ -58,7 +75,7 @@ class LoadControl:
     settings: NewtonSettings
 
     def follow(self, start: Vector | LargeSolution, times: Sequence[float]) -> LargeHistory:
-        """The equilibria at the load factors, from a displacement or from a solution on the way.
+        """Find the equilibria at the load factors, from a displacement or from a solution of the path.
 
         Raises
         ------
@@ -87,7 +104,7 @@ class LoadControl:
         return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
-        """The equilibrium from which the steps set out, near a displacement."""
+        """Find the equilibrium from which the steps set out, near a displacement."""
         target = self.program.at(t)
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchor = self.loaded.contact.positions(displacement)
@@ -128,15 +145,16 @@ class LoadControl:
         return solution
 
     def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
-        """Whether a crest of the energy lies between two equilibria: a negative motion, on the way between their
-        displacements, that keeps ties and the contacts that push at both ends."""
-        start, way = before.displacement, balance.now.displacement - before.displacement
-        if before.negative or not np.any(way):
+        """Say whether a crest of the energy lies between two equilibria: a negative motion, between their
+        displacements, that keeps ties and the contacts that push at both ends.
+        """
+        start, motion = before.displacement, balance.now.displacement - before.displacement
+        if before.negative or not np.any(motion):
             return False
         both = np.flatnonzero((before.normal_force > 0) & (balance.forces.normal > 0))
         rows = sp.vstack([balance.now.contact.normal[both], self.loaded.tie], format="csr")
         for part in BETWEEN:
-            u = start + part * way
+            u = start + part * motion
             if np.isfinite(self.loaded.body.energy(u)):
                 K = sp.csc_array(self.loaded.body.tangent(u))
                 if not positive_semidefinite(K) and negative_on(K, rows):
@@ -144,8 +162,9 @@ class LoadControl:
         return False
 
     def _slack(self, before: LargeSolution) -> bool:
-        """Whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the first
-        load, and what moves far then has not snapped."""
+        """Say whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the
+        first load, and what moves far then has not snapped.
+        """
         if np.any(before.load) or np.any(before.normal_force):
             return False
         K = sp.csc_array(self.loaded.body.tangent(before.displacement))
@@ -153,7 +172,7 @@ class LoadControl:
         return bool(negative_on(sp.csc_array(K - least * sp.identity(K.shape[0])), self.loaded.tie))
 
     def _jump(self, before: LargeSolution, balance: Balance, t: float) -> Snap | None:
-        """Return the snap of a step whose displacement does not shrink with it, or None."""
+        """Return the jump in a step whose displacement does not shrink with it, or None."""
         low, high = before.load_factor, t
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)
@@ -172,11 +191,160 @@ class LoadControl:
         if np.linalg.norm(end - start) < JUMP * whole:
             return None
         j = int(np.argmax(abs(end - start)))
-        told = high - low <= KNOWN * (t - before.load_factor)
-        return Snap(low, high, told, j, float(start[j]), float(end[j]))
+        located = high - low <= LOCATED * (t - before.load_factor)
+        return Snap(low, high, located, j, float(start[j]), float(end[j]))
 
 
 def forces_of(solution: LargeSolution) -> Forces:
-    """The forces of an equilibrium."""
+    """Return the forces of an equilibrium."""
     friction = solution.friction_force if solution.problem.frictional else None
     return Forces(solution.normal_force, solution.tie_force, friction)
+
+
+def large_solution(
+    loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
+) -> LargeSolution:
+    """Return the equilibrium with the certificate of its last Newton step, and say whether it is stable.
+
+    Parameters
+    ----------
+    loaded : LoadedBody
+        The body with its contacts and ties.
+    balance : Balance
+        The equilibrium and its iterations.
+    target : Target
+        Loads, tie values and slip origins.
+    load_factor : float
+        The load factor t.
+    settings : NewtonSettings
+        The settings that found it.
+
+    Raises
+    ------
+    NotCertified
+        The certificate refuses the answer of an exact method.
+    """
+    now, step, forces = balance.now, balance.step, balance.forces
+    problem = in_displacement(step.problem, balance.before.displacement)
+    started = time.perf_counter()
+    friction = forces.friction
+    if friction is None and problem.slip_origin is not None:
+        friction = np.zeros_like(problem.slip_origin)
+    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
+    if step.springs:
+        note = (
+            f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
+            "balance and contact are those of the body, its stability is another question"
+        )
+        certificate = replace(certificate, notes=(*certificate.notes, note))
+    spent = time.perf_counter() - started
+    found = step.solution
+    solution = LargeSolution(
+        problem=problem,
+        displacement=now.displacement,
+        normal_force=forces.normal,
+        friction_force=friction,
+        tie_force=forces.tie,
+        contact_status=contact_status(problem, certificate),
+        free_motions=() if found is None else found.free_motions,
+        certificate=certificate,
+        method=settings.method if found is None else found.method,
+        seconds=balance.seconds + spent,
+        certify_seconds=spent,
+        work=replace(Work() if found is None else found.work, iterations=len(balance.iterations)),
+        history=tuple(iteration.error for iteration in balance.iterations),
+        load_factor=load_factor,
+        load=target.load,
+        tie_value=target.tie_value,
+        increment=step.increment,
+        current_gap=now.contact.gap,
+        current_slip=slipped(loaded, now, target),
+        position=None if loaded.contact is None else loaded.contact.positions(now.displacement),
+        elastic=loaded.body.energy(now.displacement),
+        negative=negative_motions(loaded, balance),
+        iterations=balance.iterations,
+    )
+    if settings.exact and not certificate.passed:
+        failures = "; ".join(certificate.failures)
+        raise NotCertified(f"the certificate refuses the last step: {failures}", solution)
+    return solution
+
+
+def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
+    """Count the motions that lower the energy and leave ties, pushing contacts and sticking ones as they are."""
+    K = loaded.hessian(balance.now, balance.forces)
+    if positive_semidefinite(K):
+        return 0
+    contact, forces = balance.now.contact, balance.forces
+    rows = [contact.normal[np.flatnonzero(forces.normal > 0)], loaded.tie]
+    if forces.friction is not None and loaded.friction is not None and contact.tangent is not None:
+        width = forces.friction.shape[1]
+        sticks = np.linalg.norm(forces.friction, axis=1) < loaded.friction * forces.normal * (1 - STICKS)
+        rows.append(contact.tangent[np.flatnonzero(np.repeat(sticks, width))])
+    return negative_on(K, sp.vstack(rows, format="csr"))
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOpen:
+    """A contact geometry with gaps that are widened, so that some contacts cannot close."""
+
+    geometry: ContactGeometry
+    offset: Vector  # (m,) added to the gaps [length]
+
+    @property
+    def contacts(self) -> int:
+        """Return the number of contacts m."""
+        return self.geometry.contacts
+
+    def state(self, displacement: Vector) -> ContactState:
+        """Return the contacts at a displacement, with the wider gaps."""
+        state = self.geometry.state(displacement)
+        return replace(state, gap=state.gap + self.offset)
+
+    def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
+        """Return the curvature of the geometry, which wider gaps leave as it is."""
+        return self.geometry.curvature(displacement, normal_force)
+
+    def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
+        """Return the slips since the anchors, which wider gaps leave as they are."""
+        return self.geometry.slip_since(displacement, anchor)
+
+    def positions(self, displacement: Vector) -> Vector:
+        """Return the positions of the contacts (m, d) [length]."""
+        return self.geometry.positions(displacement)
+
+
+def balance_with_anchors(
+    loaded: LoadedBody,
+    position: Array,
+    gap: Vector,
+    touching: Any,
+    solve_with: Callable[[LoadedBody, Array], Balance],
+) -> tuple[Balance, Array]:
+    """Return the balance at the end of a step, and the anchors (m, d) of its slips.
+
+    A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
+    had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.
+
+    Parameters
+    ----------
+    position, gap, touching : (m, d), (m,), (m,)
+        At the start of the step.
+    solve_with : function
+        The balance of a body whose slips start at anchors.
+    """
+    found = solve_with(loaded, position)
+    closes = (found.forces.normal > 0) & ~touching
+    if not np.any(closes) or loaded.contact is None:
+        return found, position
+    anchor = position.copy()
+    far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
+    free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
+    try:
+        beyond = solve_with(free, position)
+        end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
+    except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
+        end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
+    fraction = np.clip(gap / np.maximum(gap - reached, np.finfo(float).tiny), 0.0, 1.0)
+    anchor[closes] += (fraction[:, None] * (end - position))[closes]
+    return solve_with(loaded, anchor), anchor

@@ -10,9 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.large.active_kkt import determinant_sign, solve_system
-from contactqp.analysis.large.constrained_newton import Balance
+from contactqp.analysis.large.constrained_newton import Balance, NewtonSettings, Target, stationary_step
 from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody, NewtonIteration
-from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Mask, Vector
 
@@ -26,10 +25,10 @@ class Control(Protocol):
     """The equation c(u, t) = 0 that picks a point of the path; c is a length."""
 
     def value(self, now: Instant, t: float) -> float:
-        """c."""
+        """Return c [length]."""
 
     def row(self, now: Instant, t: float) -> tuple[Vector, float]:
-        """dc/du and dc/dt."""
+        """Return dc/du and dc/dt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +41,12 @@ class Sphere:
     radius: float
 
     def value(self, now: Instant, t: float) -> float:
-        """(distance^2 - radius^2) / (2 radius)."""
+        """Return (distance^2 - radius^2) / (2 radius)."""
         apart, rise = now.displacement - self.displacement, self.scale * (t - self.load_factor)
         return float(apart @ apart + rise * rise - self.radius**2) / (2 * self.radius)
 
     def row(self, now: Instant, t: float) -> tuple[Vector, float]:
-        """(u - u_0) / radius and scale^2 (t - t_0) / radius."""
+        """Return (u - u_0) / radius and scale^2 (t - t_0) / radius."""
         return (now.displacement - self.displacement) / self.radius, self.scale**2 * (
             t - self.load_factor
         ) / self.radius
@@ -55,17 +54,17 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """One unknown has a value."""
+    """The control that gives one unknown a value."""
 
     place: int
     wanted: float
 
     def value(self, now: Instant, t: float) -> float:  # noqa: ARG002
-        """u_j - wanted."""
+        """Return u_j minus the wanted value."""
         return float(now.displacement[self.place] - self.wanted)
 
     def row(self, now: Instant, t: float) -> tuple[Vector, float]:  # noqa: ARG002
-        """The unit vector j, and 0."""
+        """Return the unit vector j, and 0."""
         row = np.zeros(len(now.displacement))
         row[self.place] = 1.0
         return row, 0.0
@@ -73,16 +72,16 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """A contact touches without force: where it closes or opens."""
+    """The control that a contact touches without force: where it closes or opens."""
 
     contact: int
 
     def value(self, now: Instant, t: float) -> float:  # noqa: ARG002
-        """Minus its gap."""
+        """Return minus the gap of the contact."""
         return -float(now.contact.gap[self.contact])
 
     def row(self, now: Instant, t: float) -> tuple[Vector, float]:  # noqa: ARG002
-        """Its row of E_N, and 0."""
+        """Return the contact's row of E_N, and 0."""
         return np.asarray(now.contact.normal[[self.contact]].toarray())[0], 0.0
 
 
@@ -97,13 +96,13 @@ class PathPoint:
 
     @property
     def displacement(self) -> Vector:
-        """u."""
+        """Return u."""
         return self.now.displacement
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """How the path goes on, of length 1: |v|^2 + scale^2 t'^2 = 1."""
+    """The tangent of a path, of length 1: |v|^2 + scale^2 t'^2 = 1."""
 
     displacement: Vector  # v
     load_factor: float  # t'
@@ -112,7 +111,7 @@ class Direction:
     sense: float  # the sign of the determinant of the equations' derivatives with this direction as the last row
 
     def turned(self) -> Direction:
-        """The other way along the path."""
+        """Return the opposite direction along the path."""
         return Direction(-self.displacement, -self.load_factor, -self.normal, -self.tie, -self.sense)
 
 
@@ -128,13 +127,14 @@ class PathEquations:
     scale: float  # length of one unit of load factor
 
     def target(self, t: float) -> Target:
-        """Load and tie values there."""
+        """Return load and tie values at a load factor."""
         return Target(t * self.load, self.tie_start + t * self.tie_rate)
 
     def point(
         self, u: Vector, t: float, forces: Forces, closed: Mask, control: Control, *, finished: bool = True
     ) -> PathPoint:
-        """The equilibrium near a guess, by Newton's method on the closed contacts; the others are not looked at.
+        """Find the equilibrium near a guess, by Newton's method on the closed contacts; open contacts are not
+        checked.
 
         Raises
         ------
@@ -156,21 +156,22 @@ class PathEquations:
             errors = np.abs(np.concatenate([now.contact.gap[B], off, np.array([control.value(now, t)])]))
             allowed = now.contact.rounding
             rounding = np.concatenate([allowed[B], np.zeros(len(off)), np.max(allowed, initial=0.0, keepdims=True)])
-            left = self.loaded.imbalance(now, K, target.load, forces, errors, rounding, self.settings.tolerance)
-            iterations.append(NewtonIteration(left.force, left.length, 1.0, 0.0, changed=False))
-            if left.nothing:
+            residual = self.loaded.imbalance(now, K, target.load, forces, errors, rounding, self.settings.tolerance)
+            iterations.append(NewtonIteration(residual.force, residual.length, 1.0, 0.0, changed=False))
+            if residual.nothing:
                 if not finished:
                     return PathPoint(now, t, forces)
                 grazing = control.contact if isinstance(control, Touch) else None
                 step = stationary_step(self.loaded, before, K, target, du, forces, grazing)
                 spent = time.perf_counter() - started
                 return PathPoint(now, t, forces, Balance(now, forces, before, step, tuple(iterations), spent))
-        raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {left.size:.3g} of forces and lengths")
+        raise NotConverged(f"Newton's method: {ITERATIONS} iterations leave {residual.size:.3g} of forces and lengths")
 
     def direction(
         self, point: PathPoint, closed: Mask, row: Vector, row_t: float, row_forces: Vector | None = None
     ) -> Direction:
-        """The tangent of the path on a set of closed contacts, pointing to where row.v + row_t t' + ... is positive.
+        """Return the tangent of the path on a set of closed contacts, pointing to where row.v + row_t t' + ... is
+        positive.
 
         Raises
         ------
@@ -192,7 +193,7 @@ class PathEquations:
         return Direction(v / length, rate / length, normal / length, tie / length, determinant_sign(matrix))
 
     def onwards(self, point: PathPoint, closed: Mask, before: Direction) -> Direction:
-        """The tangent that goes on as a direction did before.
+        """Return the tangent that continues a direction.
 
         Along a path the sign of the determinant stays, however sharply it turns; it changes where other paths branch
         off, which a path crosses without a turn. At a limit of the load the displacement does not turn either.
@@ -208,7 +209,7 @@ class PathEquations:
         return float(one.displacement @ other.displacement + self.scale**2 * one.load_factor * other.load_factor)
 
     def distance(self, one: PathPoint, other: PathPoint) -> float:
-        """The length |u - u_0|^2 + scale^2 (t - t_0)^2 is the square of."""
+        """Return the length whose square is |u - u_0|^2 + scale^2 (t - t_0)^2."""
         apart = other.displacement - one.displacement
         return float(np.hypot(np.linalg.norm(apart), self.scale * (other.load_factor - one.load_factor)))
 
@@ -219,7 +220,7 @@ class PathEquations:
             raise NotConverged(str(error)) from error
 
     def _bordered(self, K: Any, now: Instant, B: Any, row: Vector, row_forces: Vector, row_t: float) -> Any:
-        """The derivatives of the equations by u, l_B, nu and t, and a last row."""
+        """Return the derivatives of the equations by u, l_B, nu and t, with a last row."""
         b, k = len(B), len(self.tie_rate)
         rows = sp.vstack([now.contact.normal[B], self.loaded.tie], format="csr")
         loads = sp.csr_array(np.concatenate([-self.load, np.zeros(b), -self.tie_rate])[:, None])
@@ -228,7 +229,7 @@ class PathEquations:
         return sp.bmat([[inner, loads], [border, sp.csr_array([[row_t]])]], format="csc")
 
     def _parted(self, found: Vector, B: Any) -> tuple[Vector, Vector, Vector, float]:
-        """u, (m,) l, nu and t of a solution."""
+        """Split a solution into u, (m,) l, nu and t."""
         n, b, k = len(self.load), len(B), len(self.tie_rate)
         normal = np.zeros(self.loaded.contacts)
         normal[B] = found[n : n + b]

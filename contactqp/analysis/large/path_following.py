@@ -1,4 +1,7 @@
-"""Follow paths through limit points, by arc length or by one unknown, from contact event to contact event."""
+"""Paths through limit points, by arc length or by displacement control, from contact event to contact event.
+
+A path that breaks off raises with the history so far.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,9 @@ import scipy.sparse as sp
 
 from contactqp.analysis.history import Event
 from contactqp.analysis.large.active_kkt import by_signs
-from contactqp.analysis.large.constrained_newton import large_solution
+from contactqp.analysis.large.constrained_newton import NewtonSettings
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, LoadedBody
-from contactqp.analysis.large.load_control import LoadControl, Program, forces_of
-from contactqp.analysis.large.newton_step import NewtonSettings
+from contactqp.analysis.large.load_control import LoadControl, Program, forces_of, large_solution
 from contactqp.analysis.large.path_equations import (
     SHARP,
     Control,
@@ -32,6 +34,8 @@ HALVINGS = 12
 TENSION = 1e-12
 # An unknown moves if this part of the path is along it.
 STILL = 1e-12
+# An unknown has reached its value when this part of its whole change remains.
+REACHED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,27 +45,27 @@ class ByArc:
     radius: float
 
     def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
-        """The sphere about the start of the step."""
+        """Return the sphere about the start of the step."""
         return Sphere(start.displacement, start.load_factor, path.scale, part * self.radius)
 
     def length(self, direction: Direction, part: float) -> float:  # noqa: ARG002
-        """How far to go along the direction for the guess."""
+        """Return how far to go along the direction for the guess."""
         return part * self.radius
 
 
 @dataclass(frozen=True, eq=False)
 class ByUnknown:
-    """To a value of one unknown."""
+    """Steps to a value of one unknown."""
 
     place: int
     change: float  # from the start of the step
 
     def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
-        """u_j as it is at the start + part of the change."""
+        """Return the control that u_j is its value at the start plus a part of the change."""
         return Unknown(self.place, start.displacement[self.place] + part * self.change)
 
     def length(self, direction: Direction, part: float) -> float:
-        """How far to go along the direction for the guess.
+        """Return how far to go along the direction for the guess.
 
         Raises
         ------
@@ -78,7 +82,7 @@ Pace = ByArc | ByUnknown
 
 
 class PathFollower:
-    """One path, point by point; events and limit points are points of their own."""
+    """One path, followed point by point; events and limit points are points of their own."""
 
     def __init__(self, path: PathEquations, start: LargeSolution, towards: ByUnknown | None = None) -> None:
         self.path = path
@@ -102,7 +106,7 @@ class PathFollower:
         self._closed, self._direction = closed, ahead
 
     def _set_out(self, sense: float) -> tuple[Mask, Direction]:
-        """The closed contacts and the direction from the start, with the load rising or falling."""
+        """Return the closed contacts and the direction from the start, with the load rising or falling."""
         contact, nothing = self._point.now.contact, np.zeros(len(self.path.load))
         touching = ~self._closed & (contact.gap <= contact.rounding)
         closed = self._first_closed(touching, sense) if np.any(touching) else self._closed
@@ -110,34 +114,36 @@ class PathFollower:
 
     @property
     def history(self) -> LargeHistory:
-        """What was found so far."""
+        """Return the history so far."""
         return LargeHistory(self.solutions, self.notes, self.limit_points, self.events)
 
     @property
     def reached(self) -> PathPoint:
-        """The last point."""
+        """Return the last point."""
         return self._point
 
     @property
     def rate(self) -> Direction:
-        """How the path goes on from there."""
+        """Return the direction in which the path goes on from the last point."""
         return self._direction
 
     def _first_closed(self, touching: Mask, sense: float) -> Mask:
-        """Return which of the contacts that touch without force the load presses."""
+        """Return the contacts that are closed: of those that touch without force, those that the load presses."""
         now, path = self._point.now, self.path
         which = np.flatnonzero(touching)
         K = path.loaded.hessian(now, self._point.forces)
-        held = sp.vstack([now.contact.normal[np.flatnonzero(self._closed)], path.loaded.tie], format="csr")
+        constrained = sp.vstack([now.contact.normal[np.flatnonzero(self._closed)], path.loaded.tie], format="csr")
         value = np.concatenate([np.zeros(int(np.sum(self._closed))), sense * path.tie_rate])
         rows, none = now.contact.normal[which], np.zeros(len(which))
-        _, _, _, pressed = by_signs(K, sense * path.load, rows, none, held, value, np.ones(len(which), dtype=bool))
+        _, _, _, pressed = by_signs(
+            K, sense * path.load, rows, none, constrained, value, np.ones(len(which), dtype=bool)
+        )
         closed = self._closed.copy()
         closed[which[pressed]] = True
         return closed
 
     def advance(self, pace: Pace) -> None:
-        """One step, or as much of it as goes until a contact closes or opens.
+        """Take one step, or the part of it up to where a contact closes or opens.
 
         Raises
         ------
@@ -162,7 +168,7 @@ class PathFollower:
         raise NotConverged(f"no part of a step along the path converges: {failure}") from failure
 
     def _refuse_sharp(self, point: PathPoint, onwards: Direction) -> None:
-        """Raise where the path has turned too far for a point to be known as the next one, or has gone back."""
+        """Raise where the path has turned too sharply for a point to be the next one, or has gone back."""
         start, ahead, path = self._point, self._direction, self.path
         moved, risen = point.displacement - start.displacement, point.load_factor - start.load_factor
         for direction in (ahead, onwards):
@@ -173,7 +179,7 @@ class PathFollower:
             raise NotConverged("the path turns sharply")
 
     def _to(self, pace: Pace, part: float, *, finished: bool = True) -> PathPoint:
-        """The point at a part of the step on the contacts that are closed now."""
+        """Return the point at a part of the step on the contacts that are closed now."""
         start, ahead = self._point, self._direction
         far = pace.length(ahead, part)
         forces = replace(
@@ -186,7 +192,7 @@ class PathFollower:
         return self.path.point(u, t, forces, self._closed, control, finished=finished)
 
     def _first_event(self, point: PathPoint) -> tuple[int, PathPoint] | None:
-        """The contact that first closes or opens on the way to a point, and where it does."""
+        """Return the contact that first closes or opens before a point, and where it does."""
         found: tuple[int, PathPoint] | None = None
         for _ in range(2 * self.path.loaded.contacts + 1):
             wrong = self._fractions(point)
@@ -203,7 +209,7 @@ class PathFollower:
         raise NotConverged("contacts close and open one before the other")
 
     def _fractions(self, point: PathPoint) -> dict[int, float]:
-        """Return for contacts that overlap or pull at a point where, on a straight line, they began to."""
+        """Return, for every contact that overlaps or pulls at a point, where on a straight line it began to."""
         before, gap, force = self._point, point.now.contact.gap, point.forces.normal
         tension = TENSION * max(point.forces.largest, float(np.max(abs(point.now.internal), initial=0.0)))
         overlaps = ~self._closed & (gap < -point.now.contact.rounding)
@@ -215,7 +221,7 @@ class PathFollower:
         return found
 
     def _switch(self, contact: int, point: PathPoint, pace: Pace, part: float) -> None:
-        """The contact closes or opens at the point, and the path turns."""
+        """Close or open the contact at the point, and turn the path."""
         path, opens = self.path, bool(self._closed[contact])
         without = self._closed.copy()
         without[contact] = False
@@ -243,7 +249,7 @@ class PathFollower:
         part: float,
         arriving: Direction | None = None,
     ) -> None:
-        """The point as the next of the history, with the limit points on the way to it."""
+        """Append the point to the history, with the limit points before it."""
         if point.balance is None:
             raise ValueError("a point that was not finished")
         arriving = leaving if arriving is None else arriving
@@ -265,7 +271,7 @@ class PathFollower:
         self._point, self._closed, self._direction = point, closed, leaving
 
     def _limit(self, end: PathPoint, pace: Pace, part: float) -> LimitPoint:
-        """Return the limit point between the last point and the next, where t' vanishes, by bracketing."""
+        """Find where t' vanishes between the last point and the next, by bracketing its root."""
         from scipy.optimize import brentq
 
         if isinstance(pace, ByArc):
@@ -287,22 +293,17 @@ class PathFollower:
         return LimitPoint(kind, point.load_factor, point.displacement, point.forces.normal, after, smooth)
 
 
-# Arc length and displacement control: a path stepped along, with the history so far if it breaks off.
-
-# An unknown has reached its value when this part of its whole way is left.
-REACHED = 1e-13
-
-
 @dataclass(frozen=True, eq=False)
 class PathControl:
-    """A body, its one load and the settings of Newton's method."""
+    """A body, its load and the settings of Newton's method, for paths through limit points."""
 
     loaded: LoadedBody
     program: Program
     settings: NewtonSettings
 
     def follow_arc(self, start: Vector | LargeSolution, steps: int, radius: float | None) -> LargeHistory:
-        """So many steps of one arc length; by default a step is as long as a `steps`-th of the load takes at the start.
+        """Take a number of steps of one arc length; by default a step is as long as a `steps`-th of the load takes
+        at the start.
 
         Raises
         ------
@@ -316,7 +317,7 @@ class PathControl:
         return follower.history
 
     def follow_unknown(self, start: Vector | LargeSolution, steps: int, place: int, wanted: float) -> LargeHistory:
-        """So many equal steps of one unknown to a value.
+        """Take a number of equal steps of one unknown to a value.
 
         Raises
         ------
@@ -330,8 +331,8 @@ class PathControl:
         follower = self._follower(at_rest, ByUnknown(place, wanted - first))
         for k in range(1, steps + 1):
             value = wanted if k == steps else first + (wanted - first) * k / steps
-            while abs(left := value - follower.reached.displacement[place]) > REACHED * abs(wanted - first):
-                _advance(follower, ByUnknown(place, left))
+            while abs(remaining := value - follower.reached.displacement[place]) > REACHED * abs(wanted - first):
+                _advance(follower, ByUnknown(place, remaining))
         return follower.history
 
     def _at_rest(self, start: Vector | LargeSolution) -> LargeSolution:

@@ -1,9 +1,9 @@
-"""Many steps of a motion judged at once, by the figures of the certificate.
+"""The certificate of many steps of a motion at once, by the figures of the certificate.
 
 All steps of a scheme share stiffness and rows: the figures of a block of them are those of
 `contactqp.certificate.figures`, formed by products with a whole block. Residuals are in double precision: each entry
-is known to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. It judges what was
-posed; who answered does not matter.
+is exact to a few dozen roundings of the sizes that meet there, far below any tolerance that passes. The problems are
+judged as the scheme states them, whatever found their results.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
 from contactqp.model.arrays import Vector
 from contactqp.model.coulomb_cone import directions, lengths
@@ -42,7 +42,9 @@ class StepFigures:
     tie: Block
 
     def first_above(self, tolerance: float) -> tuple[int, str, float] | None:
-        """The first step with a figure above a tolerance, its worst figure and how large that is; NaN is infinite."""
+        """Return the first step with a figure above a tolerance, its worst figure and the size of that; NaN counts
+        as infinite.
+        """
         values = np.array([getattr(self, name) for name in FIGURES])
         values = np.where(np.isnan(values), np.inf, values)
         beyond = np.flatnonzero(np.any(values > tolerance, axis=0))
@@ -54,7 +56,7 @@ class StepFigures:
 
 
 class StepJudge:
-    """What the figures need of a template."""
+    """The data of a template that the figures need."""
 
     def __init__(self, template: ContactProblem) -> None:
         self._problem = template
@@ -69,14 +71,16 @@ class StepJudge:
     def _rows(self) -> dict[str, Any]:
         return {"normal": self._N, "tie": self._A} | ({} if self._T is None else {"tangent": self._T})
 
-    def refused(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> tuple[int, str, float] | None:
-        """The first step of a block that is refused, its worst figure and how large that is."""
+    def refused(
+        self, posed: list[StepProblem], answered: list[StepResult], tolerance: float
+    ) -> tuple[int, str, float] | None:
+        """Return the first step of a block that is refused, its worst figure and the size of that, or None."""
         if self._plainly_right(posed, answered, tolerance):
             return None
         return self.figures(posed, answered).first_above(tolerance)
 
-    def _plainly_right(self, posed: list[Posed], answered: list[Answered], tolerance: float) -> bool:
-        """Whether steps without friction or ties are right by less than all of what meets.
+    def _plainly_right(self, posed: list[StepProblem], answered: list[StepResult], tolerance: float) -> bool:
+        """Say whether steps without friction or ties are right by less than all of what meets there.
 
         Residuals within tolerance of K_jj |x_j| + |E_N|'l_N, gaps within that of |E_N||x| + |g|: the figures are then
         no larger. Step by step, while a step's vectors are in the cache.
@@ -87,7 +91,7 @@ class StepJudge:
         for p, a in zip(posed, answered, strict=True):
             residual, size = p.load - self._K @ a.increment, np.abs(a.unknown)
             pushes = bool(a.normal.any())
-            if (pushes or p.looked_at is None or p.looked_at.any()) and not self._contacts_hold(p, a, size, tolerance):
+            if (pushes or p.closable is None or p.closable.any()) and not self._contacts_hold(p, a, size, tolerance):
                 return False
             size *= within
             if pushes:
@@ -98,10 +102,10 @@ class StepJudge:
                 return False
         return True
 
-    def _contacts_hold(self, p: Posed, a: Answered, size: Vector, tolerance: float) -> bool:
-        """Whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
+    def _contacts_hold(self, p: StepProblem, a: StepResult, size: Vector, tolerance: float) -> bool:
+        """Say whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
         room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
-        seen = np.ones(len(room), dtype=bool) if p.looked_at is None else p.looked_at
+        seen = np.ones(len(room), dtype=bool) if p.closable is None else p.closable
         if (a.normal < 0).any() or (pushes & ~seen).any():
             return False
         wrong = (seen & (room < 0)) | (pushes & (room > 0))
@@ -109,13 +113,13 @@ class StepJudge:
             return True
         return not (wrong & (abs(room) > tolerance * (self._sizes[1] @ size + abs(p.gap)))).any()
 
-    def figures(self, posed: list[Posed], answered: list[Answered]) -> StepFigures:
-        """The figures of a block of steps."""
+    def figures(self, posed: list[StepProblem], answered: list[StepResult]) -> StepFigures:
+        """Return the figures of a block of steps."""
         problem = self._problem
         x, (load, F) = np.column_stack([a.unknown for a in answered]), self._loads(posed)
         normal, tie = np.column_stack([a.normal for a in answered]), np.column_stack([a.tie for a in answered])
         friction, gap = np.column_stack([a.friction for a in answered]), np.column_stack([p.gap for p in posed])
-        looked = np.column_stack([np.ones(len(p.gap), bool) if p.looked_at is None else p.looked_at for p in posed])
+        looked = np.column_stack([np.ones(len(p.gap), bool) if p.closable is None else p.closable for p in posed])
         size = abs(x)
         inner = self._sizes[0] @ size
         residual, F = load - self._K @ x, F + inner
@@ -147,8 +151,10 @@ class StepJudge:
             _worst(held),
         )
 
-    def _loads(self, posed: list[Posed]) -> tuple[Block, Block]:
-        """f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x - base."""
+    def _loads(self, posed: list[StepProblem]) -> tuple[Block, Block]:
+        """Return f and its size, (n, steps) each: where there are bases, the load is K base and what acts on x -
+        base.
+        """
         load = np.column_stack([p.load for p in posed])
         bases = [p.base for p in posed if p.base is not None]
         if not bases:
@@ -157,19 +163,20 @@ class StepJudge:
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
     def _intrinsic_size(self, load: Block, x: Block) -> Vector:
-        """(steps,) the size of each step, as in `contactqp.linalg.measures`: loads and |x|_K, inertia
-        included.
+        """Return the size of each step, (steps,), as `contactqp.linalg.measures.intrinsic_size` does.
+
+        It is that of the loads and of |x|_K, inertia included.
         """
         D = np.divide(1.0, self._unit, out=np.zeros_like(self._unit), where=self._unit > 0)
         strain = np.sqrt(np.maximum(np.sum(x * (self._K @ x), axis=0), 0.0))
         return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))
 
     def _no_length(self, name: str, length: Block, whole: Vector) -> Block:
-        """The lengths of rows up to which there are none, beside those that meet there."""
+        """Return the lengths of rows below which they count as none, beside those that meet there."""
         return np.maximum(NOTHING * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
 
     def _forces(self, force: Block, F: Block, none: Block) -> Block:
-        """max_j |E_ij l_i| / F_j (m, steps), without what is nothing."""
+        """Return max_j |E_ij l_i| / F_j, (m, steps), where negligible forces count as none."""
         measure = np.zeros_like(force)
         acting = np.any(force != 0, axis=1)[self._entries.row]
         row, column, size = self._entries.row[acting], self._entries.col[acting], self._entries.data[acting]
@@ -177,9 +184,11 @@ class StepJudge:
         return measure
 
     def _coulomb(
-        self, posed: list[Posed], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
+        self, posed: list[StepProblem], x: Block, normal: Block, friction: Block, F: Block, whole: Vector
     ) -> tuple[Block, Block]:
-        """|l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its lengths."""
+        """Return |l_T| beyond the cone and away from the slip, over the forces that meet, and the slip over its
+        lengths.
+        """
         steps, m = x.shape[1], len(normal)
         if self._T is None or not len(friction):
             return np.zeros(steps), np.zeros(steps)
@@ -203,7 +212,9 @@ class StepJudge:
         return _worst(cone.reshape(m, steps)), _worst(direction.reshape(m, steps))
 
     def _meeting_at_tangents(self, F: Block) -> Block:
-        """(m, steps) the least F_j / |E_T|_ij, the length of column j, of what the rows of a contact touch."""
+        """Return the least F_j / |E_T|_ij, |E_T|_ij the length of column j, over the unknowns that the rows of a
+        contact touch, (m, steps).
+        """
         assert self._T is not None
         squares = sp.coo_matrix(self._T.multiply(self._T))
         width = self._T.shape[0] // self._N.shape[0]
@@ -216,5 +227,5 @@ class StepJudge:
 
 
 def _worst(values: Block) -> Block:
-    """The worst of each step, NaN included."""
+    """Return the worst figure of each step, NaN included."""
     return np.asarray(np.max(values, axis=0, initial=0.0))

@@ -15,11 +15,11 @@ from scipy.sparse.csgraph import connected_components
 from contactqp.distributed.environment import block_type, petsc
 from contactqp.distributed.pieces.partition_mesh import DealtMesh
 from contactqp.distributed.ranks import Ranks, asked
-from contactqp.elements.facet import Surface
 from contactqp.elements.geometry import Block, batches
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.solid import Body, pattern
 from contactqp.elements.structure import Part, Structure
+from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index
 

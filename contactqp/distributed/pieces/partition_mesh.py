@@ -14,7 +14,7 @@ from contactqp.distributed.pieces.sources import OUTSIDE, Share, Source
 from contactqp.distributed.ranks import Ranks, asked
 from contactqp.elements.geometry import Block, facet_keys, groups
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import REFERENCES
+from contactqp.elements.reference_elements import REFERENCES
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Index
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.ranks import Ranks, asked
 from contactqp.elements.lattice import Lattice
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.reference import REFERENCES, Reference
+from contactqp.elements.reference_elements import REFERENCES, Reference
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Index
 

@@ -1,6 +1,6 @@
 """A load path with Coulomb friction in steps on the ranks of MPI, contacts anchored as in one process.
 
-What a step needs to know of the contacts before it (`contactqp.analysis.friction_stepping`) is whole on every rank: as
+What a step needs to know of the contacts before it (`contactqp.analysis.friction_step`) is whole on every rank: as
 many numbers as there are contacts. All ranks decide alike then.
 """
 
@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from contactqp.analysis.friction_stepping import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, kinds, step_to
-from contactqp.analysis.history import Energies, Event
+from contactqp.analysis.friction_step import SAME, TOUCHING, WIDENED, Anchors, SolvedStep, State, step_to
+from contactqp.analysis.history import Energies, Event, contact_changes
 from contactqp.distributed.problem import DistributedProblem, DistributedSolution
 from contactqp.distributed.solving import solve_distributed
 from contactqp.distributed.violations import row_sizes
@@ -48,7 +47,7 @@ def follow_rubbing(
 
 
 class _Stepper:
-    """As `contactqp.analysis.friction_stepping.SolveStepper`; everything is collective."""
+    """As `contactqp.analysis.friction_step.SolveStepper`; everything is collective."""
 
     before: DistributedSolution
 
@@ -128,10 +127,7 @@ def changes_of_rubbing(
 ) -> Iterator[Event]:
     """Every change of state, at the first step that shows it. Collective."""
     known = [(one.normal_force > 0, (one.normal_force > 0) & (one.contact_status == "slip")) for one in solutions]
-    for (before, now), time in zip(pairwise(known), times[1:], strict=True):
-        for i, name in enumerate(names):
-            for kind in kinds((before[0][i], before[1][i]), (now[0][i], now[1][i])):
-                yield Event(kind, i, time, name)
+    return contact_changes(known, times, names.__getitem__)
 
 
 def energies_of_rubbing(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:

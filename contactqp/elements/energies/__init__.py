@@ -1,1 +1,1 @@
-"""Quadratic energies with constraints that are no contacts: what only pulls, only pushes, is bounded, or yields."""
+"""Quadratic energies with constraints that are no contacts: parts that only pull, only push, are bounded, or yield."""

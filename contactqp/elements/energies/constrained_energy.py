@@ -1,4 +1,8 @@
-"""Quadratic energies with parts and constraints, their minimum, and what each part carries there."""
+"""A quadratic energy with parts and constraints, its minimum, and the state of each part there.
+
+A part of a structure contributes energy, unknowns of its own and constraints; the multipliers of the minimum are its
+forces.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +24,15 @@ from contactqp.model.problem_data import ReadOnly, is_number, is_whole, read_sti
 from contactqp.model.solution import Certificate, Solution
 from contactqp.solving.solve import solve
 
-# What a part of a structure adds to a quadratic energy, and what the minimum says about it.
-
 # A linear form of the unknowns by their names.
 Form = Mapping[str, float]
+# Below this a dense matrix costs nothing and is easier to look at.
+DENSE_SIZE = 64
 
 
 @dataclass(frozen=True)
 class Square:
-    """1/2 stiffness (form(u) - offset)^2."""
+    """The energy 1/2 stiffness (form(u) - offset)^2."""
 
     form: Form
     stiffness: float
@@ -37,7 +41,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Condition:
-    """form(u) <= bound, or = bound in a tie."""
+    """The constraint form(u) <= bound, or form(u) = bound in a tie."""
 
     name: str
     form: Form
@@ -46,7 +50,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a part adds: unknowns of its own, energy, constraints."""
+    """The unknowns, energy and constraints that a part adds."""
 
     internal: tuple[str, ...] = ()
     squares: tuple[Square, ...] = ()
@@ -57,7 +61,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Found:
-    """Unknowns and multipliers of a minimum by their names."""
+    """Unknowns and multipliers of a minimum, by their names."""
 
     unknown: Mapping[str, float]
     multiplier: Mapping[str, float]  # of conditions, one-sided ones not negative
@@ -68,7 +72,7 @@ class Found:
 
 @dataclass(frozen=True)
 class PartState:
-    """One part at the minimum."""
+    """The state of one part at the minimum."""
 
     deformation: float  # elongation, rotation, or the bounded combination of unknowns
     force: float  # what the part resists it with; the docstring of the part says which sign
@@ -83,14 +87,14 @@ class Part(Protocol):
     def name(self) -> str: ...
 
     def contribution(self) -> Contribution:
-        """What it adds."""
+        """Return what the part adds."""
 
     def state(self, found: Found) -> PartState:
-        """What became of it."""
+        """Return the state of the part at a minimum."""
 
 
 def read_form(part: str, given: Any) -> dict[str, float]:
-    """A linear form as its user wrote it, zeros left out.
+    """Read a linear form as its user wrote it, without zeros.
 
     Raises
     ------
@@ -107,7 +111,18 @@ def read_form(part: str, given: Any) -> dict[str, float]:
 
 
 def read_number(what: str, value: Any, *, positive: bool = False, above: float | None = None) -> float:
-    """A finite number.
+    """Read a finite number.
+
+    Parameters
+    ----------
+    what : str
+        What a message calls the number.
+    value : object
+        The number as the user gave it.
+    positive : bool
+        Whether it must be above zero.
+    above : float, optional
+        A number that it must be above.
 
     Raises
     ------
@@ -124,7 +139,7 @@ def read_number(what: str, value: Any, *, positive: bool = False, above: float |
 
 
 def plus(form: Form, others: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """A form with unknowns of the part's own."""
+    """Return a form with unknowns of the part's own added."""
     return dict(form) | dict(others)
 
 
@@ -132,14 +147,10 @@ def minus(form: Form) -> dict[str, float]:
     return {name: -factor for name, factor in form.items()}
 
 
-# Below this a dense matrix costs nothing and is easier to look at.
-DENSE_SIZE = 64
-
-
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedEnergy:
-    """min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
+    """The problem min 1/2 u'Ku - f'u + the energies of the parts, subject to their constraints.
 
     Parameters
     ----------
@@ -196,22 +207,22 @@ class ConstrainedEnergy:
         object.__setattr__(self, "_contributions", {part.name: part.contribution() for part in self.parts})
         _refuse_twice("unknown", self.all_unknowns)
         _refuse_twice("constraint", [condition.name for condition in chain(self._unilateral, self._ties)])
-        known = set(self.all_unknowns)
+        stated = set(self.all_unknowns)
         for name, added in self._contributions.items():
             forms = [s.form for s in added.squares] + [c.form for c in (*added.unilateral, *added.ties)]
             for unknown in chain(*forms, added.load or ()):
-                if unknown not in known:
+                if unknown not in stated:
                     raise InvalidProblem(f"{name}: expected unknowns of {_some(self.names)}, got {unknown!r}")
         object.__setattr__(self, "problem", self._assembled())
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The user's unknowns."""
+        """Return the user's unknowns."""
         return tuple(self.unknowns)  # type: ignore[arg-type]  # names, since __post_init__
 
     @property
     def all_unknowns(self) -> tuple[str, ...]:
-        """The user's unknowns, and those that parts bring with them."""
+        """Return the user's unknowns, and those that parts bring with them."""
         return (*self.names, *chain.from_iterable(added.internal for added in self._contributions.values()))
 
     @property
@@ -224,7 +235,7 @@ class ConstrainedEnergy:
 
     @property
     def constant(self) -> float:
-        """What the energy is at u = 0: 1/2 k offset^2 of what is prestressed."""
+        """Return the energy at u = 0: 1/2 k offset^2 of the prestressed parts."""
         squares = chain.from_iterable(added.squares for added in self._contributions.values())
         return float(sum(square.stiffness * square.offset**2 / 2 for square in squares))
 
@@ -267,14 +278,14 @@ class ConstrainedEnergy:
         return sp.csc_matrix((entries.data, (entries.row, entries.col)), shape=(n, n))
 
     def solve(self, method: str = "active-set", **options: Any) -> ConstrainedMinimum:
-        """The minimum; parameters and errors as `contactqp.solve`.
+        """Return the minimum; parameters and errors are those of `contactqp.solve`.
 
         A load that nothing resists, such as one beyond the plastic limit, is `NoEquilibrium`.
         """
         return self.read(solve(self.problem, method, **options))
 
     def read(self, solution: Solution) -> ConstrainedMinimum:
-        """What a solution of `problem`, however it was found, says about the parts."""
+        """Return what a solution of `problem`, however it was found, says about the parts."""
         if solution.problem.dof_names != self.problem.dof_names:
             raise InvalidProblem("read: expected a solution of this energy's own problem")
         return ConstrainedMinimum(self, solution)
@@ -283,7 +294,7 @@ class ConstrainedEnergy:
 @computes
 @dataclass(frozen=True, eq=False)
 class ConstrainedMinimum(ReadOnly):
-    """The minimum of a constrained energy and what its parts carry there; `minimum["x"]` is an unknown."""
+    """The minimum of the energy and the state of every part there; `minimum["x"]` is an unknown."""
 
     of: ConstrainedEnergy
     solution: Solution
@@ -294,12 +305,12 @@ class ConstrainedMinimum(ReadOnly):
 
     @property
     def displacement(self) -> Vector:
-        """(n,) the user's unknowns, in their order."""
+        """Return the user's unknowns (n,), in their order."""
         return np.asarray(self.solution.displacement[: len(self.of.names)])
 
     @property
     def energy(self) -> float:
-        """1/2 u'Ku - f'u and the energies of the parts."""
+        """Return 1/2 u'Ku - f'u and the energies of the parts."""
         return self.solution.energy + self.of.constant
 
     def __getitem__(self, name: str) -> float:
@@ -307,12 +318,12 @@ class ConstrainedMinimum(ReadOnly):
 
     @property
     def multiplier(self) -> Mapping[str, float]:
-        """The multiplier of every constraint by its name; those of one-sided constraints are not negative."""
+        """Return the multiplier of every constraint by its name; those of one-sided ones are not negative."""
         return self._found.multiplier
 
     @cached_property
     def parts(self) -> Mapping[str, PartState]:
-        """What each part carries."""
+        """Return the state of each part by its name."""
         return {part.name: part.state(self._found) for part in self.of.parts}
 
     @cached_property

@@ -41,7 +41,7 @@ class _Bound:
 
 @dataclass(frozen=True)
 class AtMost(_Bound):
-    """form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
+    """The constraint form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class AtMost(_Bound):
 
 @dataclass(frozen=True)
 class AtLeast(_Bound):
-    """form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
+    """The constraint form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class AtLeast(_Bound):
 
 @dataclass(frozen=True)
 class Equal(_Bound):
-    """form(u) = bound: a support, or a constraint on several unknowns; its force is nu of K u + A'nu = f.
+    """The constraint form(u) = bound, a support or a tie of several unknowns; its force is nu of K u + A'nu = f.
 
     Raises
     ------
@@ -88,7 +88,8 @@ class Equal(_Bound):
 
 @dataclass(frozen=True)
 class Obstacle(ReadOnly):
-    """lower <= u_j <= upper for many unknowns; its force is that of the lower bounds less that of the upper ones.
+    """The bounds lower <= u_j <= upper on many unknowns; their force is that of the lower bounds less that of the
+    upper ones.
 
     Each bound is a constraint of its own: "<name>: <unknown> from below" or "from above" is what
     `ConstrainedMinimum.multiplier` calls it. `deformation` is the least distance of an unknown from a bound.

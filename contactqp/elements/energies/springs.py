@@ -1,4 +1,4 @@
-"""Springs, cables that only pull, struts that only push, and plastic hinges, as parts of a constrained energy.
+"""Springs that pull and push, cables that only pull, struts that only push, and plastic hinges that yield.
 
 A cable's energy is 1/2 k max(e, 0)^2 with e = elongation - slack. It is the least of a quadratic one over a slackening
 s that is not negative,
@@ -7,6 +7,15 @@ s that is not negative,
 
 so that the multiplier l of s >= 0 is the tension. An inextensible cable is the constraint elongation <= slack, its
 multiplier again the tension. A strut is a cable for the shortening.
+
+The rotation t of a plastic hinge has a plastic part p+ - p-, both not negative.
+
+    min over p+, p- >= 0 of 1/2 k (t - p+ + p-)^2 + M+ p+ + M- p-,      M = k (t - p+ + p-)
+
+The multipliers of p+ >= 0 and p- >= 0 are M+ - M and M- + M, how far the moment is from yielding in either direction:
+it stays between its bounds, and the plastic parts grow only where it reaches them. A rigid hinge has the constraint
+t = p+ - p- in place of the energy, and M is its multiplier. This is deformation theory: the answer to one load that
+grows from nothing in proportion, without unloading (Maier 1970; Cohn and Maier, eds., 1979).
 """
 
 from __future__ import annotations
@@ -31,7 +40,7 @@ from contactqp.errors import InvalidProblem
 
 @dataclass(frozen=True)
 class Spring:
-    """1/2 k (elongation(u) - rest)^2; its force is k (elongation - rest), positive in tension.
+    """The energy 1/2 k (elongation(u) - rest)^2; its force is k (elongation - rest), positive in tension.
 
     Parameters
     ----------
@@ -68,7 +77,7 @@ class Spring:
 
 @dataclass(frozen=True)
 class Cable:
-    """Pulls with k max(elongation - slack, 0) and never pushes; its force is the tension, a multiplier.
+    """A cable that pulls with k max(elongation - slack, 0) and never pushes; its force is the tension, a multiplier.
 
     Parameters
     ----------
@@ -114,7 +123,8 @@ class Cable:
 
 @dataclass(frozen=True)
 class Strut:
-    """Pushes with k max(-elongation - gap, 0) and never pulls: a prop, or a spring that takes no tension.
+    """A strut that pushes with k max(-elongation - gap, 0) and never pulls: a prop, or a spring that takes no
+    tension.
 
     Its force is the compression, a multiplier, not negative.
 
@@ -166,7 +176,7 @@ def _read_one_sided(part: Any, play: str) -> None:
 
 
 def _one_sided(name: str, deformation: Form, stiffness: float | None, play: float) -> Contribution:
-    """Resists a deformation beyond `play` only."""
+    """Return the contribution that resists a deformation beyond `play` only."""
     if stiffness is None:
         return Contribution(unilateral=(Condition(name, deformation, play),))
     rest = f"{name}: slackening"
@@ -175,16 +185,6 @@ def _one_sided(name: str, deformation: Form, stiffness: float | None, play: floa
         squares=(Square(plus(deformation, [(rest, 1.0)]), stiffness, play),),
         unilateral=(Condition(name, {rest: -1.0}, 0.0),),
     )
-
-
-# Plastic hinges as bounds: the rotation t of a hinge has a plastic part p+ - p-, both not negative.
-#
-#     min over p+, p- >= 0 of 1/2 k (t - p+ + p-)^2 + M+ p+ + M- p-,      M = k (t - p+ + p-)
-#
-# The multipliers of p+ >= 0 and p- >= 0 are M+ - M and M- + M, how far the moment is from yielding either way: it stays
-# between its bounds, and what is plastic grows only where it reaches them. A rigid hinge has the constraint t = p+ - p-
-# in place of the energy, and M is its multiplier. This is deformation theory: the answer to one load that grows from
-# nothing in proportion; it remembers no unloading (Maier 1970; Cohn and Maier, eds., 1979).
 
 
 @dataclass(frozen=True)

@@ -4,24 +4,228 @@ A hypothesis is tested against the problem and the right answer: undone, the ans
 two digits; or it must be the right answer to the other question that is named. The families are asked in turn, those
 that take no solution first, and the first that explains the answer is believed: within it the best explanation, and
 any other that is as good. Where none does but a factor without a name, a sign or a unit may hide another mistake.
+
+One family is another question rightly answered: gaps, contacts, ties, loads or friction that were left out or taken
+otherwise. Each of its hypotheses is a problem of its own, solved and held against what was given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
+from contactqp.errors import ContactQPError
+from contactqp.linalg.condensation import unknown_scale
+from contactqp.linalg.iteration import iterated
+from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
-from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, symptoms, unit_of
+from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, symptoms, unit_of
 from contactqp.oracle.diagnosis.laws import laws
 from contactqp.oracle.diagnosis.mix_ups import duplicates, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
-from contactqp.oracle.diagnosis.other_questions import other_questions, too_large
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judged_contacts import JudgedContact
 from contactqp.oracle.foreign.recovery import missing_parts
+from contactqp.solving.solve import solve
+
+# Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
+LARGEST, LARGEST_OF_OTHER_ROWS, MOST_CONTACTS = 200_000, 60_000, 1500
+
+
+class Question(NamedTuple):
+    """Another problem, and what answering it instead would be called."""
+
+    kind: str
+    text: str
+    problem: ContactProblem
+    kept: NDArray[np.intp] | None = None  # its contacts among those of the problem; None: all
+    ties: int = 0  # how many of its first ties are contacts held both ways
+    held: NDArray[np.intp] | None = None  # which these are
+
+
+def too_large(problem: ContactProblem) -> bool:
+    """Whether some other questions are left unasked."""
+    return problem.dimension > LARGEST_OF_OTHER_ROWS or problem.contacts > MOST_CONTACTS
+
+
+def _asked(problem: ContactProblem, question: Question) -> bool:
+    other_rows = question.kept is not None or question.problem.ties != problem.ties
+    return not (other_rows and too_large(problem))
+
+
+def other_questions(evidence: Evidence) -> Iterator[Explanation]:
+    """The questions whose right answer was given."""
+    problem = evidence.problem
+    if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
+        return
+    for question in _questions(evidence):
+        if not _asked(problem, question) or unbalanced(evidence, question.problem.load):
+            continue
+        answer = _answered(problem, question)
+        if answer is None:
+            continue
+        left = evidence.apart(evidence.given, answer)
+        if left <= LEFT and (evidence.explains(left) or evidence.right is None):
+            yield Explanation(Finding(question.kind, question.text, True), left)
+
+
+def unbalanced(evidence: Evidence, load: Vector) -> bool:
+    """Whether a complete answer is too far from equilibrium with a load to be near any that balances it.
+
+    With D = 1/sqrt(K_jj), |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough
+    to be an explanation has D^-1 du and the forces within LEFT of theirs.
+    """
+    problem, given = evidence.problem, evidence.given
+    if evidence.recovered or given.displacement is None:
+        return False
+    D = unknown_scale(problem)
+    answer = given.filled(problem)
+    inner = problem.stiffness @ answer.displacement
+    r = D * (load - inner - problem.normal.T @ answer.normal_force - problem.tie.T @ answer.tie_force)
+    rows = np.asarray(abs(sp.csr_matrix(problem.stiffness)) @ D) * D
+    size = float(np.max(rows, initial=0.0)) * float(np.max(abs(answer.displacement) / D, initial=0.0))
+    parts = [(problem.normal, answer.normal_force), (problem.tie, answer.tie_force)]
+    if problem.tangent is not None and answer.friction_force is not None:
+        rubbing = answer.friction_force.ravel()
+        r = r - D * (problem.tangent.T @ rubbing)
+        parts.append((problem.tangent, rubbing))
+    largest = 0.0
+    for matrix, force in parts:
+        weight = np.sqrt(np.asarray(matrix.multiply(matrix) @ D**2).ravel())
+        largest = max(largest, float(np.max(weight * abs(force), initial=0.0)))
+    count = sum(int(np.max(np.diff(sp.csc_matrix(matrix).indptr), initial=0)) for matrix, _ in parts)
+    return float(np.max(abs(r), initial=0.0)) > 2 * LEFT * (size + count * largest)
+
+
+def _answered(problem: ContactProblem, question: Question) -> Answer | None:
+    """The right answer to the other question, as one to this problem."""
+    try:
+        found = solve(question.problem)
+    except ContactQPError:
+        return None
+    if question.kept is None and question.held is None:
+        return Answer(found.displacement, found.normal_force, _friction(problem, found, None), _ties(problem, found, 0))
+    kept = np.arange(problem.contacts) if question.kept is None else question.kept
+    force = np.zeros(problem.contacts)
+    force[kept] = found.normal_force
+    if question.held is not None:
+        force[question.held] = found.tie_force[: question.ties]
+    return Answer(found.displacement, force, _friction(problem, found, kept), _ties(problem, found, question.ties))
+
+
+def _friction(problem: ContactProblem, found: Solution, kept: NDArray[np.intp] | None) -> NDArray[np.float64] | None:
+    if problem.slip_origin is None:
+        return None
+    friction = np.zeros(problem.slip_origin.shape)
+    if found.friction_force is not None:
+        friction[slice(None) if kept is None else kept] = found.friction_force
+    return friction
+
+
+def _ties(problem: ContactProblem, found: Solution, skipped: int) -> NDArray[np.float64]:
+    rest = found.tie_force[skipped:]
+    return rest if len(rest) == problem.ties else np.zeros(problem.ties)
+
+
+def _questions(evidence: Evidence) -> Iterator[Question]:
+    problem, gap = evidence.problem, evidence.problem.gap
+    closing = np.isfinite(gap)  # the others never close, whatever is done to their gaps
+    if np.any(gap[closing] != 0):
+        without = problem.replace(gap=np.where(closing, 0.0, gap))
+        yield Question("gap-ignored", "it is the right answer without the initial gaps", without)
+        text = "it is the right answer with the initial gaps of the opposite sign"
+        yield Question("gap-sign", text, problem.replace(gap=np.where(closing, -gap, gap)))
+        found = evidence.certificate.violations
+        pushes = found is not None and bool(np.any(found.force_measure > evidence.certificate.tolerance))
+        # Without any force large gaps are no contact at all.
+        for factor in (1e3, 1e-3) if pushes else ():
+            text = f"it is the right answer with the initial gaps {factor:g} times as large: in another unit?"
+            yield Question("gap-unit", text, problem.replace(gap=factor * gap))
+    if np.any(gap < 0) and np.any(gap > 0):
+        text = "it is the right answer without the initial overlaps: where bodies overlap the gap was taken as zero"
+        yield Question("overlap-ignored", text, problem.replace(gap=np.maximum(gap, 0.0)))
+    if np.any(problem.load):
+        for factor, said in ((-1.0, "the load with the opposite sign"), (0.0, "no load"), (2.0, "twice the load")):
+            yield Question("load", f"it is the right answer to {said}", problem.replace(load=factor * problem.load))
+        yield Question("load", "it is the right answer to half the load", problem.replace(load=0.5 * problem.load))
+    if problem.ties:
+        text = "it is the right answer without the ties"
+        yield Question("ties-ignored", text, problem.replace(tie=None, tie_value=None))
+        if np.any(problem.tie_value):
+            text = "it is the right answer with all tie values zero"
+            yield Question("tie-value-ignored", text, problem.replace(tie_value=0 * problem.tie_value))
+    if problem.frictional:
+        frictionless = problem.replace(friction=np.zeros(problem.contacts))
+        yield Question("friction-ignored", "it is the right answer without friction", frictionless)
+        if problem.slip_origin is not None and np.any(problem.slip_origin):
+            text = "it is the right answer with slip counted from zero: slip_origin was left out"
+            yield Question("slip-origin", text, problem.replace(slip_origin=0 * problem.slip_origin))
+    yield from _without_contacts(evidence)
+    yield from _held(evidence)
+
+
+def _without_contacts(evidence: Evidence) -> Iterator[Question]:
+    """No contact at all; all but those that are penetrated and do not push."""
+    problem, found = evidence.problem, evidence.certificate.violations
+    none = np.zeros(0, dtype=np.intp)
+    if found is None or not problem.contacts:
+        return
+    limit = evidence.certificate.tolerance
+    largest = float(np.max(found.force_measure, initial=0.0))
+    if largest <= limit:
+        yield Question("free", "it is the right answer without any contact", problem.with_contacts(none), none)
+    missed = np.flatnonzero((found.penetration > limit) & (found.force_measure <= max(limit, 1e-6 * largest)))
+    if evidence.given.displacement is None:
+        missed = _unpressed(evidence)
+    if largest > limit and missed.size and len(missed) < problem.contacts:
+        kept = np.setdiff1d(np.arange(problem.contacts), missed)
+        names = [problem.contact_name(int(i)) for i in missed[:NAMED]]
+        more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
+        text = f"it is the right answer without {', '.join(names)}{more}: contact was missed there"
+        yield Question("contact-missed", text, problem.with_contacts(kept), kept)
+
+
+def _unpressed(evidence: Evidence) -> NDArray[np.intp]:
+    """Contacts that should push and do not."""
+    if evidence.right is None:
+        return np.zeros(0, dtype=np.intp)
+    should = evidence.right.normal_force
+    largest = float(np.max(abs(should), initial=0.0))
+    return np.flatnonzero((should > 1e-6 * largest) & (abs(evidence.answer.normal_force) <= 1e-9 * largest))
+
+
+def _held(evidence: Evidence) -> Iterator[Question]:
+    """Contacts that hold both ways: those that the answer closes, all of them, those that pull."""
+    problem, found = evidence.problem, evidence.certificate.violations
+    if not problem.contacts or found is None or problem.frictional:
+        return
+    limit = evidence.certificate.tolerance
+    acting = np.flatnonzero(found.force_measure > limit)
+    touching = np.flatnonzero((found.gap_measure <= limit) | ~np.isfinite(found.lengths))
+    pulling = np.flatnonzero(found.tension > limit)
+    tried: set[bytes] = set()
+    for held in (np.arange(problem.contacts), acting, touching):
+        held = held[np.isfinite(problem.gap[held])]
+        key = held.astype(np.intp).tobytes()
+        if not held.size or key in tried:
+            continue
+        tried.add(key)
+        kept = np.setdiff1d(np.arange(problem.contacts), held)
+        rows = sp.vstack([sp.csr_matrix(problem.normal[held]), sp.csr_matrix(problem.tie)])
+        values = np.concatenate([problem.gap[held], problem.tie_value])
+        glued = problem.with_contacts(kept).replace(tie=rows, tie_value=values)
+        names = ", ".join(problem.contact_name(int(i)) for i in pulling[:NAMED])
+        what = "all contacts" if len(held) == problem.contacts else f"{len(held)} contacts"
+        text = f"{what} are held both ways, as if glued" + (f": {names} in tension" if names else "")
+        yield Question("bilateral", text, glued, kept, len(held), held)
+
 
 Family = Callable[[Evidence], Iterator[Explanation]]
 # Families that are weighed against each other, group after group.

@@ -14,9 +14,7 @@ from typing import Any
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import Unsupported
-from contactqp.oracle.exact.complementarity import Family, Range, block_of, blocks, reduce_problem
-from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
-from contactqp.oracle.exact.rational import (
+from contactqp.linalg.rational import (
     NoSolution,
     beside,
     fraction,
@@ -29,6 +27,8 @@ from contactqp.oracle.exact.rational import (
     take_columns,
     zeros,
 )
+from contactqp.oracle.exact.complementarity import Family, Range, block_of, blocks, reduce_problem
+from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
 
 # The linear system of one combination of open, closed, stick and slip, in rational numbers.
 #

@@ -18,8 +18,8 @@ from fractions import Fraction
 
 from flint import fmpq, fmpq_mat
 
-from contactqp.oracle.exact.exact_problem import RationalProblem
-from contactqp.oracle.exact.rational import (
+from contactqp.linalg.exact_algebra import Polyhedron
+from contactqp.linalg.rational import (
     NoSolution,
     Undecided,
     beside,
@@ -32,7 +32,7 @@ from contactqp.oracle.exact.rational import (
     take_columns,
     zeros,
 )
-from contactqp.solving.friction.exact_algebra import Polyhedron
+from contactqp.oracle.exact.exact_problem import RationalProblem
 
 # Lemke's method in rational numbers, with lexicographic ratio tests: finite, and its ray proves infeasibility.
 #

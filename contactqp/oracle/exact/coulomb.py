@@ -15,11 +15,11 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import Unsupported
+from contactqp.linalg.rational import column, fraction, from_fraction
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.closed_set import Combination, Direction, Settled, balanced, system_of
 from contactqp.oracle.exact.exact_problem import RationalProblem
-from contactqp.oracle.exact.rational import column, fraction, from_fraction
 from contactqp.solving.friction.exact_enumeration import (
     MOST_CONTACTS,
     MOST_UNKNOWNS,

@@ -18,11 +18,11 @@ import flint
 import numpy as np
 from flint import arb, arb_mat
 
-from contactqp.elements.exact import irrational_roots
+from contactqp.elements.scalars import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
+from contactqp.linalg.rational import fraction, from_fraction
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts, rounded_up
-from contactqp.oracle.exact.rational import fraction, from_fraction
 from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
 
@@ -244,8 +244,8 @@ def _row(row: Mapping[str, Any], place: Mapping[str, int]) -> list[arb]:
 
 
 def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
-    """Elements are positive semidefinite one by one; matrices that somebody gave are not known to be."""
-    if not scene.matrices:
+    """Refuse a stiffness that may be indefinite: elements are semidefinite one by one, given matrices need not be."""
+    if all(element.semidefinite for _, element in scene.elements):
         return
     pivots = [list(row) for row in balls.K]
     for i, row in enumerate(pivots):

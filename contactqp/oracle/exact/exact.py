@@ -108,7 +108,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     (['1', '1'], ['0', '2'])
     """
     started = time.perf_counter()
-    importlib.import_module("contactqp.oracle.exact.rational")  # which says so where python-flint is missing
+    importlib.import_module("contactqp.linalg.rational")  # which says so where python-flint is missing
     if isinstance(problem, ContactProblem):
         if problem.rigid_change > 0:
             raise Unsupported(
@@ -215,7 +215,7 @@ def _of_scene(
 
 def _corners(model: NodeModel) -> list[Any]:
     """The exact loads (n, 1) of the path's corners on the free unknowns."""
-    from contactqp.oracle.exact.rational import column
+    from contactqp.linalg.rational import column
     from contactqp.scene.unknowns import end_time
 
     free = model.exact.unknowns.free

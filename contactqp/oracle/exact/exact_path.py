@@ -21,11 +21,12 @@ from itertools import product
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
+from contactqp.linalg.exact_algebra import Polyhedron, dot
+from contactqp.linalg.rational import beside, fraction, is_zero, null_space, stack, take, zeros
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
 from contactqp.oracle.exact.closed_set import Combination, System, system_of
 from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
 from contactqp.oracle.exact.exact_solution import ExactEvent
-from contactqp.oracle.exact.rational import beside, fraction, is_zero, null_space, stack, take, zeros
-from contactqp.solving.friction.exact_algebra import Polyhedron
 
 # Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
 
@@ -61,7 +62,7 @@ class LooseRates:
         for row in _transposed(pushes, sum(int(part.nrows()) for part in _forces(ways[0]))):
             if any(row) and self.forces_known:
                 low, high = region.range(row)
-                self.forces_known = low is not None and high is not None and _product(row, low) == _product(row, high)
+                self.forces_known = low is not None and high is not None and dot(row, low) == dot(row, high)
 
 
 def _forces(rate: RationalAnswer) -> tuple[fmpq_mat, fmpq_mat]:
@@ -76,16 +77,14 @@ def _transposed(columns: list[list[Fraction]], rows: int) -> list[list[Fraction]
     return [[column[i] for column in columns] for i in range(rows)]
 
 
-def _product(one: list[Fraction], other: list[Fraction]) -> Fraction:
-    return sum((x * y for x, y in zip(one, other, strict=True)), Fraction(0))
-
-
-OPEN, CLOSED, STICK, SLIP_BACK, SLIP_ON = "open", "closed", "stick", "slip back", "slip on"
-SIGN = {SLIP_BACK: -1, SLIP_ON: 1}
+# Closed without friction, beside the states of contacts with friction.
+CLOSED = 3
+WORDS = {OPEN: "open", CLOSED: "closed", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
+SLIPPING = (SLIP_BACK, SLIP_ON)
 MOST_TRIED = 4096
 EVENTS_A_CONTACT = 40
 
-States = tuple[str, ...]
+States = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +188,7 @@ class _Walk:
         if not found:
             raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
         if len(found) > 1:
-            listed = "; ".join(", ".join(states) for states, _ in found)
+            listed = "; ".join(", ".join(WORDS[state] for state in states) for states, _ in found)
             raise SeveralEquilibria(f"exact: {at}: several continuations, and nothing chooses ({listed})")
         return found[0]
 
@@ -202,7 +201,7 @@ class _Walk:
                 same = push == rub == 0
             else:
                 same = approach[i] == 0 and (state != STICK or slips[i] == 0)
-                same = same and (state not in SIGN or rub == SIGN[state] * self.data.friction[i] * push)
+                same = same and (state not in SLIPPING or rub == state * self.data.friction[i] * push)
             if not same:
                 return False
         return True
@@ -215,7 +214,7 @@ class _Walk:
             if gap[i] > 0:
                 choices.append((OPEN,))
             elif push == 0:
-                choices.append((OPEN, CLOSED) if mu == 0 else (OPEN, STICK, SLIP_BACK, SLIP_ON))
+                choices.append((OPEN, CLOSED) if mu == 0 else plane_states(mu))
             elif mu == 0:
                 choices.append((CLOSED,))
             elif abs(rub) < mu * push:
@@ -241,8 +240,8 @@ class _Walk:
             if state == OPEN:
                 rooms += [gaps[i]] if now[i] <= 0 else []
                 continue
-            if state in SIGN:
-                rooms.append(SIGN[state] * slips[i])
+            if state in SLIPPING:
+                rooms.append(state * slips[i])
             edge = self.answer.friction_force[i, 0]
             if push == 0:
                 rooms += [more, *((mu * more - rub, mu * more + rub) if state == STICK else ())]
@@ -271,7 +270,7 @@ class _Walk:
         moved = self.data.T * rate.displacement
         origin = self.data.T * self.answer.displacement
         for i, state in enumerate(self.states):
-            if state in SIGN:
+            if state in SLIPPING:
                 origin[i, 0] = origin[i, 0] - moved[i, 0]
         here = replace(self.data, f=load, slip_origin=origin)
         failed = next(wrong(here, self.answer), None)
@@ -293,7 +292,7 @@ class _Walk:
         """(m,) the states of the last piece as a `Solution` calls them."""
         gap, push = self.data.gap(self.answer.displacement).entries(), self.answer.normal_force.entries()
         return tuple(
-            ("open" if gap[i] != 0 else "grazing") if push[i] == 0 else ("slip" if state in SIGN else state)
+            ("open" if gap[i] != 0 else "grazing") if push[i] == 0 else ("slip" if state in SLIPPING else WORDS[state])
             for i, state in enumerate(self.states)
         )
 
@@ -301,7 +300,7 @@ class _Walk:
 def _combination(states: States) -> Combination:
     closed = tuple(i for i, state in enumerate(states) if state != OPEN)
     stuck = tuple(i for i in closed if states[i] == STICK)
-    return Combination(closed, stuck, {i: (fmpq(SIGN[states[i]]),) for i in closed if states[i] in SIGN})
+    return Combination(closed, stuck, {i: (fmpq(states[i]),) for i in closed if states[i] in SLIPPING})
 
 
 def _moved(one: RationalAnswer, rate: RationalAnswer, step: fmpq) -> RationalAnswer:

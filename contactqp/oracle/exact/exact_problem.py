@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from flint import fmpq, fmpq_mat
 
+from contactqp.linalg.rational import column, from_fraction, matrix, rational, zeros
 from contactqp.model.problem import ContactProblem
-from contactqp.oracle.exact.rational import column, from_fraction, matrix, rational, zeros
 
 if TYPE_CHECKING:
     from contactqp.scene.building import ExactProblem

@@ -50,7 +50,7 @@ def ratio(x: Fraction) -> str:
     >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
     ('-7/3', '4')
     """
-    from contactqp.oracle.exact.rational import from_fraction
+    from contactqp.linalg.rational import from_fraction
 
     return str(from_fraction(x))
 

@@ -1,11 +1,13 @@
-"""Sparse rows of rational numbers: products, ranks and small systems, with nothing but the standard library."""
+"""The gallery computes with sparse rows of rational numbers and draws problems by the standard library alone."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import TypeVar
+
+from contactqp.linalg.exact_algebra import rank
 
 Row = Mapping[int, Fraction]
 Rows = tuple[Row, ...]
@@ -13,8 +15,6 @@ Numbers = tuple[Fraction, ...]
 Given = int | str | Fraction
 
 ZERO = Fraction(0)
-# Rows that are independent modulo a prime are independent; 2^61 - 1 is one.
-PRIME = 2**61 - 1
 
 
 def numbers(values: Iterable[Given]) -> Numbers:
@@ -52,15 +52,6 @@ def plus(*vectors: Sequence[Fraction]) -> Numbers:
     return tuple(sum(parts, ZERO) for parts in zip(*vectors, strict=True))
 
 
-def rank(rows: Rows) -> int:
-    """The number of independent rows: counted modulo a prime, and in rational numbers where that finds fewer than all.
-
-    A rank modulo a prime never exceeds the true one.
-    """
-    found = _rank([{j: _residue(x) for j, x in row.items()} for row in rows], modular=True)
-    return found if found == len(rows) else _rank([dict(row) for row in rows], modular=False)
-
-
 def columns_are_independent(rows: Rows, size: int) -> bool:
     """Whether rows x = 0 has no solution (size,) but zero."""
     return rank(transposed(rows, size)) == size
@@ -73,32 +64,6 @@ def transposed(rows: Rows, size: int) -> Rows:
         for j, x in row.items():
             columns[j][i] = x
     return tuple(columns)
-
-
-def _residue(x: Fraction) -> int:
-    return x.numerator * pow(x.denominator, -1, PRIME) % PRIME
-
-
-def _rank(rows: list[dict[int, Any]], modular: bool) -> int:
-    """Gauss's elimination, row by row: what a row has left above the earlier pivots is a new pivot."""
-    pivots: dict[int, dict[int, Any]] = {}
-    for row in sorted(rows, key=len):
-        rest = {j: x for j, x in row.items() if x}
-        while rest:
-            lead = min(rest)
-            if lead not in pivots:
-                scale = pow(rest[lead], -1, PRIME) if modular else 1 / rest[lead]
-                pivots[lead] = {j: x * scale % PRIME if modular else x * scale for j, x in rest.items()}
-                break
-            factor = rest[lead]
-            for j, x in pivots[lead].items():
-                value = rest.get(j, 0) - factor * x
-                value = value % PRIME if modular else value
-                if value:
-                    rest[j] = value
-                else:
-                    rest.pop(j, None)
-    return len(pivots)
 
 
 def dominance(stiffness: Rows) -> Fraction:

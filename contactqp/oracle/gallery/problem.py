@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.exact_algebra import Polyhedron, rank, solutions
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.oracle.gallery.algebra import (
@@ -23,12 +24,10 @@ from contactqp.oracle.gallery.algebra import (
     dominance,
     largest_row_sum,
     numbers,
-    rank,
     rows_of,
     times,
     transposed,
 )
-from contactqp.solving.friction.exact_algebra import Polyhedron, solutions
 
 # Up to this size a stiffness is a dense array.
 DENSE = 128

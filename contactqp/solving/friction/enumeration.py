@@ -1,18 +1,29 @@
-"""Every equilibrium of a small problem with Coulomb friction: all combinations of open, stick, slip either way.
+"""Every equilibrium of a small problem with Coulomb friction in the plane, by all combinations of contact states.
 
-Each combination is a linear system (`contactqp.solving.friction.combinations`) in the scaled forces l of contacts and
-ties and the coordinates a of rigid motions Z of the bodies,
+In y = (l, a), contact forces l_N and l_T, then forces of ties and coordinates of rigid motions, all scaled, with
+R x = base + slope y the normal and tangential lengths of the contacts and H y = h what always holds, a combination is
+
+    open: l_N = l_T = 0    closed: N x = g    stick: T x = o    slip: l_T = s mu l_N,
+
+and it is an answer where its signs hold: g - N x >= 0 where open, l_N >= 0 where closed, |l_T| <= mu l_N where it
+sticks, s (T x - o) >= 0 where it slips. Where a system leaves forces or motions free, a linear program looks for signs
+that hold. Every sign is measured by the lengths of its own contact, which a contact that is far or has slipped far does
+not share with the others. Whether a small singular value is one or rounding cannot be decided here: both are tried.
+
+Of a problem with the condensed compliance S^+, rigid motions Z and all rows R = [N; T; A],
 
     R x = R S^+ f - W l + R Z a,   W = R S^+ R',   Z'R'l = Z'f,   A x = b,
 
-and what it gives is refined on the problem in twice double precision, which also tells whether it is an equilibrium.
-Above a critical coefficient of friction there may be none or several (Klarbring 1990).
+and what a combination gives is refined on the problem in twice double precision, which also decides whether it is an
+equilibrium. Above a critical coefficient of friction there may be none or several (Klarbring 1990).
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +31,171 @@ from numpy.typing import NDArray
 from contactqp.certificate.figures import holds
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.friction_states import FrictionalRows, Status, answer_in
-from contactqp.model.arrays import Vector
+from contactqp.linalg.friction_states import FrictionalRows, answer_in
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.solving.friction.combinations import Combinations, refuse_many
+from contactqp.model.statuses import OPEN, STICK, Status, all_combinations
+
+# 4^8 systems take seconds.
+MOST_CONTACTS = 8
+# Systems solved at once.
+BATCH = 4096
+# Sweeps of equilibration; rows and columns shorter than this are rounding, and stay what they are.
+SWEEPS, SHORTEST = 3, 1e-10
+# Singular values of an equilibrated system, relative to the largest: above the first certainly none that is zero,
+# beneath the second certainly one. Compliances of soft bodies carry the rounding of stiff ones, times their condition.
+REGULAR, SINGULAR = 1e-8, 1e-15
+# Signs that fail by this part of the contact's own lengths or force may be rounding; refinement tells.
+DOUBTFUL = 1e-8
+# Of the sizes that a sum is made of, what rounding may leave of it; of compliances, which are beneath it.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Combinations:
+    """All combinations of m contacts in the plane; q unknowns y, the first 2m of them l_N and l_T."""
+
+    coefficient: Vector  # (m,) mu in scaled forces
+    base: Vector  # (2m,) N x and T x without forces and motions
+    slope: Array  # (2m, q)
+    target: Vector  # (2m,) g and o
+    fixed: Array  # (q - 2m, q) H
+    fixed_right: Vector  # (q - 2m,) h
+    nothing: float  # a length that is rounding
+
+    @cached_property
+    def _lengths(self) -> Vector:
+        """(2m,) the sizes of the lengths of every row; of a row without any, what the others have."""
+        size = abs(self.base) + abs(self.target) + self.nothing / DOUBTFUL
+        return _filled(size, float(np.max(abs(self.fixed_right), initial=0.0)))
+
+    @cached_property
+    def _forces(self) -> Vector:
+        """(2m,) the forces that these lengths ask for; where nothing is compliant, what balances the bodies."""
+        rows = np.arange(len(self.base))
+        compliance = abs(self.slope[rows, rows])
+        felt = compliance > ROUNDING * np.max(compliance, initial=0.0)
+        asked = np.divide(self._lengths, compliance, out=np.zeros_like(self._lengths), where=felt)
+        return _filled(np.maximum(asked, np.max(abs(self.fixed_right), initial=0.0)), 1.0)
+
+    def plausible(self) -> Iterator[tuple[Status, Vector]]:
+        """Combinations (m,) and their y (q,) where signs hold, or miss by what may be rounding."""
+        combinations = all_combinations(self.coefficient)
+        while batch := list(itertools.islice(combinations, BATCH)):
+            yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(self.coefficient)))
+
+    def _of_batch(self, status: Status) -> Iterator[tuple[Status, Vector]]:
+        matrix, right = self._assembled(status)
+        row, column = _equilibrated(matrix)
+        left, values, rotation = np.linalg.svd(row[:, :, None] * matrix * column[:, None, :])
+        coordinates = np.einsum("bji,bj->bi", left, row * right)
+        largest = values[:, :1] if values.shape[1] else np.ones((len(values), 1))
+        least, most = (np.sum(values > part * largest, axis=1) for part in (REGULAR, SINGULAR))
+        for extra in range(int(np.max(most - least, initial=-1)) + 1):
+            rank = least + extra
+            kept = np.arange(values.shape[1]) < np.minimum(rank, most)[:, None]
+            inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+            y = column * np.einsum("bji,bj->bi", rotation, inverse * coordinates)
+            missing = abs(np.einsum("bij,bj->bi", matrix, y) - right)
+            rounding = ROUNDING * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
+            solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
+            for b in np.flatnonzero(solved & (rank <= most)):
+                free = rotation[b, rank[b] :] * column[b]
+                if (found := self._with_signs(status[b], y[b], free)) is not None:
+                    yield status[b], found
+
+    def _with_signs(self, status: Status, y: Vector, free: Array) -> Vector | None:
+        """Return one of the solutions y + free'c whose signs may hold, or None."""
+        room, change, size = self._signs(status)
+        if not _hold(room, change, size, y) and len(free):
+            y = _within(room, change, size, y, free)
+        return y if _hold(room, change, size, y) else None
+
+    def _assembled(self, status: Status) -> tuple[Array, Array]:
+        """(b, q, q) and (b, q): one row a contact force, one a friction force, then what always holds."""
+        (count, m), q = status.shape, self.slope.shape[1]
+        unit = np.eye(q)
+        closed, stuck = status != OPEN, status == STICK
+        sliding = np.where(stuck, 0, status) * self.coefficient
+        matrix, right = np.empty((count, q, q)), np.zeros((count, q))
+        matrix[:, :m] = np.where(closed[:, :, None], self.slope[:m], unit[:m])
+        matrix[:, m : 2 * m] = np.where(
+            stuck[:, :, None], self.slope[m:], unit[m : 2 * m] - sliding[:, :, None] * unit[:m]
+        )
+        matrix[:, 2 * m :], right[:, 2 * m :] = self.fixed, self.fixed_right
+        lengths = self.target - self.base
+        right[:, :m] = np.where(closed, lengths[:m], 0.0)
+        right[:, m : 2 * m] = np.where(stuck, lengths[m:], 0.0)
+        return matrix, right
+
+    def _signs(self, status: Status) -> tuple[Vector, Array, Vector]:
+        """Room, its slope in y, and its size: the signs hold where room + slope y >= 0."""
+        m, unit = len(status), np.eye(self.slope.shape[1])
+        off = self.base - self.target
+        opened, closed, stuck = (np.flatnonzero(mask) for mask in (status == OPEN, status != OPEN, status == STICK))
+        sliding = np.flatnonzero((abs(status) == 1) & (self.coefficient > 0))
+        bound, sign = self.coefficient[stuck, None] * unit[stuck], status[sliding].astype(float)
+        room = [-off[opened], np.zeros(len(closed)), np.zeros(2 * len(stuck)), sign * off[m + sliding]]
+        slope = [-self.slope[opened], unit[closed], bound - unit[m + stuck], bound + unit[m + stuck]]
+        rubbed = self.coefficient[stuck] * self._forces[stuck] + self._forces[m + stuck]
+        size = [self._lengths[opened], self._forces[closed], rubbed, rubbed, self._lengths[m + sliding]]
+        return (
+            np.concatenate(room),
+            np.vstack([*slope, sign[:, None] * self.slope[m + sliding]]),
+            np.concatenate(size),
+        )
+
+
+def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
+    rounding = ROUNDING * np.sum(abs(change), axis=1) * np.max(abs(y), initial=0.0)
+    return bool(np.all(room + change @ y >= -DOUBTFUL * size - rounding))
+
+
+def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array) -> Vector:
+    """Return the solution start + free'c whose signs hold best, no room counting beyond its size."""
+    from scipy.optimize import linprog
+
+    count, slope = len(free), change @ free.T
+    moving = np.any(abs(slope) > ROUNDING * np.max(abs(slope), initial=0.0), axis=1)
+    step = float(np.median(size[moving])) if np.any(moving) else 1.0
+    answer = linprog(
+        np.append(np.zeros(count), -1.0),
+        A_ub=np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]),
+        b_ub=(room + change @ start) / size,
+        bounds=[(None, None)] * count + [(None, 1.0)],
+        method="highs",
+    )
+    return start if answer.x is None else np.asarray(start + step * free.T @ answer.x[:-1])
+
+
+def _filled(size: Vector, other: float) -> Vector:
+    """Sizes, those that are zero replaced by the median of the rest, or else by another size."""
+    known = size[size > 0]
+    return np.where(size > 0, size, float(np.median(known)) if len(known) else other or 1.0)
+
+
+def refuse_many(contacts: int, who: str = "enumeration") -> str | None:
+    """Why a problem has too many combinations, or None."""
+    if contacts <= MOST_CONTACTS:
+        return None
+    return f"{who}: {contacts} contacts; at most {MOST_CONTACTS} have few combinations enough"
+
+
+def _equilibrated(matrix: Array) -> tuple[Array, Array]:
+    """Factors of rows and columns (b, q) that make their largest entries about one (Ruiz 2001).
+
+    Without them the compliance of a soft body, a thousand times that of a stiff one, makes what is left of the stiff
+    one's system look singular.
+    """
+    row, column = np.ones(matrix.shape[:2]), np.ones(matrix.shape[:2])
+    for _ in range(SWEEPS):
+        size = abs(row[:, :, None] * matrix * column[:, None, :])
+        for factor, axis in ((row, 2), (column, 1)):
+            length = np.max(size, axis=axis, initial=0.0)
+            factor /= np.sqrt(np.where(length > SHORTEST, length, 1.0))
+    return row, column
+
 
 # Of the largest displacement that the loads make without contacts, what rounding may leave of another.
 NOTHING = 1e-12

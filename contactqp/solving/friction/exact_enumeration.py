@@ -9,12 +9,12 @@ a being motions that neither stiffness nor ties resist and H y = h what it takes
 combination of open, stick and slip either way is then a small linear system and a list of signs, as in
 `contactqp.solving.friction.enumeration`; where the system leaves something free, exact linear programs say whether the
 signs can hold, and whether what is free moves anything.
+
+A local problem, V'r + R l + s = 0 and u = W r + V l + q, is decided alike: whether any combination holds.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -23,12 +23,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arrays import own_floating_point
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
-from contactqp.solving.friction.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
-from contactqp.solving.friction.exact_data import ExactData
+from contactqp.model.statuses import OPEN, STICK, all_combinations
+
+# What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
+ROUNDED = 1e-9
+NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_origin", "tie", "tie_value")
+
+
+class ExactData:
+    """Matrices are lists of rows.
+
+    Raises
+    ------
+    InvalidProblem
+        A name is unknown, a value is no rational number, or it does not round to the problem's.
+    """
+
+    def __init__(self, problem: ContactProblem, exact: dict[str, Any]) -> None:
+        unknown = sorted(set(exact) - set(NAMES))
+        if unknown:
+            raise InvalidProblem(f"exact_equilibria: expected exact {', '.join(NAMES)}, got {unknown[0]!r}")
+        self._problem, self._exact = problem, exact
+        self.stiffness, self.normal, self.tangent, self.tie = (
+            self._matrix(name) for name in ("stiffness", "normal", "tangent", "tie")
+        )
+        self.load, self.gap, self.friction, self.slip_origin, self.tie_value = (
+            self._vector(name) for name in ("load", "gap", "friction", "slip_origin", "tie_value")
+        )
+        for i, row in enumerate(self.stiffness):
+            if any(row[j] != self.stiffness[j][i] for j in range(i)):
+                raise InvalidProblem(f"stiffness: expected exactly symmetric, row {i} is not")
+        # A contact that cannot slide has no friction to speak of.
+        still = [not any(row) and not origin for row, origin in zip(self.tangent, self.slip_origin, strict=True)]
+        self.friction = [Fraction(0) if idle else mu for idle, mu in zip(still, self.friction, strict=True)]
+
+    def _matrix(self, name: str) -> list[Row]:
+        known = getattr(self._problem, name)
+        floats = known.toarray() if hasattr(known, "toarray") else np.asarray(known)
+        flat = self._numbers(name, floats)
+        width = floats.shape[1]
+        return [flat[i * width : (i + 1) * width] for i in range(len(floats))]
+
+    def _vector(self, name: str) -> Row:
+        known = self._problem.finite_gap if name == "gap" else getattr(self._problem, name)
+        return self._numbers(name, np.asarray(known))
+
+    def _numbers(self, name: str, floats: np.ndarray[Any, Any]) -> Row:
+        if name not in self._exact:
+            return [Fraction(float(x)) for x in floats.ravel()]
+        given = self._exact[name]
+        given = np.asarray(given.toarray() if hasattr(given, "toarray") else given, dtype=object)
+        if name == "friction" and given.ndim == 0:
+            given = np.broadcast_to(given, floats.shape)
+        if given.size != floats.size:
+            raise InvalidProblem(f"{name}: expected {floats.size} exact values, got {given.size}")
+        values = [_fraction(name, x) for x in given.ravel()]
+        allowed = ROUNDED * float(np.max(abs(floats), initial=0.0))
+        for value, rounded in zip(values, floats.ravel().tolist(), strict=True):
+            if not abs(float(value) - rounded) <= allowed:
+                raise InvalidProblem(f"{name}: expected what rounds to the problem's {rounded:g}, got {value}")
+        return values
+
+
+def _fraction(name: str, value: Any) -> Fraction:
+    try:
+        return Fraction(value)
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
+        raise InvalidProblem(f"{name}: expected rational numbers, got {value!r}") from None
+
 
 # 4^6 systems of some ten rows take tens of seconds in rational numbers.
 MOST_CONTACTS = 6
@@ -107,7 +174,9 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
 
 
 def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
-    members = [found for status in bodies.combinations() if (found := bodies.members(status)) is not None]
+    members = [
+        found for status in all_combinations(bodies.data.friction) if (found := bodies.members(status)) is not None
+    ]
     points: list[Row] = []
     listed = []
     for one in members:
@@ -166,10 +235,6 @@ class _Bodies:
         slope = [dot(row, [line[j] for line in self._slope[:n]]) for j in range(self.size)]
         return [*slope, dot(row, self._start[:n]) - limit]
 
-    def combinations(self) -> Iterator[tuple[int, ...]]:
-        choices = [(OPEN, STICK, SLIP_BACK, SLIP_ON) if mu else (OPEN, SLIP_ON) for mu in self.data.friction]
-        return itertools.product(*choices)
-
     def members(self, status: tuple[int, ...]) -> _Members | None:
         """All equilibria in one combination, None where there are none."""
         columns = _Columns(self, status)
@@ -187,19 +252,12 @@ class _Bodies:
 
     def _signs(self, status: tuple[int, ...]) -> list[Row]:
         """Forms in y, their constant last, that are not negative."""
-        m, signs = self.m, []
-        for i, state in enumerate(status):
-            mu = self.data.friction[i]
-            if state == OPEN:
-                signs.append([-x for x in self.gap[i]])
-                continue
-            push, rub = ([ONE if j == at else ZERO for j in range(self.size + 1)] for at in (i, m + i))
-            signs.append(push)
-            if state == STICK:
-                signs += [[mu * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1)]
-            elif mu:
-                signs.append([state * x for x in self.slip[i]])
-        return signs
+        m, mu, unit = self.m, self.data.friction, self.force_rows()
+        return [
+            sign
+            for i, state in enumerate(status)
+            for sign in _signs_of_law(state, mu[i], (unit[i], unit[m + i]), [-x for x in self.gap[i]], self.slip[i])
+        ]
 
     def displacement_rows(self) -> list[Row]:
         return [[*slope, start] for slope, start in zip(self._slope, self._start, strict=True)][: len(self.data.load)]
@@ -303,6 +361,16 @@ class _Members:
         )
 
 
+def _signs_of_law(state: int, friction: Fraction, force: tuple[Row, Row], gap: Row, slip: Row) -> list[Row]:
+    """Return the forms, their constant last, that Coulomb's law keeps from being negative in one state of a contact."""
+    push, rub = force
+    if state == OPEN:
+        return [gap]
+    if state == STICK:
+        return [push, *([friction * p + s * r for p, r in zip(push, rub, strict=True)] for s in (-1, 1))]
+    return [push, *([[state * x for x in slip]] if friction else [])]
+
+
 def _equation(form: Row) -> Row:
     """form = 0 as (a, b) of a'x = b."""
     return [*form[:-1], -form[-1]]
@@ -320,3 +388,45 @@ def _array(values: list[Fraction]) -> NDArray[Any]:
     array = np.empty(len(values), dtype=object)
     array[:] = values
     return array
+
+
+def has_local_equilibrium(problem: LocalProblem) -> bool:
+    """Whether some forces (r, l) satisfy V'r + R l + s = 0 and, with u = W r + V l + q, Coulomb's law at every contact.
+
+    Every combination of open, stick and slip either way is a linear system and a list of signs, decided exactly; the
+    problem is in the plane, and there are at most 4^m of them.
+    """
+    m, p = problem.contacts, problem.joints
+    W, V, R = (_fractions(matrix) for matrix in (problem.delassus, problem.bilateral, problem.bilateral_delassus))
+    q, s = _row(problem.offset), _row(problem.bilateral_offset)
+    mu = _row(problem.friction)
+    joints = [[*(V[i][j] for i in range(2 * m)), *R[j], s[j]] for j in range(p)]
+    velocity = [[*W[i], *V[i], q[i]] for i in range(2 * m)]  # forms in (r, l), their constant last
+    force = [[ONE if j == i else ZERO for j in range(2 * m + p + 1)] for i in range(2 * m)]
+    for states in all_combinations(mu):
+        zero, signs = list(joints), list[Row]()
+        for i, state in enumerate(states):
+            push, rub, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
+            zero += [push if state == OPEN else opens]
+            zero += [slips if state == STICK else rub if state == OPEN else _sum(rub, push, state * mu[i])]
+            signs += _signs_of_law(state, mu[i], (push, rub), opens, slips)
+        found = solutions([_equation(row) for row in zero], 2 * m + p)
+        if found is None:
+            continue
+        images = [(value + sign[-1], slope) for sign in signs for value, slope in [found.image(sign[:-1])]]
+        if not Region(images, len(found.free)).empty:
+            return True
+    return False
+
+
+def _sum(one: Row, other: Row, factor: Fraction) -> Row:
+    return [x + factor * y for x, y in zip(one, other, strict=True)]
+
+
+def _fractions(matrix: Any) -> list[Row]:
+    dense = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)
+    return [_row(row) for row in dense]
+
+
+def _row(values: Any) -> Row:
+    return [Fraction(float(x)) for x in np.asarray(values).ravel()]

@@ -1,7 +1,7 @@
 """Every answer of a small local problem in the plane: all combinations of open, stick, slip either way.
 
 With r_N = l_N, r_T = -l_T, u_N = g - N x and u_T = T x - o, the local form u = W r + q + V l is the base and slope of
-`contactqp.solving.friction.combinations`, and V'r + R l + s = 0 is what always holds. W need not be symmetric.
+`contactqp.solving.friction.enumeration`, and V'r + R l + s = 0 is what always holds. W need not be symmetric.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.solving.friction.alart_curnier import newton
-from contactqp.solving.friction.combinations import Combinations, refuse_many
+from contactqp.solving.friction.enumeration import Combinations, refuse_many
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.solving.friction.exact_algebra import ONE, ZERO, Row, dot, reduced, solutions
+from contactqp.linalg.exact_algebra import ZERO, Row, dot, inverse_of, solutions
 from contactqp.solving.methods import Method
 from contactqp.study.stability.posed import Posed, Rows, fractions, rows_of
 
@@ -88,14 +88,6 @@ class Blocks:
         found = solutions([[*row, ZERO] for row in self.held], n)
         basis = found.free if found is not None else []
         return [[dot(a, [dot(row, b) for row in self.stiffness]) for b in basis] for a in basis]
-
-
-def inverse_of(matrix: Rows) -> Rows | None:
-    """The inverse; None of a singular matrix."""
-    n = len(matrix)
-    extended = [[*row, *(ONE if i == j else ZERO for j in range(n))] for i, row in enumerate(matrix)]
-    found, pivots = reduced(extended, n)
-    return [row[n:] for row in found] if len(pivots) == n else None
 
 
 # Half of the spacing of doubles in [1, 2): the largest relative error of one rounding.

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from contactqp.certificate.bounds import REDUNDANT
 from contactqp.certificate.uniqueness import FORCES, SEVERAL
+from contactqp.linalg.exact_algebra import ZERO, Row, dot, solutions
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
-from contactqp.solving.friction.exact_algebra import ZERO, Row, dot, solutions
 from contactqp.study.truth import Errors, Truth
 
 # Exact answers of small problems: doubles as they stand, Gauss's elimination in Fractions, every condition checked.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.solving.friction.exact_local import has_local_equilibrium
+from contactqp.solving.friction.exact_enumeration import has_local_equilibrium
 
 
 def jammed(normal: float, friction: float = 0.5) -> cq.LocalProblem:

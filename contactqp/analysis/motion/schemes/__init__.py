@@ -1,51 +1,40 @@
-"""Time-stepping schemes for impact, by name."""
+"""The registry of time-stepping schemes for impact: a file for each idea, and one table that lists the files.
+
+A file exports `SCHEMES`, the entries of the schemes that it holds; what a scheme must provide stands in `Scheme`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
-from contactqp.analysis.motion.schemes.contact_stabilised import ContactStabilised
-from contactqp.analysis.motion.schemes.modified_mass import ModifiedMassCentral
-from contactqp.analysis.motion.schemes.moreau_jean import MoreauJean
-from contactqp.analysis.motion.schemes.newmark import BackwardEuler, Trapezoidal
-from contactqp.analysis.motion.schemes.paoli_schatzman import ExplicitPenalty, PaoliSchatzman
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme
+from contactqp.analysis.motion.schemes import contact_stabilised, modified_mass, moreau_jean, newmark, paoli_schatzman
+from contactqp.analysis.motion.schemes.scheme import SchemeEntry
 from contactqp.errors import InvalidProblem
 
+_MODULES = (moreau_jean, newmark, modified_mass, paoli_schatzman, contact_stabilised)
 
-@dataclass(frozen=True)
-class Knobs:
-    """What a user may choose of a scheme."""
-
-    theta: float
-    restitution: float
-    penalty: float | None
+SCHEMES: dict[str, SchemeEntry] = {entry.name: entry for module in _MODULES for entry in module.SCHEMES}
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A scheme that a user may name."""
+def register(entry: SchemeEntry) -> None:
+    """Add a scheme of one's own, which `impact` and the motions of case files find by its name from then on.
 
-    make: Callable[[Body, Knobs], Scheme]
-    explicit: bool = False  # stable up to a critical step
-    bare: bool = False  # takes the mass from the contacts
-    knobs: tuple[str, ...] = ()
-
-
-def _penalty(body: Body, knobs: Knobs) -> Scheme:
-    if knobs.penalty is None:
-        raise InvalidProblem("penalty: the scheme 'penalty' has no default stiffness; state penalty=beta")
-    return ExplicitPenalty(body, knobs.penalty)
+    Raises
+    ------
+    InvalidProblem
+        Another scheme has that name.
+    """
+    if entry.name in SCHEMES:
+        raise InvalidProblem(f"scheme: expected a name of its own, got {entry.name!r}, which another one has")
+    SCHEMES[entry.name] = entry
 
 
-SCHEMES: dict[str, Kind] = {
-    "moreau-jean": Kind(lambda b, k: MoreauJean(b, k.theta, k.restitution), knobs=("theta", "restitution")),
-    "modified-mass": Kind(lambda b, _: Trapezoidal(b, "modified-mass"), bare=True),
-    "modified-mass-central": Kind(lambda b, _: ModifiedMassCentral(b), explicit=True, bare=True),
-    "paoli-schatzman": Kind(lambda b, k: PaoliSchatzman(b, k.restitution), explicit=True, knobs=("restitution",)),
-    "deuflhard-krause-ertel": Kind(lambda b, _: ContactStabilised(b)),
-    "newmark": Kind(lambda b, _: Trapezoidal(b, "newmark")),
-    "backward-euler": Kind(lambda b, _: BackwardEuler(b)),
-    "penalty": Kind(_penalty, explicit=True, knobs=("penalty",)),
-}
+def find(name: str) -> SchemeEntry:
+    """Return the scheme of that name.
+
+    Raises
+    ------
+    InvalidProblem
+        There is no such scheme; the message lists all names.
+    """
+    if not isinstance(name, str) or name not in SCHEMES:
+        raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {name!r}")
+    return SCHEMES[name]

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
 
 class ContactStabilised(Scheme):
-    """x = w, then x = u+."""
+    """The scheme with the unknowns x = w, then x = u+."""
 
     name = "deuflhard-krause-ertel"
 
@@ -30,22 +30,25 @@ class ContactStabilised(Scheme):
             predictor = predictor.replace(friction=0.0)
         self.templates = (predictor, body.template(self._inertia + body.stiffness / 2))
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         body, u = self.body, state.displacement
         limits = body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u
         if not answers:
-            return Posed(self._inertia @ (body.step * state.velocity), *limits)
+            return StepProblem(self._inertia @ (body.step * state.velocity), *limits)
         force = self._inertia @ answers[0].increment + (load + next_load) / 2 - body.stiffness @ u
-        return Posed(force, *limits)
+        return StepProblem(force, *limits)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         predicted, found = answers
         v = state.velocity + 2 / self.body.step * (found.increment - predicted.increment)
         return State(found.unknown, v, found.normal, found.friction, found.tie, state.displacement)
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
-        """The forces of the projection are not kept."""
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
+        """Return the results of both problems; the forces of the projection are not kept."""
         (found,) = super().answered(before, after)
-        way = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
+        motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
-        return Answered(before.displacement + way, normal, friction, tie, way), found
+        return StepResult(before.displacement + motion, normal, friction, tie, motion), found
+
+
+SCHEMES = (SchemeEntry("deuflhard-krause-ertel", lambda body, _: ContactStabilised(body)),)

@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.mass import massless
-from contactqp.analysis.motion.schemes.scheme import Body, State, TwoStep
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass_matrix import massless
+from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, State, TwoStep
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.linalg.factorization import Factorization, factorise
 from contactqp.model.arrays import Vector
 
 
 class ModifiedMassCentral(TwoStep):
-    """x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
+    """The scheme with x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
 
     name = "modified-mass-central"
 
@@ -44,26 +44,33 @@ class ModifiedMassCentral(TwoStep):
         return factorise(self.body.mass[self._moving][:, self._moving])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Factors are not pickled; they are made again where they are needed."""
+        """Return the state without factors, which are not pickled; they are made again where they are needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_mass"}
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """a0 where there is mass."""
+        """Return the acceleration at the start where there is mass, 0 elsewhere."""
         del velocity
         acceleration = np.zeros(len(load))
         force = load - self.body.stiffness @ displacement
         acceleration[self._moving] = self._mass.solve(force[self._moving])
         return acceleration
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del answers
         body, u = self.body, state.displacement
         internal = body.stiffness @ u
         force = load - internal + self._inertia @ (u - state.before)
         ahead = self._mass.solve(force[self._moving]) * body.step**2
         force[self._bare] = (next_load - internal)[self._bare] - self._coupling @ ahead
-        return Posed(force, body.problem.gap, None, body.slip_from(u), None, u)
+        return StepProblem(force, body.problem.gap, None, body.slip_from(u), None, u)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+
+
+SCHEMES = (
+    SchemeEntry(
+        "modified-mass-central", lambda body, _: ModifiedMassCentral(body), explicit=True, massless_contacts=True
+    ),
+)

@@ -19,20 +19,20 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, State
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
 # A rebound of this part of what the forces of a step change is lost in their rounding.
 NO_REBOUND = 1e-6
 # Up to so many unknowns that contacts touch their rows are kept dense.
-FEW = 60
+MOST_DENSE = 60
 # A predicted gap that is this part of its own lengths is none.
 TOUCHING = 64 * np.finfo(float).eps
 
 
 class MoreauJean(Scheme):
-    """x = v+, forces are impulses."""
+    """The scheme with x = v+, whose forces are impulses."""
 
     name = "moreau-jean"
 
@@ -45,14 +45,14 @@ class MoreauJean(Scheme):
         self._from_state = sp.csr_matrix(sp.hstack([velocities, -body.step * body.stiffness]))
         self._touched = np.unique(body.problem.normal.indices)
         self._normal: Any = body.problem.normal[:, self._touched]
-        if len(self._touched) <= FEW:
+        if len(self._touched) <= MOST_DENSE:
             self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
         self._normal_size = abs(self._normal)
         self._touching_gap = TOUCHING * abs(body.problem.gap)
         self._no_rebound = np.zeros(body.problem.contacts)
         self._inertia_of_touched = self.templates[0].diagonal[self._touched]
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del answers
         body, theta, h = self.body, self._theta, self.body.step
         u, v = state.displacement, state.velocity
@@ -61,15 +61,15 @@ class MoreauJean(Scheme):
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
         near = room <= self._touching_gap + TOUCHING * (self._normal_size @ abs(ahead))
-        return Posed(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
+        return StepProblem(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
-        """-e E_N v, and nothing where that is no more than a part of what the forces of a step would change."""
+        """Return -e E_N v, and 0 where that is a negligible part of what the forces of a step would change."""
         rebound = -self._restitution * (self._normal @ velocity[self._touched])
         change = self._normal_size @ (abs(force[self._touched]) / self._inertia_of_touched)
         return np.where(abs(rebound) <= NO_REBOUND * change, 0.0, rebound)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, h, theta = answers[-1], self.body.step, self._theta
         u = theta * found.unknown
         u += (1 - theta) * state.velocity
@@ -78,12 +78,21 @@ class MoreauJean(Scheme):
         forces = found.normal / h, found.friction / h, found.tie / h
         return State(u, found.unknown, *forces, state.displacement)
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         del before
         v, h = after.velocity, self.body.step
-        return (Answered(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
+        return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
 
-    def contact_way(self, displacements: Block, velocities: Block) -> Block:
-        """h (v_(k+1) + v_k) / 2: an impulse does P'E (v+ + v) / 2."""
+    def contact_motion(self, displacements: Block, velocities: Block) -> Block:
+        """Return h (v_(k+1) + v_k) / 2: an impulse does the work P'E (v+ + v) / 2."""
         del displacements
         return self.body.step * (velocities[1:] + velocities[:-1]) / 2
+
+
+SCHEMES = (
+    SchemeEntry(
+        "moreau-jean",
+        lambda body, settings: MoreauJean(body, settings.theta, settings.restitution),
+        knobs=("theta", "restitution"),
+    ),
+)

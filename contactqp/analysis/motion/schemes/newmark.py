@@ -16,14 +16,14 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.mass import massless
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, State
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass_matrix import massless
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 
 
 class Trapezoidal(Scheme):
-    """x = u+, forces are those at the end of the step."""
+    """The scheme with x = u+, whose forces are those at the end of the step."""
 
     def __init__(self, body: Body, name: str) -> None:
         self.body, self.name = body, name
@@ -40,12 +40,14 @@ class Trapezoidal(Scheme):
         self._tie_share = np.where(body.on_massless("tie", name), 1.0, 0.5)
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """The contact forces of bodies that rest on each other; they count half in the first step."""
+        """Return the start with the contact forces of bodies that rest on each other; they count half in the first
+        step.
+        """
         state = super().first(displacement, velocity, load)
         _, normal_force, friction_force = self.body.starting(displacement, velocity, load)
         return replace(state, normal_force=normal_force, friction_force=friction_force)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del answers
         body, u = self.body, state.displacement
         force = self._from_state @ np.concatenate([u, state.velocity])
@@ -54,25 +56,27 @@ class Trapezoidal(Scheme):
             pull = body.pull(state)
             pull[self._massless] = 0.0  # there the force of the end balances alone
             force -= pull
-        return Posed(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
+        return StepProblem(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u, h = answers[-1], state.displacement, self.body.step
         velocity = 2 / h * found.increment - state.velocity
         if self._any_massless:
             velocity[self._massless] = found.increment[self._massless] / h
         return State(found.unknown, velocity, found.normal, found.friction, self._tie_share * found.tie, u)
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         return (replace(super().answered(before, after)[0], tie=after.tie_force / self._tie_share),)
 
     def contact_weight(self) -> Vector:
-        """Half of a force works before its instant and half after; all of it where there is no mass."""
+        """Return 1/2, as half of a force works before its instant and half after, and 1 where there is no mass."""
         return np.where(self._bare_contacts, 1.0, 0.5)
 
 
 class BackwardEuler(Scheme):
-    """x = u+:  M (v+ - v) / h + K u+ + E'l + A'nu = f+,  u+ = u + h v+,  E_N u+ <= g. It loses energy everywhere."""
+    """The scheme with x = u+: M (v+ - v) / h + K u+ + E'l + A'nu = f+, u+ = u + h v+, E_N u+ <= g. It loses energy
+    everywhere.
+    """
 
     name = "backward-euler"
     keeps_energy = False
@@ -83,12 +87,19 @@ class BackwardEuler(Scheme):
         self._inertia = self.inertia * body.mass
         self.templates = (body.template(self._inertia + body.stiffness),)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del load, answers
         body, u = self.body, state.displacement
         force = next_load - body.stiffness @ u + self._inertia @ (body.step * state.velocity)
-        return Posed(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
+        return StepProblem(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+
+
+SCHEMES = (
+    SchemeEntry("modified-mass", lambda body, _: Trapezoidal(body, "modified-mass"), massless_contacts=True),
+    SchemeEntry("newmark", lambda body, _: Trapezoidal(body, "newmark")),
+    SchemeEntry("backward-euler", lambda body, _: BackwardEuler(body)),
+)

@@ -13,13 +13,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.schemes.scheme import Block, Body, State, TwoStep
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.schemes.scheme import Block, Body, SchemeEntry, SchemeSettings, State, TwoStep
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Vector
 
 
 class _Central(TwoStep):
-    """x = u+, forces are those of the start of the step."""
+    """Central differences with x = u+, whose forces are those of the start of the step."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -29,13 +30,13 @@ class _Central(TwoStep):
         u = state.displacement
         return np.asarray(load - self.body.stiffness @ u + self._inertia @ (u - state.before))
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, u = answers[-1], state.displacement
         return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
 
 
 class PaoliSchatzman(_Central):
-    """Contact by a projection, with restitution e."""
+    """Central differences with contact by a projection, with restitution e."""
 
     name = "paoli-schatzman"
 
@@ -44,16 +45,16 @@ class PaoliSchatzman(_Central):
         self._restitution = restitution
         self.templates = (body.template(self._inertia),)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del next_load, answers
         problem, e = self.body.problem, self._restitution
         gap = (1 + e) * problem.gap - e * (problem.normal @ state.before) if e else problem.gap
         u = state.displacement
-        return Posed(self._free(state, load), gap, None, self.body.slip_from(u), problem.tie_value, u)
+        return StepProblem(self._free(state, load), gap, None, self.body.slip_from(u), problem.tie_value, u)
 
 
 class ExplicitPenalty(_Central):
-    """Contact by springs of stiffness beta, which overlap by l_N / beta."""
+    """Central differences with contact springs of stiffness beta, which overlap by l_N / beta."""
 
     name = "penalty"
 
@@ -63,12 +64,12 @@ class ExplicitPenalty(_Central):
         self.keeps_energy = False
         self.templates = (body.template(self._inertia).with_contacts(np.zeros(0, dtype=np.intp)),)
 
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
         del next_load, answers
         force = self._free(state, load) - self.body.problem.normal.T @ self._springs(state.displacement)
-        return Posed(force, np.zeros(0), None, None, self.body.problem.tie_value, state.displacement)
+        return StepProblem(force, np.zeros(0), None, None, self.body.problem.tie_value, state.displacement)
 
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         ended = super().accept(state, answers)
         return State(
             ended.displacement,
@@ -79,23 +80,42 @@ class ExplicitPenalty(_Central):
             ended.before,
         )
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """a0 of bodies on contact springs, which hold nothing before they are pressed."""
+        """Return the acceleration at the start of bodies on contact springs, which carry nothing before they are
+        pressed.
+        """
         free = replace(self.body, problem=self.body.problem.with_contacts(np.zeros(0, dtype=np.intp)))
         pushed = load - self.body.problem.normal.T @ self._springs(displacement)
         return free.starting(displacement, velocity, pushed)[0]
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
-        """1/2 v'M v+, v+ with the forces of the springs too."""
+        """Return 1/2 v'Mv+ of every state, with the forces of the springs in v+ too."""
         return super().kinetic(
             displacements, velocities, loads - self._springs(displacements.T).T @ self.body.problem.normal
         )
 
     def _springs(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(m,) forces of one displacement (n,), or (m, steps) of several (n, steps)."""
+        """Return the forces (m,) of one displacement (n,), or (m, steps) of several (n, steps) [force]."""
         problem = self.body.problem
         overlap = (problem.normal @ displacement).T - problem.gap
         return np.asarray(self._penalty * np.maximum(overlap, 0.0).T)
+
+
+def _with_penalty(body: Body, settings: SchemeSettings) -> ExplicitPenalty:
+    if settings.penalty is None:
+        raise InvalidProblem("penalty: the scheme 'penalty' has no default stiffness; state penalty=beta")
+    return ExplicitPenalty(body, settings.penalty)
+
+
+SCHEMES = (
+    SchemeEntry(
+        "paoli-schatzman",
+        lambda body, settings: PaoliSchatzman(body, settings.restitution),
+        explicit=True,
+        knobs=("restitution",),
+    ),
+    SchemeEntry("penalty", _with_penalty, explicit=True, friction=False, knobs=("penalty",)),
+)

@@ -1,4 +1,4 @@
-"""What a time-stepping scheme is: how it poses a step as a contact problem, and what it makes of the answer.
+"""The interface of a time-stepping scheme: how it states a step as a contact problem, and what it makes of the result.
 
 Writing h for the time step, a motion satisfies
 
@@ -11,6 +11,7 @@ with Coulomb's law for l_T and the velocities of slip, and an impact law where v
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,8 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.mass import massless
-from contactqp.analysis.motion.step_contact import Answered, Posed
+from contactqp.analysis.motion.mass_matrix import massless
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
@@ -36,7 +37,7 @@ RESTING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class State(ReadOnly):
-    """A motion at the end of a step, and what the next one needs of it."""
+    """A motion at the end of a step, as far as the next step depends on it."""
 
     displacement: Vector  # u (n,)
     velocity: Vector  # v (n,); of two-step schemes (u - before) / h, half a step earlier
@@ -48,7 +49,7 @@ class State(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnly):
-    """What every scheme steps: the problem, its mass matrix, and the step."""
+    """What every scheme steps: the problem, its mass matrix, and the length of the step."""
 
     problem: ContactProblem
     mass: Any  # M (n, n) CSR
@@ -59,31 +60,32 @@ class Body(ReadOnly):
         return self.problem.stiffness_rows
 
     def template(self, stiffness: Any) -> ContactProblem:
-        """The contact problem of a step: the rows, friction and names of the body's with another stiffness."""
+        """Return the contact problem of a step: the rows, friction and names of the body with another stiffness."""
         problem = self.problem
         return problem.replace(stiffness=stiffness, near_null_space=None)
 
     @cached_property
     def tangent(self) -> Any:
-        """E_T of contacts with friction; without, no rows."""
+        """Return E_T of contacts with friction, or no rows without friction."""
         return (
             self.problem.tangent if self.problem.frictional else read_only(sp.csr_matrix((0, self.problem.dimension)))
         )
 
     def slip_from(self, displacement: Vector) -> Vector:
-        """E_T u, where the slip of a step starts."""
+        """Return E_T u, from which the slip of a step counts, ((d-1) m,) [length]."""
         if not self.tangent.shape[0]:
             return NO_SLIP
         return np.asarray(self.tangent @ displacement)
 
     def still(self, displacement: Vector, velocity: Vector, before: Vector) -> State:
-        """A state without forces."""
+        """Return a state without forces."""
         problem = self.problem
         forces = np.zeros(problem.contacts), np.zeros(self.tangent.shape[0]), np.zeros(problem.ties)
         return State(displacement, velocity, *forces, before)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector, Vector]:
-        """The acceleration, normal forces (m,) and friction ((d-1) m,) of bodies that rest on each other at the start.
+        """Return the acceleration, normal forces (m,) and friction ((d-1) m,) of bodies that rest on each other at
+        the start.
 
         M a + E_N'l_N + E_T'l_T + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move apart or
         together, where Coulomb's law has the slip E_T (v + h a), on the unknowns with mass.
@@ -122,7 +124,7 @@ class Body(ReadOnly):
         return acceleration, normal, friction
 
     def on_massless(self, what: str, scheme: str) -> NDArray[np.bool_]:
-        """(m,) contacts or (k,) ties whose unknowns have no mass.
+        """Return which contacts (m,) or ties (k,) act on unknowns without mass.
 
         Raises
         ------
@@ -144,7 +146,7 @@ class Body(ReadOnly):
         return np.asarray(on_bare)
 
     def pull(self, state: State) -> Vector:
-        """E_N'l_N + E_T'l_T of a state."""
+        """Return E_N'l_N + E_T'l_T of a state, (n,) [force]."""
         force = self._rows_transposed[0] @ state.normal_force
         if len(state.friction_force):
             force = force + self._rows_transposed[1] @ state.friction_force
@@ -156,7 +158,7 @@ class Body(ReadOnly):
 
 
 class Scheme(ABC):
-    """One way to step. All are linear but for contact, with one stiffness each for all their steps."""
+    """A time-stepping scheme, linear but for contact, with one stiffness for each problem of its steps."""
 
     name: str
     body: Body
@@ -166,53 +168,56 @@ class Scheme(ABC):
     keeps_energy: bool = True  # whether, without contact, `kinetic` + 1/2 u'Ku stays as it is under no load
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """The state that the first step starts from; the load is that of the start."""
+        """Return the state from which the first step starts; the load is that of the start."""
         del load
         return self.body.still(displacement, velocity, displacement)
 
     @abstractmethod
-    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[Answered, ...]) -> Posed:
-        """The next problem of the step from `state`; `answers` are those of its earlier problems."""
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
+        """Return the next problem of the step from `state`; `answers` are the results of its earlier problems."""
 
     @abstractmethod
-    def accept(self, state: State, answers: tuple[Answered, ...]) -> State:
-        """The state at the end of the step."""
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
+        """Return the state at the end of the step."""
 
-    def answered(self, before: State, after: State) -> tuple[Answered, ...]:
-        """The answers that led from one state to the next: what `accept` was given, from what it made of it."""
-        u, way = after.displacement, after.displacement - before.displacement
-        return (Answered(u, after.normal_force, after.friction_force, after.tie_force, way),)
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
+        """Return the results that led from one state to the next: what `accept` was given, from what it made of it."""
+        u, motion = after.displacement, after.displacement - before.displacement
+        return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, motion),)
 
-    def contact_way(self, displacements: Block, velocities: Block) -> Block:
-        """(steps, n) from those (steps + 1, n) of all states: the way along which contact forces work in a step."""
+    def contact_motion(self, displacements: Block, velocities: Block) -> Block:
+        """Return the motions (steps, n) along which contact forces work in each step, from all states (steps + 1,
+        n).
+        """
         del velocities
         return np.diff(displacements, axis=0)
 
     def contact_weight(self) -> Vector:
-        """(m,) the part of a contact's force that works in its own step; the rest works in the step after."""
+        """Return the part of a contact's force that works in its own step, (m,); the rest works in the step after."""
         return np.ones(self.body.problem.contacts)
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
-        """(steps + 1,) 1/2 v'Mv of states given as (steps + 1, n) arrays."""
+        """Return 1/2 v'Mv (steps + 1,) of states given as (steps + 1, n) arrays."""
         del displacements, loads
         return np.asarray(np.einsum("ij,ij->i", velocities, (self.body.mass @ velocities.T).T) / 2)
 
 
 class TwoStep(Scheme):
-    """What central differences share: v = (u_k - u_(k-1)) / h, the velocity half a step before u_k."""
+    """The common part of central differences: v = (u_k - u_(k-1)) / h is the velocity half a step before u_k."""
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """u before the start from u0 - h v0 + h^2/2 a0."""
+        """Return the start with u before it from u0 - h v0 + h^2/2 a0."""
         before = displacement - self.body.step * velocity
         before += self.body.step**2 / 2 * self.starting(displacement, velocity, load)
         return self.body.still(displacement, velocity, before)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """a0."""
+        """Return the acceleration a0 at the start."""
         return self.body.starting(displacement, velocity, load)[0]
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
-        """1/2 v'M v+, v and v+ = v + h a the velocities half a step before and after, a from K and f alone.
+        """Return 1/2 v'Mv+ with v and v+ = v + h a the velocities half a step before and after, a from K and f
+        alone.
 
         With the elastic energy 1/2 u'Ku this is what central differences keep exactly in free flight.
         """
@@ -221,3 +226,24 @@ class TwoStep(Scheme):
         push = loads - (body.stiffness @ displacements.T).T
         push[:, body.mass.diagonal() == 0] = 0.0
         return np.asarray(np.einsum("ij,ij->i", velocities, momentum + body.step * push) / 2)
+
+
+@dataclass(frozen=True)
+class SchemeSettings:
+    """The numbers that a user may choose; `impact` checks them, and refuses those that a scheme does not take."""
+
+    theta: float  # from 1/2 to 1
+    restitution: float  # from 0 to 1
+    penalty: float | None  # stiffness of contact springs [force / length]
+
+
+@dataclass(frozen=True)
+class SchemeEntry:
+    """A scheme that a user can ask for by its name, and what `impact` has to know of it."""
+
+    name: str
+    make: Callable[[Body, SchemeSettings], Scheme]
+    explicit: bool = False  # stable up to a critical step, and in need of mass at every unknown
+    massless_contacts: bool = False  # takes the mass from the unknowns that contacts act on
+    friction: bool = True  # whether it takes contacts with friction
+    knobs: tuple[str, ...] = ()  # the fields of SchemeSettings that it takes

@@ -1,0 +1,383 @@
+"""One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
+
+A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is anchored
+at its E_T u at the fraction of the step at which its gap reaches zero: contacts without an anchor are constrained to
+stay open, and where they overlap at the end of the step, the first load at which one of them touches is searched for.
+Between loads at which no other contact changes its state gaps are linear, and the secant finds that load exactly.
+
+The equilibria of a step come from Newton's method on the condensed contact unknowns (`PlaneStepper`), or from `solve`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from contactqp.analysis.history import Unfinished
+from contactqp.certificate.figures import balance
+from contactqp.certificate.subset_bounds import first_candidates
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.friction_states import OPEN, STICK, Status
+from contactqp.linalg.iteration import iterated
+from contactqp.linalg.measures import own_compliance
+from contactqp.linalg.runtime import METHOD, POLISH, one_blas_thread, stage
+from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer, Solution
+from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
+from contactqp.solving.friction.newton import combination_of, search
+from contactqp.solving.friction_runs import run_on_combination
+from contactqp.solving.runs import Meter
+from contactqp.solving.solve import solve
+
+# Loads tried for one closing: bisection takes over where the secant does not shrink its bracket.
+MOST_LOADS = 60
+# A bracket of this part of the leg holds a jump: no load shows the contact touching.
+JUMP = 1e-13
+# Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
+HALVINGS = 30
+# A gap of this part of the lengths that meet is rounding.
+TOUCHING = 1e-12
+# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out.
+WIDENED = 1e3
+# A load of which this part is left on a body that nothing holds drives it.
+DRIVEN = 1e-6
+# Displacements that differ by this part of the largest are one.
+SAME = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One equilibrium along a path, as far as the next one depends on it."""
+
+    fraction: float  # of the leg
+    gap: Vector  # (m,) g - E_N u [length]; negative at contacts that were held open and overlap
+    position: Array  # (m, d-1) E_T u [length]
+    pushes: Mask  # (m,) which carry a force
+    slides: Mask  # (m,) which of them slip
+    touching: Mask  # (m,) closed, or with no gap but rounding
+    overlap: Mask  # (m,) held open, and too far in to be rounding
+    step: Unfinished
+
+
+# The equilibrium at a fraction of the leg, from slip origins (m, d-1), with contacts held open.
+Solve = Callable[[float, Array, Mask], State]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """The tangential positions of the contacts at the end of a step."""
+
+    position: Array  # (m, d-1) E_T u
+    anchored: Mask  # (m,)
+
+
+def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
+    """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
+
+    Parameters
+    ----------
+    fraction : float
+        The end of the step, as a part of the leg.
+    before : State
+        The state at its start.
+    anchors : Anchors
+        The tangential positions there, and which contacts are anchored.
+    solve : function
+        The equilibrium at a fraction, from slip origins, with contacts that are kept open.
+
+    Raises
+    ------
+    NoEquilibrium, SeveralEquilibria, NotConverged
+        Of the solve at the end of the step, all contacts anchored.
+    """
+    origin, anchored = anchors.position.copy(), anchors.anchored.copy()
+    low = before
+    while True:
+        high = None if np.all(anchored) else _tried(solve, fraction, origin=origin, held_open=~anchored)
+        if high is None and np.all(anchored):
+            return solve(fraction, origin, ~anchored)
+        if high is not None and not np.any(high.overlap):
+            return high
+        touched = _first_touch(low, high, fraction, partial(_tried, solve, origin=origin, held_open=~anchored))
+        if touched is None:
+            # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
+            anchored[:] = True
+            continue
+        closing = ~anchored & (touched.touching | touched.overlap)
+        origin[closing] = touched.position[closing]
+        anchored |= closing
+        low = touched
+
+
+def _tried(solve: Solve, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
+    """Return the state, or None where the bodies without these contacts have no equilibrium."""
+    try:
+        return solve(fraction, origin, held_open)
+    except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
+        return None
+
+
+def _first_touch(
+    low: State, high: State | None, fraction: float, solve: Callable[[float], State | None]
+) -> State | None:
+    """Return the first state after `low` in which a contact without an anchor touches, or None for a free motion."""
+    if high is None:
+        low, high = _furthest(low, fraction, solve)
+        if high is None:
+            return None
+    same_side, last_over = 0, None
+    for _ in range(MOST_LOADS):
+        at = _secant(low, high) if same_side < 2 else 0.0
+        if not low.fraction < at < high.fraction:
+            at = (low.fraction + high.fraction) / 2
+        if high.fraction - low.fraction <= JUMP:
+            return high
+        here = solve(at)
+        if here is None:
+            return high
+        held = high.gap < 0
+        if not np.any(here.overlap) and np.any(here.touching & held):
+            return here
+        over = bool(np.any(here.overlap))
+        same_side = same_side + 1 if over == last_over else 0
+        last_over, (low, high) = over, (low, here) if over else (here, high)
+    return high
+
+
+def _secant(low: State, high: State) -> float:
+    """Return where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
+    falls = high.overlap & (low.gap > high.gap)
+    if not np.any(falls):
+        return (low.fraction + high.fraction) / 2
+    part = np.maximum(low.gap[falls], 0.0) / (np.maximum(low.gap[falls], 0.0) - high.gap[falls])
+    return float(low.fraction + np.min(part) * (high.fraction - low.fraction))
+
+
+def _furthest(low: State, fraction: float, solve: Callable[[float], State | None]) -> tuple[State, State | None]:
+    """Return a state without overlap, and one with it, between `low` and a fraction that has no equilibrium."""
+    beyond = fraction
+    for _ in range(HALVINGS):
+        at = (low.fraction + beyond) / 2
+        here = solve(at)
+        if here is None:
+            beyond = at
+        elif np.any(here.overlap):
+            return low, here
+        else:
+            low = here
+    return low, None
+
+
+class Stepper(Protocol):
+    """What finds the equilibria along one leg after the other."""
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Begin the leg from one corner of the load to the next."""
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+
+    def accept(self, state: State) -> State:
+        """Return the state as a step of the path; the next solve starts from it."""
+
+
+@dataclass(frozen=True, eq=False)
+class UncertifiedStep:
+    """An answer on the contact unknowns that is neither refined nor certified yet."""
+
+    problem: ContactProblem  # with the load and the slip origin of the step
+    system: ForceSystem
+    lengths: Lengths
+    found: CombinationAnswer
+    combinations: int
+    seconds: float
+    meter: Meter
+
+    def finish(self) -> Solution:
+        """Refine, expand and certify the answer.
+
+        Raises
+        ------
+        NotCertified
+            The certificate refuses the answer.
+        """
+        started = time.perf_counter()
+        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
+            run = run_on_combination(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
+        run.seconds = self.seconds + time.perf_counter() - started
+        return run.finish()
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedStep:
+    """A solution that is certified already."""
+
+    solution: Solution
+
+    def finish(self) -> Solution:
+        """Return the solution."""
+        return self.solution
+
+
+class PlaneStepper:
+    """Newton's method on the condensed unknowns of a plane problem; its factors serve all steps.
+
+    Where Newton fails, what `solve` falls back to.
+    """
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem = problem
+        self._otherwise = SolveStepper(problem, method, options)
+        self._meter = Meter(problem)  # of the step to come: the first one pays for the factorisation
+        with self._meter.running():
+            self._condensation = condense(problem)
+        self._system = ForceSystem(problem, self._condensation)
+        self._status: Status = np.where(problem.gap > 0, OPEN, STICK).astype(np.int8)
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Begin the leg from one corner of the load to the next."""
+        self._leg = start, end
+        self._otherwise.turn(start, end)
+        self._reduced = self._condensation.reduce_load(start)[0].copy(), self._condensation.reduce_load(end)[0].copy()
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
+        started = time.perf_counter()
+        start, end = self._reduced
+        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        lengths = self._system.lengths(problem, _between(start, end, fraction))
+        try:
+            with stage(METHOD):
+                found, combinations = search(self._system, lengths, self._status, held_open)
+        except NotConverged:
+            return self._otherwise.solve(fraction, origin, held_open)
+        spent = time.perf_counter() - started
+        step = UncertifiedStep(problem, self._system, lengths, found, combinations, spent, self._meter)
+        return self._state(step, fraction, origin, held_open)
+
+    def accept(self, state: State) -> State:
+        """Return the state as a step of the path; the next solve starts from its combination of states."""
+        self._meter = Meter(self._problem)
+        if not isinstance(state.step, UncertifiedStep):
+            state = self._otherwise.accept(state)
+        step = state.step
+        if isinstance(step, UncertifiedStep):
+            self._status = step.found.status
+        else:
+            solution = step.finish()
+            self._status = combination_of(solution.problem, solution)
+        return state
+
+    def _state(self, step: UncertifiedStep, fraction: float, origin: Array, held_open: Mask) -> State:
+        rows, found = self._system.rows, step.found
+        status, gap = found.status, found.gap * rows.normal_length
+        m = len(status)
+        lengths = (step.lengths.free[: 2 * m], step.lengths.target[: 2 * m], found.gap, found.slip)
+        rounding = TOUCHING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
+        position = origin[:, 0] + found.slip * rows.tangent_length
+        pushes = found.normal > TOUCHING * step.lengths.size
+        return State(
+            fraction=fraction,
+            gap=gap,
+            position=position[:, None],
+            pushes=pushes,
+            slides=pushes & (abs(found.slip) > rounding) & (self._system.coefficient > 0),
+            touching=(status != OPEN) | (abs(found.gap) <= rounding),
+            overlap=held_open & (found.gap < -rounding),
+            step=step,
+        )
+
+
+class SolveStepper:
+    """Equilibria by `solve`: for two tangential directions a contact, bodies that are not factorised, and methods or
+    algorithms that the caller chooses.
+    """
+
+    def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
+        self._problem, self._method, self._options = problem, method, options
+        self._before: Solution | None = None
+
+    def turn(self, start: Vector, end: Vector) -> None:
+        """Begin the leg from one corner of the load to the next."""
+        self._leg = start, end
+
+    def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
+        """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
+        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        if np.all(held_open):
+            _refuse_driven(problem)
+        solution = self._solved(_widened(problem, held_open), self._before)
+        if np.any(solution.normal_force[held_open] > 0):
+            raise NoEquilibrium("a contact that is held open closes")
+        return _state_of(problem, solution, fraction, held_open)
+
+    def accept(self, state: State) -> State:
+        """Return the state as a step of the path, with the gaps of the problem; the next solve starts from it.
+
+        Raises
+        ------
+        NotConverged
+            Contacts that do not reach their obstacle make a difference: there are several equilibria.
+        """
+        self._before = found = state.step.finish()
+        gap = self._problem.gap
+        if np.array_equal(found.problem.gap, gap):
+            return state
+        self._before = solution = self._solved(found.problem.replace(gap=gap), found)
+        size = np.max(abs(found.displacement), initial=0.0)
+        if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME * size:
+            raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
+        return replace(state, step=SolvedStep(solution))
+
+    def _solved(self, problem: ContactProblem, start: Solution | None) -> Solution:
+        return solve(problem, self._method, warm_start=start, **self._options)
+
+
+def _between(start: Vector, end: Vector, fraction: float) -> Vector:
+    return end if fraction == 1 else start + fraction * (end - start)
+
+
+def _refuse_driven(problem: ContactProblem) -> None:
+    """Raise where the load drives a body that no contact constrains: it would move until a contact closes."""
+    if problem.ties or iterated(problem) or first_candidates(problem) is not None:
+        return
+    nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
+    if balance(problem, nothing, condense(problem).rigid) > DRIVEN:
+        raise NoEquilibrium("the load drives a body whose contacts are held open")
+
+
+def _widened(problem: ContactProblem, held_open: Mask) -> ContactProblem:
+    """Return the problem with these contacts so far away that they cannot close."""
+    if not np.any(held_open):
+        return problem
+    far = WIDENED * (abs(problem.gap) + float(np.max(abs(problem.gap))))
+    return problem.replace(gap=np.where(held_open, problem.gap + far, problem.gap))
+
+
+def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held_open: Mask) -> State:
+    """Return the state of a solution, with the gaps of the problem."""
+    if problem.tangent is None or problem.slip_origin is None:
+        raise ValueError("a path with friction of a problem without tangential rows")
+    u = solution.displacement
+    gap = problem.gap - problem.normal @ u
+    largest = float(np.max(np.sqrt(problem.diagonal) * abs(u), initial=0.0))
+    nearby = np.sqrt(own_compliance(problem, problem.normal)) * largest
+    rounding = TOUCHING * (abs(problem.normal) @ abs(u) + abs(problem.gap) + nearby)
+    pushes = solution.normal_force > 0
+    return State(
+        fraction=fraction,
+        gap=np.asarray(gap),
+        position=np.asarray((problem.tangent @ u).reshape(problem.slip_origin.shape)),
+        pushes=pushes,
+        slides=pushes & (solution.contact_status == "slip"),
+        touching=pushes | (gap <= rounding),
+        overlap=held_open & (gap < -rounding),
+        step=SolvedStep(solution),
+    )

@@ -1,0 +1,185 @@
+"""The mass matrix of a motion: what is accepted as one, mass taken from the nodes that touch, and the critical step.
+
+The critical step is the longest time step of central differences, 2 over the highest frequency.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+from contactqp.linalg.factorization import factorise, null_space
+from contactqp.model.arrays import Vector, own_floating_point
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import read_array, read_matrix
+
+# Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
+ASYMMETRY = 1e-6
+# Rounding and print precision leave a semidefinite mass, scaled to a diagonal of one, pivots as negative as this.
+INDEFINITE = 1e-6
+# Rigid motions keep their mass to this part of it.
+KEPT = 1e-9
+# Up to here all frequencies are found at once.
+DENSE_SIZE = 200
+
+
+def read_mass(mass: Any, n: int) -> Any:
+    """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one.
+
+    Raises
+    ------
+    InvalidProblem
+        Another shape, values that are not finite, an asymmetric or indefinite matrix, mass that couples to an
+        unknown that has none.
+    """
+    values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
+    if values.ndim not in (1, 2):
+        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got {mass!r}")
+    M = sp.csr_matrix(sp.diags(values) if values.ndim == 1 else values)
+    if M.shape != (n, n):
+        raise InvalidProblem(f"mass: expected a matrix ({n}, {n}) or its diagonal ({n},), got shape {values.shape}")
+    if not np.all(np.isfinite(M.data)):
+        raise InvalidProblem("mass: expected finite numbers")
+    diagonal = M.diagonal()
+    if np.any(diagonal < 0):
+        j = int(np.argmin(diagonal))
+        raise InvalidProblem(f"mass: expected no negative diagonal, got {diagonal[j]:g} at unknown {j}")
+    entries = M.tocoo()
+    root = np.sqrt(diagonal)  # apart: a product of two small masses is no number
+    scale = root[entries.row] * root[entries.col]
+    if np.any((scale == 0) & (entries.data != 0)):
+        raise InvalidProblem("mass: an unknown without mass of its own is coupled to others: not positive semidefinite")
+    difference = abs(M - M.T).tocoo()
+    beside = root[difference.row] * root[difference.col]
+    if np.any(difference.data > ASYMMETRY * beside):
+        raise InvalidProblem("mass: expected a symmetric matrix")
+    M = sp.csr_matrix((M + M.T) / 2)
+    _refuse_indefinite(M)
+    return M
+
+
+def _refuse_indefinite(M: Any) -> None:
+    """Raise for an indefinite mass: it creates energy, and the stiffness that a step adds may hide it."""
+    diagonal = M.diagonal()
+    moving = np.flatnonzero(diagonal > 0)
+    if not (M - sp.diags(diagonal)).count_nonzero():
+        return
+    try:
+        factorise((M + sp.diags(INDEFINITE * diagonal)).tocsr()[moving][:, moving])
+    except InvalidProblem as error:
+        raise InvalidProblem("mass: expected a positive semidefinite matrix, got an indefinite one") from error
+
+
+def massless(mass: Any) -> NDArray[np.bool_]:
+    """Return which unknowns are without mass, (n,)."""
+    return np.asarray(mass.diagonal() == 0)
+
+
+def touched(problem: ContactProblem) -> NDArray[np.intp]:
+    """Return the unknowns that contacts act on: those of E_N, with friction also those of E_T."""
+    rows = [problem.normal]
+    if problem.frictional and problem.tangent is not None:
+        rows.append(problem.tangent)
+    return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+
+
+@own_floating_point
+def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
+    """Return a mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
+
+    Their rows and columns become zero. What they had goes to their neighbours, as a diagonal change of least size that
+    keeps z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
+    those that the stiffness couples, then the neighbours of these, until the conditions can be met. Of a body that is
+    held, whose rigid motions matrices do not tell, the sum of the rows is kept.
+
+    Parameters
+    ----------
+    mass : (n, n) matrix or (n,) diagonal
+    problem : ContactProblem
+
+    Returns
+    -------
+    (n, n) CSR matrix, positive semidefinite.
+
+    Raises
+    ------
+    InvalidProblem
+        All unknowns of a body touch, or the mass that is left would be negative.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    M = read_mass(mass, problem.dimension)
+    kept = np.ones(problem.dimension, dtype=bool)
+    kept[touched(problem)] = False
+    left = sp.csr_matrix(sp.diags(kept.astype(float)) @ M @ sp.diags(kept.astype(float)))
+    graph = abs(problem.stiffness_rows) + abs(M)
+    Z, body = null_space(problem.stiffness_rows).motions, connected_components(graph, directed=False)[1]
+    change = np.zeros(problem.dimension)
+    for number in np.unique(body[~kept]):
+        members = body == number
+        motions = Z[:, np.any(Z[members] != 0, axis=0)] * members[:, None]
+        change += _on_neighbours(graph, M, left, members & ~kept, members & kept, motions)
+    diagonal = left.diagonal() + change
+    if np.any(diagonal[kept] < 0):
+        j = int(np.argmin(np.where(kept, diagonal, np.inf)))
+        raise InvalidProblem(
+            f"mass: {problem.dof_name(j)} would be left with the mass {diagonal[j]:g}; contacts act on too many "
+            "unknowns for their mass to be moved"
+        )
+    return sp.csr_matrix(left + sp.diags(change))
+
+
+def _on_neighbours(
+    graph: Any, M: Any, left: Any, bare: NDArray[np.bool_], kept: NDArray[np.bool_], Z: NDArray[np.float64]
+) -> Vector:
+    """Return the diagonal change (n,) on one body that keeps Z'MZ, on as small a number of rings of neighbours as
+    can.
+    """
+    pairs = [(a, b) for a in range(Z.shape[1]) for b in range(a, Z.shape[1])]
+    missing = np.array([Z[:, a] @ ((M - left) @ Z[:, b]) for a, b in pairs])
+    rows = np.array([Z[:, a] * Z[:, b] for a, b in pairs]).reshape(len(pairs), len(bare))
+    size = abs(rows) @ np.asarray(M.diagonal())
+    if not pairs:  # a held body: what the bare rows sum to
+        missing, rows, size = np.array([np.sum(M[bare])]), np.ones((1, len(bare))), np.array([M.diagonal().sum()])
+    near = bare
+    while True:
+        reached = near | (np.asarray(graph @ near.astype(float)) > 0)
+        ring, change = reached & kept, np.zeros(len(bare))
+        if np.any(ring):
+            change[ring], *_ = np.linalg.lstsq(rows[:, ring], missing, rcond=None)
+            if np.all(abs(rows @ change - missing) <= KEPT * size):
+                return change
+        if np.array_equal(reached, near):
+            raise InvalidProblem(
+                "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body"
+            )
+        near = reached
+
+
+def critical_step(mass: Any, stiffness: Any) -> float:
+    """Return 2 / omega, omega the highest frequency of K x = omega^2 M x on the unknowns with mass [time]; inf
+    without any.
+
+    Unknowns without mass are held: that makes frequencies no lower.
+    """
+    moving = np.flatnonzero(mass.diagonal() > 0)
+    K = sp.csr_matrix(stiffness)[moving][:, moving]
+    M = sp.csr_matrix(mass)[moving][:, moving]
+    if not len(moving) or not np.any(K.data):
+        return np.inf
+    if len(moving) <= DENSE_SIZE:
+        from scipy.linalg import eigvalsh
+
+        highest = float(eigvalsh(K.toarray(), M.toarray())[-1])
+    else:
+        from scipy.sparse.linalg import LinearOperator, eigsh
+
+        factor = factorise(M)
+        inverse = LinearOperator(M.shape, matvec=factor.solve, dtype=float)
+        start = np.random.default_rng(0).standard_normal(len(moving))
+        highest = float(eigsh(K, 1, M=M, Minv=inverse, which="LA", v0=start, tol=1e-8, return_eigenvectors=False)[0])
+    return 2 / np.sqrt(highest) if highest > 0 else np.inf

@@ -1,0 +1,332 @@
+"""The history of a motion: states at equal steps, energies and events, and solutions that are certified on access."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.analysis.history import Energies, Event, History, LazySolutions, contact_changes
+from contactqp.analysis.motion.schemes.scheme import Scheme, State
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.certificate.certificate import compute_certificate, contact_status
+from contactqp.errors import Unsupported
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.solution import Solution
+
+# Steps whose energies are found at once.
+BLOCK = 256
+# Slip of this part of what moves is rounding.
+SLIPS = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Moving(Solution):
+    """One instant of a motion.
+
+    `displacement`, `normal_force`, `gap`, `slip` (since the step before) are those of the bodies; forces are those of
+    the step that ended, in Moreau's and Jean's scheme impulses over the time step. `certificate` judges `step_problem`,
+    the contact problem that the scheme posed for the step, in whose unknown the answer was `step_unknown`.
+    """
+
+    velocity: Vector = field(default_factory=lambda: np.zeros(0))  # (n,) [length / time]
+    time: float = 0.0
+    step_problem: ContactProblem | None = field(default=None, repr=False)
+    step_unknown: Vector = field(default_factory=lambda: np.zeros(0), repr=False)
+
+
+class MotionHistory(History):
+    """A `History` of a motion, the start included; `times` are in the user's unit of time."""
+
+    def __init__(
+        self,
+        motion: Motion,
+        notes: Callable[[], Sequence[str]],
+        resume: Callable[[list[State], float], MotionHistory],
+    ) -> None:
+        super().__init__(
+            LazySolutions(_Instant(motion, k) for k in range(len(motion.states))),
+            [motion.time(k) for k in range(len(motion.states))],
+            lambda: events(motion),
+            energies=lambda: energies(motion),
+            notes=notes,
+        )
+        self.motion = replace(motion, states=list(motion.states))
+        self._resume = resume
+
+    def resume(self, duration: float) -> MotionHistory:
+        """Continue this motion with the same scheme, step and factorisation, and return the longer motion.
+
+        Raises
+        ------
+        Unsupported
+            The history was pickled.
+        InvalidProblem, NotConverged
+            As `impact`.
+        """
+        return self._resume(self.motion.states, duration)
+
+    def __copy__(self) -> MotionHistory:
+        """Return the same motion, which shares its states and the solutions that were finished."""
+        twin = MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
+        twin._solutions = self._solutions
+        return twin
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MotionHistory:
+        return self.__copy__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: every instant finished, and the loads at all of them. A pickled motion cannot be
+        resumed.
+        """
+        return super().__getstate__() | dict(_resume=_refuse_to_go_on)
+
+    @property
+    def displacements(self) -> NDArray[np.float64]:
+        """Return the displacements (steps, n) [length]."""
+        return read_only(np.array([state.displacement for state in self.motion.states]))
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """Return the velocities (steps, n) [length / time]; of central differences those half a step before, after
+        the start's.
+        """
+        return read_only(np.array([state.velocity for state in self.motion.states]))
+
+    @property
+    def normal_forces(self) -> NDArray[np.float64]:
+        """Return the normal forces (steps, m) [force], positive in compression."""
+        return read_only(np.array([state.normal_force for state in self.motion.states]))
+
+    @property
+    def friction_forces(self) -> NDArray[np.float64] | None:
+        """Return the friction forces (steps, m, d-1) [force], or None without friction."""
+        problem = self.motion.scheme.body.problem
+        if not problem.frictional or problem.slip_origin is None:
+            return None
+        shape = (len(self.motion.states), *problem.slip_origin.shape)
+        return read_only(np.array([state.friction_force for state in self.motion.states])).reshape(shape)
+
+    @property
+    def tie_forces(self) -> NDArray[np.float64]:
+        """Return the tie forces (steps, k) [force]."""
+        return read_only(np.array([state.tie_force for state in self.motion.states]))
+
+
+def _refuse_to_go_on(*_: Any) -> Any:
+    raise Unsupported("a motion that was pickled cannot be resumed: its load and factors are where it was made")
+
+
+@dataclass(frozen=True, eq=False)
+class _Instant:
+    """One state, made a solution and certified on first access."""
+
+    motion: Motion
+    number: int
+
+    def finish(self) -> Solution:
+        return _solution_at(self.motion, self.number)
+
+
+def _solution_at(motion: Motion, k: int) -> Moving:
+    """Return instant k with the certificate of the step that ended there; the start is certified as it was given."""
+    body, state = motion.scheme.body, motion.states[k]
+    problem = body.problem.replace(load=motion.load(motion.time(k)))
+    before = motion.states[max(k - 1, 0)].displacement
+    if problem.slip_origin is not None and problem.tangent is not None:
+        problem = problem.replace(slip_origin=problem.tangent @ before)
+    step, found = _step_problem(motion, k)
+    friction = None if step.slip_origin is None else _shaped(found.friction, step)
+    certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
+    status = contact_status(step, certificate)
+    force = np.zeros(problem.contacts)
+    force[: len(state.normal_force)] = state.normal_force
+    return Moving(
+        problem=problem,
+        displacement=state.displacement,
+        normal_force=force,
+        friction_force=None if problem.slip_origin is None else _shaped(state.friction_force, problem),
+        tie_force=state.tie_force,
+        contact_status=status if len(status) == problem.contacts else np.where(force > 0, "closed", "open"),
+        free_motions=(),
+        certificate=certificate,
+        method=f"{motion.scheme.name} with {motion.method}",
+        seconds=motion.seconds[0],
+        certify_seconds=0.0,
+        work=motion.work(),
+        velocity=state.velocity,
+        time=motion.time(k),
+        step_problem=step,
+        step_unknown=found.unknown,
+    )
+
+
+def _shaped(friction: Vector, problem: ContactProblem) -> NDArray[np.float64]:
+    assert problem.slip_origin is not None
+    return friction.reshape(problem.slip_origin.shape) if len(friction) else np.zeros_like(problem.slip_origin)
+
+
+def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
+    """Return the problem of the step that ends at k. A contact that it may not close gets a gap that stays open."""
+    template = motion.scheme.templates[-1]
+    m, ties = template.contacts, template.ties
+    tangential = 0 if template.slip_origin is None else template.slip_origin.size
+    if k == 0:
+        x = motion.states[0].displacement
+        found = StepResult(x, np.zeros(m), np.zeros(tangential), np.zeros(ties), x)
+        gap, origin = motion.scheme.body.problem.gap[:m], motion.scheme.body.slip_from(x)
+        posed = StepProblem(template.stiffness_rows @ x, gap, None, origin, template.tie @ x)
+    else:
+        posed, found = motion.posed(k)
+    gap = posed.gap
+    if posed.closable is not None:
+        reach = template.normal @ found.unknown
+        gap = np.where(posed.closable, gap, np.maximum(reach, 0.0) + abs(reach))
+    step = template.replace(
+        load=posed.load, gap=gap, tie_value=np.zeros(ties) if posed.tie_value is None else posed.tie_value
+    )
+    if tangential:
+        unmoved = posed.slip_origin is None or not len(posed.slip_origin)
+        step = step.replace(slip_origin=np.zeros(tangential) if unmoved else posed.slip_origin)
+    if posed.base is not None:
+        load, size = posed.load + template.stiffness_rows @ posed.base, abs(posed.load)
+        step = step.with_load_sum(load, size + template.stiffness_sizes @ abs(posed.base))
+    return step, found
+
+
+def events(motion: Motion) -> Iterator[Event]:
+    """Return the contacts that begin or cease to push and, with friction, to slip."""
+    problem = motion.scheme.body.problem
+
+    def states() -> Iterator[tuple[Mask, Mask]]:
+        for start in motion.states[:1]:
+            yield start.normal_force > 0, np.zeros(problem.contacts, dtype=bool)
+        for before, now in pairwise(motion.states):
+            yield now.normal_force > 0, _slips(motion, before, now) & (now.normal_force > 0)
+
+    return contact_changes(states(), map(motion.time, range(len(motion.states))), problem.contact_name)
+
+
+def _slips(motion: Motion, before: State, now: State) -> NDArray[np.bool_]:
+    body, problem = motion.scheme.body, motion.scheme.body.problem
+    if not problem.frictional or problem.friction is None:
+        return np.zeros(problem.contacts, dtype=bool)
+    moved = now.displacement - before.displacement
+    size = np.linalg.norm(now.friction_force.reshape(problem.contacts, -1), axis=1)
+    slip = np.max(abs(body.tangent @ moved).reshape(problem.contacts, -1), axis=1)
+    at_cone = size >= (1 - SLIPS) * problem.friction * now.normal_force
+    return np.asarray(at_cone & (slip > SLIPS * np.max(abs(body.tangent) @ abs(moved))))
+
+
+def energies(motion: Motion) -> Iterator[Energies]:
+    """Return the energies of every state, computed a block at a time.
+
+    What the normal forces take is their work along the contact motion of the scheme. A scheme that keeps energy without
+    contact has lost to the impact, or gained from it, whatever else is missing after a step beside contact forces.
+    """
+    scheme, states = motion.scheme, motion.states
+    first: float | None = None
+    sums = np.zeros(3)  # work, impact, friction
+    for start in range(0, len(states), BLOCK):
+        begin = max(start - 1, 0)
+        block = states[begin : start + BLOCK]
+        around = states[max(begin - 1, 0) : start + BLOCK + 1]
+        loads = np.array([motion.load(motion.time(k)) for k in range(begin, begin + len(block))])
+        stored = _stored(motion, block, loads)
+        if first is None:
+            first = float(stored[:, 0].sum())
+            yield Energies(float(stored[0, 0]), float(stored[1, 0]), 0.0, 0.0)
+        gain = np.diff(stored.sum(axis=0))
+        done = _done(motion, block, loads)
+        if scheme.keeps_energy:
+            touching = np.any(np.array([s.normal_force for s in around]) > 0, axis=1)
+            near = np.convolve(touching, np.ones(3), "same") > 0  # a predictor acts a step before its force
+            near = near[len(states[max(begin - 1, 0) : begin]) :][: len(block)]
+            acting = near[1:] | near[:-1]
+            done[1] = np.where(acting, done[0] - done[2] - gain, done[1])
+        for i in range(len(gain)):
+            sums += done[:, i]
+            elastic, kinetic = stored[:, i + 1].tolist()
+            work, impact, friction = sums.tolist()
+            drift = elastic + kinetic - first - work + impact + friction
+            yield Energies(elastic, kinetic, work, friction, impact, drift)
+
+
+def _stored(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return elastic and kinetic energy, (2, states)."""
+    scheme, body = motion.scheme, motion.scheme.body
+    u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
+    elastic = np.einsum("ij,ij->i", u, (body.stiffness @ u.T).T) / 2
+    if scheme.springs is not None:
+        elastic += np.sum(np.array([s.normal_force for s in block]) ** 2, axis=1) / (2 * scheme.springs)
+    kinetic = scheme.kinetic(u, v, loads)
+    if block[0] is motion.states[0]:
+        kinetic[0] = v[0] @ (body.mass @ v[0]) / 2  # as it was given, at one instant
+    return np.array([elastic, kinetic])
+
+
+def _done(motion: Motion, block: list[State], loads: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the work of the loads, of normal forces and of friction in each step, (3, steps)."""
+    scheme, problem = motion.scheme, motion.scheme.body.problem
+    u, v = np.array([s.displacement for s in block]), np.array([s.velocity for s in block])
+    motions, weight = scheme.contact_motion(u, v), scheme.contact_weight()
+
+    def along(force: Vector, rows: Any) -> Vector:
+        share = np.repeat(weight, force.shape[1] // max(len(weight), 1))
+        acting = share * force[1:] + (1 - share) * force[:-1]
+        return np.asarray(np.einsum("ij,ij->i", acting, (rows @ motions.T).T))
+
+    work = np.einsum("ij,ij->i", (loads[1:] + loads[:-1]) / 2, np.diff(u, axis=0))
+    taken = rubbed = np.zeros(len(motions))
+    if scheme.springs is None:
+        taken = along(np.array([s.normal_force for s in block]), problem.normal)
+    if problem.frictional:
+        rubbed = along(np.array([s.friction_force for s in block]), scheme.body.tangent)
+    return np.array([work, taken, rubbed])
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedLoad(ReadOnly):
+    """The values of a load at the instants of a motion."""
+
+    times: tuple[float, ...]
+    loads: NDArray[np.float64]
+
+    def __call__(self, instant: float) -> Vector:
+        return np.asarray(self.loads[self.times.index(instant)])
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The states of a motion, and the scheme that made them."""
+
+    scheme: Scheme
+    states: list[State]
+    load: Callable[[float], Vector]
+    start: float  # time of the first state
+    method: str
+    seconds: list[float]  # of all steps, one number
+    work: Callable[[], Any]  # Work so far
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is copied or pickled: the states, and the load by its values at their times."""
+        times = [self.time(k) for k in range(len(self.states))]
+        known = TabulatedLoad(tuple(times), np.array([self.load(instant) for instant in times]))
+        return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
+
+    def time(self, k: int) -> float:
+        return self.start + k * self.scheme.body.step
+
+    def posed(self, k: int) -> tuple[StepProblem, StepResult]:
+        """Return the problem that the scheme stated last for step k, the step that ends at state k, and its result."""
+        before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
+        *earlier, found = self.scheme.answered(before, self.states[k])
+        return self.scheme.pose(before, load, next_load, tuple(earlier)), found

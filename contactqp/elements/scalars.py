@@ -1,0 +1,78 @@
+"""Lengths and directions in floats or in exact numbers, which stay exact as long as they are rational."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from fractions import Fraction
+from numbers import Rational
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import InvalidProblem
+
+Number = Fraction | float
+# Object arrays hold Fractions, float arrays hold floats; NumPy's types cannot tell the two apart.
+Numbers = NDArray[Any]
+
+
+_IRRATIONAL: ContextVar[Callable[[Any], Any]] = ContextVar("_IRRATIONAL", default=math.sqrt)
+
+
+@contextmanager
+def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
+    """Make irrational roots numbers of another kind than floats within a `with` block, as `root` makes them.
+
+    The kind must compute with Fractions; formulas of elements then carry it along.
+    """
+    token = _IRRATIONAL.set(root)
+    try:
+        yield
+    finally:
+        _IRRATIONAL.reset(token)
+
+
+def square_root(square: Number) -> Number:
+    """Return the root of a number that is not negative: a Fraction where the number is the square of one, a float
+    otherwise.
+
+    >>> square_root(Fraction(25, 4)), square_root(Fraction(2))
+    (Fraction(5, 2), 1.4142135623730951)
+    """
+    if isinstance(square, Rational):
+        numerator, denominator = math.isqrt(square.numerator), math.isqrt(square.denominator)
+        if (numerator**2, denominator**2) == (square.numerator, square.denominator):
+            return Fraction(numerator, denominator)
+    root: Number = _IRRATIONAL.get()(square)
+    return root
+
+
+def squared_length(vector: Numbers) -> Number:
+    """Return the square of a vector's Euclidean length, in the numbers of the vector."""
+    total: Number = np.dot(vector, vector)
+    if isinstance(total, Rational):
+        return Fraction(total)
+    return float(total) if isinstance(total, float) else total
+
+
+def unit_vector(vector: Any, what: str) -> Numbers:
+    """Return n = v / |v|, exact where |v| is rational.
+
+    Raises
+    ------
+    InvalidProblem
+        v = 0; `what` names it.
+
+    >>> unit_vector([Fraction(3), Fraction(4)], "direction")
+    array([Fraction(3, 5), Fraction(4, 5)], dtype=object)
+    """
+    v = np.asarray(vector)
+    square = squared_length(v)
+    if not square > 0:
+        raise InvalidProblem(f"{what}: expected a vector of positive length, got {[float(c) for c in v]}")
+    n: Numbers = v / square_root(square)
+    return n

@@ -1,0 +1,240 @@
+"""Exact linear algebra by the standard library alone: elimination, solutions, inverses, ranks and linear programs.
+
+Rows are lists of Fractions, and systems small; `contactqp.linalg.rational` does the same for large ones with
+python-flint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+Row = list[Fraction]
+ZERO, ONE = Fraction(0), Fraction(1)
+# Rows that are independent modulo a prime are independent; 2^61 - 1 is one.
+PRIME = 2**61 - 1
+
+
+@dataclass(frozen=True)
+class Affine:
+    """All solutions of a linear system: point + sum of c_k free_k, any c."""
+
+    point: Row  # (n,)
+    free: list[Row]  # (k, n)
+
+    def image(self, row: Sequence[Fraction]) -> tuple[Fraction, Row]:
+        """The value of a linear form at the point, and what each c_k adds to it (k,)."""
+        return dot(row, self.point), [dot(row, direction) for direction in self.free]
+
+
+def dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
+    """The sum of products; zeros, of which there are many, cost nothing."""
+    return sum((x * y for x, y in zip(one, other, strict=True) if x and y), ZERO)
+
+
+def reduced(rows: list[Row], columns: int) -> tuple[list[Row], list[int]]:
+    """The reduced row echelon form with pivots among the first `columns`, and the pivots' columns; rows are replaced.
+
+    Rows without a pivot come last.
+    """
+    rows, pivots = list(rows), list[int]()
+    for j in range(columns):
+        r = len(pivots)
+        pivot = next((i for i in range(r, len(rows)) if rows[i][j]), None)
+        if pivot is None:
+            continue
+        rows[r], rows[pivot] = rows[pivot], rows[r]
+        lead = rows[r] = [x / rows[r][j] if x else ZERO for x in rows[r]]
+        for i, row in enumerate(rows):
+            if i != r and (factor := row[j]):
+                rows[i] = [x - factor * y if y else x for x, y in zip(row, lead, strict=True)]
+        pivots.append(j)
+    return rows, pivots
+
+
+def solutions(rows: list[Row], unknowns: int) -> Affine | None:
+    """Return all solutions of the equations a'x = b, each row being (a, b); None where they contradict each other."""
+    rows, pivots = reduced(rows, unknowns)
+    if any(row[unknowns] for row in rows[len(pivots) :]):
+        return None
+    point = [ZERO] * unknowns
+    for row, j in zip(rows, pivots, strict=False):
+        point[j] = row[unknowns]
+    free = []
+    for k in sorted(set(range(unknowns)) - set(pivots)):
+        direction = [ZERO] * unknowns
+        direction[k] = ONE
+        for row, j in zip(rows, pivots, strict=False):
+            direction[j] = -row[k]
+        free.append(direction)
+    return Affine(point, free)
+
+
+def inverse_of(matrix: list[Row]) -> list[Row] | None:
+    """Return the inverse of a square matrix, or None if the matrix is singular."""
+    n = len(matrix)
+    extended = [[*row, *(ONE if i == j else ZERO for j in range(n))] for i, row in enumerate(matrix)]
+    found, pivots = reduced(extended, n)
+    return [row[n:] for row in found] if len(pivots) == n else None
+
+
+def rank(rows: Sequence[Mapping[int, Fraction]]) -> int:
+    """Return the number of independent rows, each given by its nonzero entries.
+
+    The rank modulo a prime never exceeds the true one and costs next to nothing; where it finds fewer than all rows,
+    the same elimination counts them again in rational numbers.
+    """
+    found = _pivot_count([{j: _residue(x) for j, x in row.items()} for row in rows], modular=True)
+    return found if found == len(rows) else _pivot_count([dict(row) for row in rows], modular=False)
+
+
+def _residue(x: Fraction) -> int:
+    return x.numerator * pow(x.denominator, -1, PRIME) % PRIME
+
+
+def _pivot_count(rows: list[dict[int, Any]], modular: bool) -> int:
+    """Count the pivots of Gauss's elimination, row by row: what a row keeps beside the earlier pivots is a new one."""
+    pivots: dict[int, dict[int, Any]] = {}
+    for row in sorted(rows, key=len):
+        rest = {j: x for j, x in row.items() if x}
+        while rest:
+            lead = min(rest)
+            if lead not in pivots:
+                scale = pow(rest[lead], -1, PRIME) if modular else 1 / rest[lead]
+                pivots[lead] = {j: x * scale % PRIME if modular else x * scale for j, x in rest.items()}
+                break
+            factor = rest[lead]
+            for j, x in pivots[lead].items():
+                value = rest.get(j, 0) - factor * x
+                value = value % PRIME if modular else value
+                if value:
+                    rest[j] = value
+                else:
+                    rest.pop(j, None)
+    return len(pivots)
+
+
+class Polyhedron:
+    """The set {c : room_i + slope_i'c >= 0}, c (k,) free, as a dictionary of the simplex method.
+
+    Bland's rule chooses the pivots, so that every search ends.
+
+    Basic variables are c and the rooms, nonbasic ones rooms that are zero; directions in which no room changes are
+    left out of the search, and are `lines`.
+    """
+
+    def __init__(self, room: Sequence[Fraction], slope: Sequence[Row], size: int) -> None:
+        # One row a variable: its value, and its slope in the nonbasic variables.
+        self._size = size
+        unit = [[ONE if i == j else ZERO for j in range(size)] for i in range(size)]
+        self._rows: list[Row] = [[ZERO, *row] for row in unit] + [
+            [value, *row] for value, row in zip(room, slope, strict=True)
+        ]
+        self._nonbasic = list(range(size))
+        for j in range(size):
+            leaving = next(
+                (i for i in range(size, len(self._rows)) if i not in self._nonbasic and self._rows[i][j + 1]), None
+            )
+            if leaving is not None:
+                self._pivot(leaving, j)
+        self.lines = [j for j in range(size) if self._nonbasic[j] < size]
+        self.empty = not self._feasible()
+
+    def point(self) -> Row:
+        """Return one point (k,) of the set, which must not be empty."""
+        return [row[0] for row in self._rows[: self._size]]
+
+    def range(self, row: Sequence[Fraction]) -> tuple[Row | None, Row | None]:
+        """Return the points (k,) where row'c is least and where it is largest; None where it is unbounded."""
+        return self._furthest([-x for x in row]), self._furthest(row)
+
+    def _furthest(self, row: Sequence[Fraction]) -> Row | None:
+        while True:
+            gain = [sum((x * self._rows[i][j + 1] for i, x in enumerate(row) if x), ZERO) for j in range(self._size)]
+            if any(gain[j] for j in self.lines):
+                return None
+            entering = min((j for j in range(self._size) if gain[j] > 0), key=lambda j: self._nonbasic[j], default=None)
+            if entering is None:
+                return self.point()
+            steps = [
+                (self._rows[i][0] / -self._rows[i][entering + 1], i)
+                for i in self._rooms()
+                if self._rows[i][entering + 1] < 0
+            ]
+            if not steps:
+                return None
+            self._pivot(min(steps)[1], entering)
+
+    def _feasible(self) -> bool:
+        """Bland's dual rule, with nothing to maximise: the first room that is negative leaves at zero."""
+        while True:
+            leaving = next((i for i in self._rooms() if self._rows[i][0] < 0), None)
+            if leaving is None:
+                return True
+            entering = min(
+                (j for j in range(self._size) if j not in self.lines and self._rows[leaving][j + 1] > 0),
+                key=lambda j: self._nonbasic[j],
+                default=None,
+            )
+            if entering is None:
+                return False
+            self._pivot(leaving, entering)
+
+    def _rooms(self) -> list[int]:
+        """Basic rooms."""
+        return [i for i in range(self._size, len(self._rows)) if i not in self._nonbasic]
+
+    def _pivot(self, leaving: int, j: int) -> None:
+        """The basic variable `leaving` becomes nonbasic j, which becomes basic."""
+        entering, row = self._nonbasic[j], self._rows[leaving]
+        scale = ONE / row[j + 1]
+        # nonbasic_j = (leaving - rest) / slope
+        solved = [-x * scale for x in row]
+        solved[j + 1] = scale
+        self._nonbasic[j] = leaving
+        for i, other in enumerate(self._rows):
+            if (factor := other[j + 1]) and i != leaving:
+                changed = [x + factor * y for x, y in zip(other, solved, strict=True)]
+                changed[j + 1] = factor * scale
+                self._rows[i] = changed
+        self._rows[entering] = solved
+        unit = [ZERO] * (self._size + 1)
+        unit[j + 1] = ONE
+        self._rows[leaving] = unit
+
+
+class Region:
+    """The set {c : value + slope'c >= 0 for all forms}, which may have no coordinates at all."""
+
+    def __init__(self, forms: list[tuple[Fraction, Row]], size: int) -> None:
+        self._forms = forms
+        self._polyhedron = None
+        if size:
+            self._polyhedron = Polyhedron([value for value, _ in forms], [slope for _, slope in forms], size)
+            self.empty = self._polyhedron.empty
+        else:
+            self.empty = min((value for value, _ in forms), default=ZERO) < 0
+
+    def point(self) -> Row:
+        return [] if self._polyhedron is None else self._polyhedron.point()
+
+    def seen_from(self, affine: Affine) -> list[tuple[Fraction, tuple[Fraction, Row]]]:
+        """The forms on part of the region."""
+        return [(value, affine.image(slope)) for value, slope in self._forms]
+
+    def ends(self, slopes: list[Row]) -> list[Row] | None:
+        """The points that lie furthest apart as forms of these slopes see them: none where they see one point, None
+        where they see no end either way."""
+        if self._polyhedron is None:
+            return []
+        basis, pivots = reduced(slopes, len(self._polyhedron.point()))
+        ends = []
+        for row in basis[: len(pivots)]:
+            low, high = self._polyhedron.range(row)
+            if low is None and high is None:
+                return None
+            if low is None or high is None or dot(row, low) != dot(row, high):
+                ends += [end for end in (low, high) if end is not None]
+        return ends

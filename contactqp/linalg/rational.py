@@ -1,0 +1,249 @@
+"""Exact linear algebra of large matrices by python-flint: systems, null spaces, ranks and definiteness, all proven.
+
+Which rows and columns are independent is read off modulo a prime, where it costs next to nothing; the system of these
+is then solved over the rationals (Dixon's lifting where it is large), and what it leaves out is checked over the
+rationals. An unlucky prime is found out by that check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.errors import BackendMissing
+
+try:
+    from flint import fmpq, fmpq_mat, nmod_mat
+except ImportError:
+    raise BackendMissing("exact answers need python-flint: pip install 'contactqp[exact]'") from None
+
+EPS = float(np.finfo(float).eps)
+PRIMES = (2**61 - 1, 2**62 - 57, 2**63 - 25, 2**64 - 59)
+
+
+class NoSolution(Exception):
+    """Proven in rational arithmetic: no displacement and forces satisfy the problem."""
+
+
+class Undecided(Exception):
+    """No truth was found within the limit of pivots."""
+
+
+def rational(x: float) -> fmpq:
+    """A float as it stands."""
+    return fmpq(*float(x).as_integer_ratio())
+
+
+def from_fraction(x: Fraction | int) -> fmpq:
+    return fmpq(x.numerator, x.denominator)
+
+
+def fraction(x: fmpq) -> Fraction:
+    return Fraction(int(x.p), int(x.q))
+
+
+def matrix(values: Any) -> fmpq_mat:
+    """A dense or sparse matrix of floats as it stands."""
+    dense = np.atleast_2d(values.toarray() if hasattr(values, "toarray") else np.asarray(values, dtype=float))
+    rows, columns = dense.shape
+    return fmpq_mat(rows, columns, [rational(x) if x else fmpq(0) for x in dense.ravel().tolist()])
+
+
+def column(values: Any) -> fmpq_mat:
+    """A vector of floats, Fractions or rationals, as a column."""
+    entries = [_entry(x) for x in values]
+    return fmpq_mat(len(entries), 1, entries)
+
+
+def _entry(x: Any) -> fmpq:
+    if isinstance(x, fmpq):
+        return x
+    return from_fraction(x) if isinstance(x, Fraction) else rational(x)
+
+
+def number(x: fmpq) -> float:
+    """The nearest float; Python divides integers of any size correctly rounded."""
+    return int(x.p) / int(x.q)
+
+
+def floats(column_: fmpq_mat) -> NDArray[np.float64]:
+    """A column in the nearest floats."""
+    return np.array([number(x) for x in column_.entries()], dtype=float)
+
+
+def fractions(column_: fmpq_mat) -> list[Fraction]:
+    return [fraction(x) for x in column_.entries()]
+
+
+def stack(*blocks: fmpq_mat) -> fmpq_mat:
+    """Blocks above each other."""
+    return fmpq_mat(sum(b.nrows() for b in blocks), blocks[0].ncols(), [x for b in blocks for x in b.entries()])
+
+
+def beside(*blocks: fmpq_mat) -> fmpq_mat:
+    return stack(*(b.transpose() for b in blocks)).transpose()
+
+
+def zeros(rows: int, columns: int) -> fmpq_mat:
+    return fmpq_mat(rows, columns, [0] * (rows * columns))
+
+
+def take(rows: fmpq_mat, chosen: Iterable[int]) -> fmpq_mat:
+    table, chosen = rows.tolist() if rows.nrows() else [], list(chosen)
+    return fmpq_mat(len(chosen), rows.ncols(), [x for i in chosen for x in table[i]])
+
+
+def take_columns(columns: fmpq_mat, chosen: Iterable[int]) -> fmpq_mat:
+    return take(columns.transpose(), chosen).transpose()
+
+
+def is_zero(values: fmpq_mat) -> bool:
+    return all(x == 0 for x in values.entries())
+
+
+def dot(one: fmpq_mat, other: fmpq_mat) -> fmpq:
+    """The product of two columns."""
+    return (one.transpose() * other)[0, 0] if one.nrows() else fmpq(0)
+
+
+def pivot_columns(reduced: Any) -> list[int]:
+    """The pivot column of each nonzero row of a reduced row echelon form."""
+    firsts = (next((j for j, x in enumerate(row) if x != 0), None) for row in reduced.tolist())
+    return [j for j in firsts if j is not None]
+
+
+def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
+    """Columns that are independent, as many as there are modulo the prime: over the rationals these are, too."""
+    if not a.nrows() or not a.ncols():
+        return []
+    integers, _ = a.numer_denom()
+    reduced, rank = nmod_mat(integers, prime).rref()
+    return pivot_columns(reduced)[:rank]
+
+
+def independent_rows(a: fmpq_mat) -> list[int]:
+    """A basis of the rows, proven by `null_space` to be one where it leaves any out."""
+    for prime in PRIMES:
+        rows = independent_columns(a.transpose(), prime)
+        if len(rows) == a.nrows() or null_space(a.transpose()).ncols() == a.nrows() - len(rows):
+            return rows
+    raise Undecided("the rank differs modulo every prime")
+
+
+def null_space(a: fmpq_mat) -> fmpq_mat:
+    """A rational basis (n, r) of the null space."""
+    n = a.ncols()
+    for prime in PRIMES:
+        rows, leading = _profile(a, prime)
+        known = set(leading)
+        free = [j for j in range(n) if j not in known]
+        basis = zeros(n, len(free))
+        if leading and free:
+            chosen = take(a, rows)
+            solved = take_columns(chosen, leading).solve(take_columns(chosen, free)).tolist()
+            for i, p in enumerate(leading):
+                for c in range(len(free)):
+                    basis[p, c] = -solved[i][c]
+        for c, j in enumerate(free):
+            basis[j, c] = fmpq(1)
+        if not free or not a.nrows() or is_zero(a * basis):
+            return basis
+    raise Undecided("the rank differs modulo every prime")
+
+
+def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
+    """One solution of a x = right (one column or more), and whether it is the only one; None, proven, without one."""
+    n = a.ncols()
+    for prime in PRIMES:
+        rows, leading = _profile(a, prime)
+        if len(rows) == a.nrows() == n:
+            return (a.solve(right) if n else zeros(0, right.ncols())), True
+        chosen, core = take(a, rows), zeros(0, 0)
+        x = zeros(n, right.ncols())
+        if rows:
+            core = take_columns(chosen, leading)
+            solved = core.solve(take(right, rows)).tolist()
+            for i, p in enumerate(leading):
+                for c in range(right.ncols()):
+                    x[p, c] = solved[i][c]
+        if not a.nrows() or a * x == right:
+            return x, len(leading) == n or null_space(a).ncols() == 0
+        if _combined(a, rows, leading, core):
+            return None
+    raise Undecided("the rank differs modulo every prime")
+
+
+def _profile(a: fmpq_mat, prime: int) -> tuple[list[int], list[int]]:
+    """Rows and columns of a regular part of the rank that the matrix has modulo the prime."""
+    leading = independent_columns(a, prime)
+    rows = independent_columns(take_columns(a, leading).transpose(), prime) if leading else []
+    return rows, leading
+
+
+def _combined(a: fmpq_mat, rows: Sequence[int], leading: Sequence[int], core: fmpq_mat) -> bool:
+    """Whether all rows are combinations of those, so that an equation that they do not meet contradicts them."""
+    known = set(rows)
+    others = take(a, [i for i in range(a.nrows()) if i not in known])
+    if not rows:
+        return is_zero(others)
+    shares = core.transpose().solve(take_columns(others, leading).transpose()).transpose()
+    return bool(shares * take(a, rows) == others)
+
+
+def least_change(directions: fmpq_mat, x: fmpq_mat) -> fmpq_mat:
+    """x - Z (Z'Z)^-1 Z'x: what is left of x without its part along the columns of Z, which are independent."""
+    if not directions.ncols():
+        return x
+    across = directions.transpose()
+    return x - directions * (across * directions).solve(across * x)
+
+
+def is_semidefinite(K: fmpq_mat) -> bool:
+    """Whether z'Kz >= 0 for all z, exactly.
+
+    K has the rank of its rows and columns J, and is then semidefinite where K_JJ is definite. That a floating-point
+    Cholesky factorisation of K_JJ - s I exists proves it (Rump 2006, BIT 46, 433), s being what rounding may have
+    added; where it does not, the leading minors decide.
+    """
+    n = K.nrows()
+    kept = next(
+        (
+            found
+            for prime in PRIMES
+            if len(found := independent_columns(K, prime)) == n or null_space(K).ncols() == n - len(found)
+        ),
+        list(range(n)),
+    )
+    core = take_columns(take(K, kept), kept)
+    if any(core[i, i] <= 0 for i in range(len(kept))):
+        return False
+    return not kept or _cholesky_proves(core) or _minors_prove(core)
+
+
+def _cholesky_proves(K: fmpq_mat) -> bool:
+    try:
+        doubles = np.array([number(x) for x in K.entries()]).reshape(K.nrows(), K.ncols())
+        if not np.all(np.diag(doubles) > 0):  # too small for doubles
+            return False
+        # Powers of two scale without rounding.
+        scale = np.exp2(-np.round(np.log2(np.diag(doubles)) / 2))
+        doubles = doubles * np.outer(scale, scale)
+        size = len(doubles)
+        shift = 2 * (size + 4) * EPS * (np.trace(doubles) + float(np.max(np.sum(abs(doubles), axis=1))))
+        np.linalg.cholesky(doubles - shift * np.eye(size))
+    except (np.linalg.LinAlgError, OverflowError):
+        return False
+    return bool(np.all(np.isfinite(doubles)))
+
+
+def _minors_prove(K: fmpq_mat) -> bool:
+    """Sylvester's criterion by elimination without fractions."""
+    integers, _ = K.numer_denom()
+    order, _, _, upper = integers.fflu()
+    size = integers.nrows()
+    in_place = all(order[i, i] == 1 for i in range(size))
+    return in_place and all(upper[i, i] > 0 for i in range(size))

@@ -1,0 +1,142 @@
+"""Axial bars: ``bars`` of a case file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from contactqp.elements import truss
+from contactqp.elements.scalars import Number, square_root, squared_length
+from contactqp.errors import SceneError
+from contactqp.scene import fields
+from contactqp.scene.blocks.element import (
+    Element,
+    Measure,
+    NamedMatrix,
+    NodeAnswer,
+    NodeScene,
+    refuse_zero_length,
+)
+from contactqp.scene.fields import Name, TwoNames, refuse_unknown
+from contactqp.scene.units import Quantity
+
+
+def _force(bar: Bar, answer: NodeAnswer) -> float:
+    """Return the axial force, at large displacements that of the displaced bar."""
+    scene = answer.scene
+    if scene.large:
+        return answer.bar_force_now(bar.name)
+    displacement = np.concatenate([answer.of_node(node) for node in bar.nodes])
+    modulus, area = scene.value(bar.modulus), scene.value(bar.area)
+    start, end = map(scene.point, bar.nodes)
+    return float(truss.axial_force(modulus, area, start, end, displacement))
+
+
+class Bar(Element):
+    """An axial bar between two nodes, in one, two or three dimensions.
+
+    In one dimension, or at large deformations, it may have `divisions`, elements of equal length; the nodes inside are
+    ``bar 1``, ``bar 2``. With a `density` it weighs, and has inertia in a motion. Its `law` at large deformations is
+    linear in Green's strain if nothing else is stated.
+    """
+
+    title: ClassVar[str] = "axial bars"
+    noun: ClassVar[str] = "bar"
+    semidefinite: ClassVar[bool] = True
+    large: ClassVar[bool] = True
+    inertial: ClassVar[bool] = True
+    quantities: ClassVar[Mapping[str, Measure]] = {
+        "bar force": Measure("axial force, positive in tension", ("force",), at="bar", read=_force)
+    }
+
+    name: Name
+    nodes: TwoNames
+    area: fields.Area
+    modulus: fields.Modulus
+    density: fields.Density | None = None
+    divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
+    law: Literal["green", "engineering", "logarithmic"] | None = None
+
+    @property
+    def chain(self) -> tuple[Name, ...]:
+        """Return its nodes from end to end."""
+        return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
+
+    @property
+    def segments(self) -> tuple[tuple[Name, Name], ...]:
+        """Return the pairs of nodes next to each other."""
+        return tuple(pairwise(self.chain))
+
+    @property
+    def has_mass(self) -> bool:
+        """Return whether it has a density above zero."""
+        return bool(self.density and self.density.si)
+
+    def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
+        """Yield the stiffness of every division."""
+        modulus, area = scene.value(self.modulus), scene.value(self.area)
+        for ends in self.segments:
+            yield scene.displacements(*ends), truss.stiffness(modulus, area, *map(scene.point, ends))
+
+    def masses(self, scene: NodeScene, lumped: bool) -> Iterator[NamedMatrix]:
+        """Yield the mass of every division of a bar with a density."""
+        from contactqp.elements.loads import bar_mass
+
+        if self.density is not None:
+            density, area = scene.value(self.density), scene.value(self.area)
+            for ends in self.segments:
+                start, end = map(scene.point, ends)
+                yield scene.displacements(*ends), bar_mass(density, area, start, end, lumped)
+
+    def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:
+        """Yield half of each division at each of its ends, which is M g of either mass matrix."""
+        if self.density is None:
+            return
+        per_length = scene.value(self.density) * scene.value(self.area)
+        for ends in self.segments:
+            start, end = map(scene.point, ends)
+            half = per_length * square_root(squared_length(end - start)) / 2
+            yield from ((node, half) for node in ends)
+
+    def inner_nodes(self, at: Mapping[str, Sequence[Quantity]]) -> Iterator[tuple[str, tuple[Fraction, ...]]]:
+        """Yield the nodes between its divisions, at equal distances."""
+        start, end = (at[name] for name in self.nodes)
+        for i, name in enumerate(self.chain[1:-1], start=1):
+            yield name, tuple(a.si + (b.si - a.si) * i / self.divisions for a, b in zip(start, end, strict=True))
+
+    def check_axes(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError for divisions in a plane or in space, unless displacements are large."""
+        if self.divisions > 1 and len(scene.axes) > 1 and not scene.large:
+            raise SceneError(
+                f"{where}.divisions ({self.name!r}): expected 1 in a scene with {len(scene.axes)} axes, where nothing "
+                f"holds the nodes inside of a bar across it, got {self.divisions}"
+            )
+
+    def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
+        """Raise SceneError unless its ends are stated nodes, and its inner nodes have names of their own."""
+        for key, name in self.named_nodes():
+            refuse_unknown(f"{where}.{key} ({self.name!r})", name, stated, "node")
+        for name in self.chain[1:-1]:
+            if name in stated:
+                raise SceneError(
+                    f"{where}.divisions ({self.name!r}): expected no node {name!r}, which stands inside of the bar"
+                )
+
+    def check(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError for zero length."""
+        refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
+
+    def check_motion(self, where: str) -> None:
+        """Raise SceneError without a density, which may be zero."""
+        if self.density is None:
+            raise SceneError(f'{where}.density ({self.name!r}): expected in a motion, as in "7850 kg/m^3", and missing')
+
+    def check_claim(self, where: str) -> None:
+        """Raise SceneError with divisions, each of which has a force of its own."""
+        if self.divisions > 1:
+            raise SceneError(f"{where}: expected a bar in one piece, got {self.name!r}, each part of which has its own")

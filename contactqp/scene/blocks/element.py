@@ -1,0 +1,223 @@
+"""What an element between nodes is in a case file: its keys, and what a scene, a claim and a picture ask of it.
+
+A kind of elements is one file: a subclass of `Element` whose fields are the keys of an entry. Its stiffness is all that
+it has to give; the rest has a default for elements that have no mass, no rotations and no quantity of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from contactqp.elements.scalars import Number, Numbers
+from contactqp.errors import SceneError
+from contactqp.model.arrays import Array
+from contactqp.scene.fields import Block, Name
+from contactqp.scene.units import Quantity
+
+ROTATION = "theta"
+# A matrix on unknowns, by their names.
+NamedMatrix = tuple[Sequence[str], Numbers]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One row of the vocabulary of ``quantity``."""
+
+    meaning: str
+    kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
+    words: tuple[str, ...] = ()  # that its value may be of; several are joined by "; ", and all must be found
+    at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "tie", "body" or an element's noun
+    along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
+    near: bool = False  # ``near`` is a point: the node there is meant
+    component: bool = False  # ``component`` is one of COMPONENTS
+    matrix: bool = False  # its value is ``rows``
+    solved: bool = True  # needs a solution; otherwise read off the problem
+    path: bool = False  # needs the load path, or a motion
+    motion: bool = False  # needs a motion
+    statics: bool = False  # means nothing in a motion
+    large: bool = False  # needs large deformations
+    small: bool = False  # means nothing at large deformations
+    counted: bool = False  # there are several of it: ``occurrence`` says which
+    event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
+    friction: bool = False  # needs a contact with friction
+    whole_way: bool = False  # of the whole load path, not of an instant of it
+    of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
+    read: Callable[[Any, Any], float] | None = None  # from an element and a NodeAnswer, where it is asked of elements
+
+
+class NodeScene(Protocol):
+    """What an element asks of the scene that it stands in; numbers are exact, in the scene's units."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Return the axes, of x, y and z, that nodes move along."""
+
+    @property
+    def large(self) -> bool:
+        """Return whether displacements may be large."""
+
+    @property
+    def weighs(self) -> bool:
+        """Return whether masses act: as weights under gravity, or as inertia in a motion."""
+
+    def value(self, quantity: Quantity) -> Fraction:
+        """Return a quantity in the scene's units."""
+
+    def point(self, node: str) -> Numbers:
+        """Return where a node stands, (dimension,) [length]."""
+
+    def displacements(self, *nodes: str) -> tuple[str, ...]:
+        """Return the names of the displacements of nodes, one for each axis, node by node."""
+
+
+class NodeAnswer(Protocol):
+    """What a quantity of an element is read off; numbers are floats, in the scene's units."""
+
+    @property
+    def scene(self) -> NodeScene:
+        """Return the scene that was solved."""
+
+    def displacement(self, unknown: str) -> float:
+        """Return the displacement or rotation of an unknown; 0 where it is fixed."""
+
+    def of_node(self, node: str) -> Array:
+        """Return the displacement of a node, (dimension,) [length]."""
+
+    def bar_force_now(self, name: str) -> float:
+        """Return the axial force of a bar at large displacements [force]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """An element as it is drawn.
+
+    Attributes
+    ----------
+    nodes : tuple of str
+        Those it connects; a single one is connected to the ground.
+    path, displacement : (k, dimension) arrays
+        Points along the element, and what they move by [length].
+    """
+
+    nodes: tuple[str, ...]
+    path: Array
+    displacement: Array
+
+
+class Element(Block):
+    """An entry of a block of elements between nodes; a subclass states its keys and gives its stiffness.
+
+    Attributes
+    ----------
+    title : str
+        What `explain` calls these elements, as in "axial bars".
+    noun : str
+        What one of them is called, as in "bar": in messages, in a picture's legend, and where `at` of a claim names it.
+    beside_bodies : str
+        Why there are none in a scene of elastic bodies; by default that they are not offered together yet.
+    vectors : tuple of str
+        The keys that have a component for each axis.
+    large, inertial : bool
+        Whether they have a form at large displacements, and whether they can have mass.
+    semidefinite : bool
+        Whether its stiffness is positive semidefinite whatever its numbers are; what is not is proven where it matters.
+    quantities : mapping of str to Measure
+        What claims can ask of one of them, each with its `read`.
+    """
+
+    title: ClassVar[str]
+    noun: ClassVar[str]
+    beside_bodies: ClassVar[str] = ""
+    vectors: ClassVar[tuple[str, ...]] = ()
+    large: ClassVar[bool] = False
+    inertial: ClassVar[bool] = False
+    semidefinite: ClassVar[bool] = False
+    quantities: ClassVar[Mapping[str, Measure]] = {}
+
+    name: Name
+
+    def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
+        """Yield the matrices [force / length] whose sum is the element's stiffness, each on the unknowns it names."""
+        raise NotImplementedError(f"{type(self).__name__}: an element has a stiffness")
+
+    def masses(self, scene: NodeScene, lumped: bool) -> Iterator[NamedMatrix]:  # noqa: ARG002
+        """Yield the matrices whose sum is the element's mass, consistent or lumped; none without mass."""
+        yield from ()
+
+    def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:  # noqa: ARG002
+        """Yield nodes and the masses that gravity pulls at there; none without mass."""
+        yield from ()
+
+    @property
+    def has_mass(self) -> bool:
+        """Return whether this one has mass."""
+        return False
+
+    @property
+    def chain(self) -> tuple[Name, ...]:
+        """Return the nodes that it stands between, from end to end."""
+        return tuple(node for _, node in self.named_nodes())
+
+    @property
+    def turning(self) -> tuple[Name, ...]:
+        """Return the nodes that it gives a rotation to."""
+        return ()
+
+    def named_nodes(self) -> Iterator[tuple[str, Name]]:
+        """Yield every key of the entry that names a node, and the node."""
+        for j, name in enumerate(getattr(self, "nodes", ())):
+            yield f"nodes[{j}]", name
+
+    def inner_nodes(
+        self,
+        at: Mapping[str, Sequence[Quantity]],  # noqa: ARG002
+    ) -> Iterator[tuple[str, tuple[Fraction, ...]]]:
+        """Yield the nodes that it makes itself and where they stand [m], from where the stated nodes are."""
+        yield from ()
+
+    def check_axes(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError where the scene has too many axes for it, or too few; `where` is as in ``bars[1]``."""
+
+    def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
+        """Raise SceneError where it needs other nodes than the scene states; before any of them is looked up."""
+
+    def check(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError where its numbers do not fit the scene's nodes, which are there."""
+
+    def check_motion(self, where: str) -> None:
+        """Raise SceneError where it cannot be in a scene that moves."""
+
+    def check_claim(self, where: str) -> None:
+        """Raise SceneError where a claim at it has no answer; `where` is as in ``expect[1].at``."""
+
+    def drawn(self, scene: NodeScene, displacement: Mapping[str, float]) -> Line | None:
+        """Return what is drawn of it: by default a straight line through its nodes, and None without any.
+
+        `displacement` has every unknown of the scene by its name.
+        """
+        nodes = self.chain
+        moved = [[displacement[unknown] for unknown in scene.displacements(node)] for node in nodes]
+        path = np.array([scene.point(node) for node in nodes], dtype=float)
+        return Line(nodes, path, np.array(moved)) if nodes else None
+
+
+def refuse_zero_length(scene: NodeScene, nodes: Sequence[str], where: str) -> None:
+    """Raise SceneError unless two nodes are two, and apart from each other."""
+    first, second = nodes
+    if first == second:
+        raise SceneError(f"{where}: expected two different nodes, got {first!r} twice")
+    if (scene.point(first) == scene.point(second)).all():
+        raise SceneError(
+            f"{where}: expected nodes apart from each other, got zero length between {first!r} and {second!r}"
+        )
+
+
+def refuse_zero_direction(direction: Iterable[Fraction] | None, where: str) -> None:
+    """Raise SceneError for the zero vector."""
+    if direction is not None and not any(direction):
+        raise SceneError(f"{where}: expected a direction, got the zero vector")

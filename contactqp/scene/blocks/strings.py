@@ -1,0 +1,82 @@
+"""Strings under a constant tension: ``strings`` of a case file, and the ``line_loads`` on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from itertools import pairwise
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from contactqp.elements import string
+from contactqp.elements.scalars import Number
+from contactqp.errors import SceneError
+from contactqp.scene import fields
+from contactqp.scene.blocks.element import Element, NamedMatrix, NodeScene, refuse_zero_length
+from contactqp.scene.fields import Block, Name
+
+
+class String(Element):
+    """A string under a constant tension, through nodes on a straight line; it resists deflections across that line.
+
+    Along the line it resists nothing: there its nodes are fixed, or held by something else.
+    """
+
+    title: ClassVar[str] = "strings under constant tension"
+    noun: ClassVar[str] = "string"
+    semidefinite: ClassVar[bool] = True
+
+    name: Name
+    nodes: Annotated[tuple[Name, ...], Field(min_length=2)]
+    tension: fields.PositiveForce
+
+    @property
+    def segments(self) -> tuple[tuple[Name, Name], ...]:
+        """Return the pairs of nodes next to each other."""
+        return tuple(pairwise(self.nodes))
+
+    def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
+        """Yield the stiffness of every segment across the string."""
+        tension = scene.value(self.tension)
+        for ends in self.segments:
+            yield scene.displacements(*ends), string.stiffness(tension, *map(scene.point, ends))
+
+    def check_axes(self, scene: NodeScene, where: str) -> None:  # noqa: ARG002
+        """Raise SceneError in one dimension, where it has no axis to deflect along."""
+        if len(scene.axes) == 1:
+            raise SceneError(
+                "strings: expected a scene with two axes or three, since they deflect across themselves, got 1"
+            )
+
+    def check(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError unless its nodes are on a straight line.
+
+        A tension that turns at a node would push it aside with no load at all.
+        """
+        where = f"{where}.nodes ({self.name!r})"
+        for ends in self.segments:
+            refuse_zero_length(scene, ends, where)
+        spans = [scene.point(end) - scene.point(start) for start, end in self.segments]
+        for node, before, after in zip(self.nodes[1:], spans, spans[1:], strict=False):
+            along: Fraction = np.dot(before, after)
+            if along <= 0 or along**2 != np.dot(before, before) * np.dot(after, after):
+                raise SceneError(
+                    f"{where}: expected nodes one after another on a straight line, got a turn at {node!r}"
+                )
+
+
+class LineLoad(Block):
+    """A constant force per length on a string, along the axes."""
+
+    name: Name
+    string: Name
+    value: fields.LineForces
+
+    def forces(self, scene: NodeScene, loaded: String) -> Iterator[tuple[str, Number]]:
+        """Yield the forces at the nodes of the string that it names, by their unknowns."""
+        per_length = np.array([scene.value(component) for component in self.value])
+        for ends in loaded.segments:
+            forces = string.uniform_load(per_length, *map(scene.point, ends))
+            yield from zip(scene.displacements(*ends), forces, strict=True)

@@ -1,0 +1,131 @@
+"""The two ways of taking a step, and finding where a contact closes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis import friction_step
+from contactqp.analysis.friction_step import Anchors, State, step_to
+from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
+from tests.solving.friction.problems import TOUCH, two_masses
+
+
+def never(*_: object, **__: object) -> None:
+    raise cq.NotConverged("not this time")
+
+
+def test_where_newton_fails_solve_takes_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = [WEIGHTS, pulled(12.0), WEIGHTS]
+    quick = cq.follow_path(two_masses(0.0), loads, steps=4)
+    monkeypatch.setattr(friction_step, "search", never)
+    slow = cq.follow_path(two_masses(0.0), loads, steps=4)
+    assert {solution.method for solution in slow[1:]} != {solution.method for solution in quick[1:]}
+    np.testing.assert_allclose(slow.displacements, quick.displacements, atol=1e-15)
+    assert slow.events == quick.events
+    stuck = cq.follow_path(truss_from_rest(0.8), [[60.0, -100.0]], steps=3)
+    np.testing.assert_allclose(stuck[-1].displacement[0], TOUCH, rtol=1e-13)
+
+
+def test_an_answer_that_the_certificate_refuses_is_refused_when_it_is_looked_at() -> None:
+    history = cq.follow_path(truss_from_rest(0.3), [[60.0, -100.0]], steps=4)
+    step = history._solutions._steps[-1]
+    wrong = replace(step, found=replace(step.found, status=-step.found.status))
+    with pytest.raises(cq.NotCertified, match="friction"):
+        wrong.finish()
+    assert history[-1].certificate.passed
+
+
+def _stuck_in_space(problem: cq.ContactProblem, *_: object, **__: object) -> cq.Solution:
+    """Infinite friction: closed contacts are tied to their slip origin in both directions."""
+    smooth = cq.ContactProblem(problem.stiffness, problem.load, problem.normal, problem.gap)
+    solution = cq.solve(smooth)
+    closed = np.flatnonzero(solution.normal_force > 0)
+    friction = np.zeros(problem.slip_origin.shape)
+    for _round in range(3):
+        rows = np.concatenate([2 * closed, 2 * closed + 1])
+        tied = cq.ContactProblem(
+            problem.stiffness,
+            problem.load,
+            problem.normal,
+            problem.gap,
+            tie=problem.tangent[rows],
+            tie_value=problem.slip_origin.ravel()[rows],
+        )
+        solution = cq.solve(tied)
+        friction.ravel()[:] = 0.0
+        friction.ravel()[rows] = solution.tie_force
+        closed = np.flatnonzero(solution.normal_force > 0)
+    status = np.where(solution.normal_force > 0, "stick", "open")
+    return replace(solution, problem=problem, friction_force=friction, contact_status=status)
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+def test_two_tangential_directions_are_anchored_where_they_close(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps know nothing of the plane: a node over a floor in space, both tangents held where it came down."""
+    K = np.array([[4.0, 1.0, 0.5], [1.0, 5.0, -0.5], [0.5, -0.5, 3.0]])
+    load = np.array([1.0, -2.0, -3.0])
+    problem = cq.ContactProblem(
+        K, np.zeros(3), [[0.0, 0.0, -1.0]], [0.4], tangent=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], friction=100.0
+    )
+    free = np.linalg.solve(K, load)
+    touching = -0.4 / free[2]
+    assert 0 < touching < 1
+    monkeypatch.setattr(friction_step, "solve", _stuck_in_space)
+    history = cq.follow_path(problem, [load], steps=steps)
+    np.testing.assert_allclose(history[-1].displacement, touching * free, rtol=1e-12)
+    np.testing.assert_allclose(history[-1].friction_force[0], (load - K @ (touching * free))[:2], rtol=1e-11)
+    assert [event.kind for event in history.events] == ["closed"]
+    assert history.energies[-1].dissipated == pytest.approx(0.0, abs=1e-15)
+
+
+class _Bent:
+    """A gap that falls along a bent line, open until `touch`, and how often it was asked for."""
+
+    def __init__(self, corner: float, touch: float) -> None:
+        self.corner, self.touch, self.asked = corner, touch, 0
+
+    def __call__(self, fraction: float, origin: np.ndarray, held_open: np.ndarray) -> State:
+        self.asked += 1
+        # Slope -1 until the corner, then what reaches zero at `touch`.
+        at_corner = 1.0 - self.corner
+        gap = 1.0 - fraction
+        if fraction > self.corner:
+            gap = at_corner * (self.touch - fraction) / (self.touch - self.corner)
+        closed = not held_open[0] and gap <= 0
+        return State(
+            fraction=fraction,
+            gap=np.array([0.0 if closed else gap]),
+            position=origin if closed else np.array([[10 * fraction]]),
+            pushes=np.array([closed]),
+            slides=np.array([False]),
+            touching=np.array([closed or abs(gap) < 1e-12]),
+            overlap=np.array([bool(held_open[0] and gap < -1e-12)]),
+            step=None,
+        )
+
+
+@pytest.mark.parametrize(("corner", "touch"), [(0.2, 0.9), (0.2, 0.25), (0.55, 0.56), (0.89, 0.9)])
+def test_a_touch_is_found_past_a_kink(corner: float, touch: float) -> None:
+    solve = _Bent(corner, touch)
+    before = solve(0.0, np.zeros((1, 1)), np.array([True]))
+    after = step_to(1.0, before, Anchors(before.position, np.array([False])), solve)
+    np.testing.assert_allclose(after.position, 10 * touch, rtol=1e-11)
+    assert solve.asked < 20
+
+
+def test_a_contact_that_does_not_close_keeps_no_anchor() -> None:
+    solve = _Bent(0.2, 1.5)
+    before = solve(0.0, np.zeros((1, 1)), np.array([True]))
+    after = step_to(1.0, before, Anchors(before.position, np.array([False])), solve)
+    assert not after.touching[0]
+    np.testing.assert_allclose(after.position, 10.0)
+
+
+def test_a_step_that_fails_says_where() -> None:
+    problem, loads = rolling_block(0.3, (6, 2))
+    with pytest.raises(cq.NotConverged, match=r"t = 0\.25"):
+        cq.follow_path(problem, loads, steps=4, algorithm="tresca", max_iter=1)

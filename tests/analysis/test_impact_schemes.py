@@ -1,0 +1,99 @@
+"""A scheme of one's own is one class and one line: `impact` and case files find it, and its steps are certified."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis.motion.schemes import SCHEMES, register
+from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.step_contact import StepProblem, StepResult
+from contactqp.model.arrays import Vector
+from tests.analysis.motions import GAP, SPEED, rod_at_wall, thrown_rod
+
+CASE = Path(__file__).parent.parent.parent / "cases" / "rod_at_wall.toml"
+
+
+class StewartTrinkle(Scheme):
+    """(M + h^2 K) v+ + E'P = M v + h (f+ - K u),  E_N v+ <= (g - E_N u) / h,  P_N >= 0,  u+ = u + h v+."""
+
+    name = "stewart-trinkle"
+    keeps_energy = False
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.inertia = 1 / body.step**2
+        self.templates = (body.template(body.mass + body.step**2 * body.stiffness),)
+
+    def pose(self, state: State, load: Vector, next_load: Vector, answers: tuple[StepResult, ...]) -> StepProblem:
+        del load, answers
+        problem, h, u = self.body.problem, self.body.step, state.displacement
+        impulse = self.body.mass @ state.velocity + h * (next_load - self.body.stiffness @ u)
+        return StepProblem(impulse, (problem.gap - problem.normal @ u) / h, tie_value=problem.tie_value)
+
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
+        found, h, u = answers[-1], self.body.step, state.displacement
+        return State(u + h * found.unknown, found.unknown, found.normal / h, found.friction / h, found.tie / h, u)
+
+    def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
+        del before
+        v, h = after.velocity, self.body.step
+        return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
+
+
+class Pulling(StewartTrinkle):
+    """The same with the forces of the wrong sign in what it says it was answered."""
+
+    def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
+        ended = super().accept(state, answers)
+        return State(ended.displacement, ended.velocity, -ended.normal_force, *(np.zeros(0),) * 2, ended.before)
+
+
+@pytest.fixture
+def registered() -> Iterator[SchemeEntry]:
+    entry = SchemeEntry("stewart-trinkle", lambda body, _: StewartTrinkle(body))
+    register(entry)
+    yield entry
+    del SCHEMES[entry.name]
+
+
+def test_a_registered_scheme_moves_a_rod_that_stays_outside_of_the_wall(registered: SchemeEntry) -> None:
+    problem, _ = rod_at_wall(100)
+    history, _ = thrown_rod(registered.name)
+    touching = history.normal_forces[:, 0] > 0
+    assert touching.any()
+    assert np.all(history.displacements @ problem.normal.toarray().T <= GAP * (1 + 1e-12))
+    assert history.times[np.argmax(touching)] == pytest.approx(GAP / SPEED, abs=0.02)
+    assert history[int(np.argmax(touching))].certificate.passed
+    # The scheme damps the waves, so that the rod leaves the wall more slowly than it came.
+    assert 0 < history.velocities[-1].mean() < SPEED
+
+
+def test_a_case_file_finds_a_registered_scheme(registered: SchemeEntry, tmp_path: Path) -> None:
+    text = CASE.read_text(encoding="utf-8").split("[[expect")[0]
+    stated = [line for line in text.splitlines() if line.startswith("scheme")]
+    assert stated
+    case = tmp_path / "rod.toml"
+    case.write_text(text.replace(stated[0], f'scheme = "{registered.name}"'), encoding="utf-8")
+    assert cq.run(cq.load_scene(case)).normal_forces.max() > 0
+
+
+def test_a_name_is_taken_once(registered: SchemeEntry) -> None:
+    with pytest.raises(cq.InvalidProblem, match="scheme: expected a name of its own, got 'stewart-trinkle'"):
+        register(registered)
+    with pytest.raises(
+        cq.InvalidProblem, match=r"scheme: expected one of moreau-jean, .*, stewart-trinkle, got 'magic'"
+    ):
+        thrown_rod("magic")
+
+
+def test_forces_of_the_wrong_sign_are_not_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SCHEMES, "pulling", SchemeEntry("pulling", lambda body, _: Pulling(body)))
+    history, _ = thrown_rod("pulling")
+    pulls = int(np.argmin(history.normal_forces[:, 0]))
+    assert history.normal_forces[pulls, 0] < 0
+    assert not history[pulls].certificate.passed
