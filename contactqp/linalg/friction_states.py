@@ -319,9 +319,7 @@ def _refined(
         left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction))
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
         u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
-        # Relative to the largest of each kind: no unit is compared with another.
-        pairs = ((du, u), (dl, force), (dt.ravel(), stick), (dn, tie))
-        size = max(_part(change, whole.double()) for change, whole in pairs)
+        size = max(_part(du, u.double()), _pushed_part(rows, (dl, dt), (force, stick)), _part(dn, tie.double()))
         turns = rows.width > 1 and sweep < TURNS and size > ROUNDED
         halves = rows.width > 1 and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
@@ -402,6 +400,16 @@ def _friction_of(answer: Answer, width: int) -> Array:
 
 def _origin(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
+
+
+def _pushed_part(rows: FrictionalRows, change: tuple[Vector, Array], whole: tuple[Extended, Extended]) -> float:
+    """Return the part of normal and friction forces, in energy scale together, that a correction of them changes.
+
+    Apart, any correction of the friction of contacts that stick without friction would be all of it.
+    """
+    lengths = np.concatenate([rows.normal_length, np.repeat(rows.tangent_length, rows.width)])
+    parts = (change[0], change[1].ravel()), tuple(force.double() for force in whole)
+    return _part(*(lengths * np.concatenate(part) for part in parts))
 
 
 def _part(change: Vector, whole: Vector) -> float:

@@ -45,6 +45,7 @@ def test_bodies_that_only_move_or_hardly_move_have_an_equilibrium(name: str) -> 
     [
         ("unstrained 3D", 73),  # contacts that move little: no iterate's forces tell which of them stick
         ("unstrained 2D", 165),  # the first answer sticks by a slip of 3e-11, a thirtieth of the strain
+        ("unstrained 3D", 144),  # the only contact that sticks has no friction: its correction is all of its force
         ("pushed_rigidly 3D", 37),  # refined along a free motion of 1e9, and put to rest
         ("pushed_rigidly 3D", 138),  # two answers meet in one, where Newton's corrections halve
         ("bedded 3D", 31),  # forces of 1e-8, and one of 1e-14 at its friction bound
