@@ -19,14 +19,14 @@ from contactqp.errors import ContactQPError
 from contactqp.exchange.local_form import local_form_of
 from contactqp.exchange.problem_files import is_problem_file, read_problem
 from contactqp.model.local_problem import LocalProblem
-from contactqp.solving.friction import local_algorithms
+from contactqp.solving.friction import algorithms
 
 # Scores up to this are solved.
 SOLVED = 1e-8
 DEFAULT = "default"
-ALGORITHMS = tuple(local_algorithms.ALGORITHMS)
+ALGORITHMS = tuple(algorithms.ALGORITHMS)
 # Algorithms of convex steps, which see the symmetric part of W only; the backends that keep the cones as they are.
-CONVEX = tuple(name for name in ALGORITHMS if local_algorithms.ALGORITHMS[name].convex)
+CONVEX = tuple(name for name in ALGORITHMS if algorithms.ALGORITHMS[name].convex)
 BACKENDS = {2: "active-set", 3: "clarabel"}
 # Eigenvalues of the symmetric part of W below this part of the largest are rounding, or the print precision of files.
 RANK = 1e-10

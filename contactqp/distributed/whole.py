@@ -19,6 +19,7 @@ from contactqp.linalg.existence import describe_motion
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Certificate, FreeMotion, Nothing, Solution, Violations, Work
+from contactqp.solving.friction.algorithms import ALGORITHMS
 
 # What a certificate says of each unknown; of ties it says "tie", and all else of contacts.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
@@ -26,8 +27,6 @@ _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
 _OF_ONE_PROCESS = {"condense": "auto", "polish": True}
 # What `solve_distributed` takes, but for what is dealt out.
 _OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
-# The one law of friction over ranks, whether stated or not.
-_ALGORITHMS = (None, "tresca")
 
 
 def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
@@ -56,7 +55,8 @@ def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
     stated = [name for name, usual in _OF_ONE_PROCESS.items() if name in options and options[name] != usual]
     if stated:
         raise Unsupported(f"engine 'petsc': {stated[0]} is an option of one process, leave it out")
-    if options.get("algorithm") not in _ALGORITHMS:
+    algorithm = options.get("algorithm")
+    if algorithm is not None and not (algorithm in ALGORITHMS and ALGORITHMS[algorithm].on_ranks):
         raise Unsupported(f"engine 'petsc': friction is solved by 'tresca' alone, got {options['algorithm']!r}")
     left = {name: value for name, value in options.items() if name not in (*_OF_ONE_PROCESS, "algorithm")}
     if unknown := [name for name in left if name not in _OPTIONS]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,14 +25,13 @@ from contactqp.model.arrays import Array
 from contactqp.model.coulomb_cone import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final
+from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
 from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, MOST_UNKNOWNS, exact_equilibria
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.solving.friction.local_algorithms import ALGORITHMS, TAKEN
-from contactqp.solving.friction.newton import refined, solve_newton
+from contactqp.solving.friction.newton import refined
 from contactqp.solving.friction.on_contacts import solve_on_contacts
-from contactqp.solving.friction.tresca import solve_tresca
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, described
 
@@ -130,8 +130,6 @@ def without_noise(problem: ContactProblem, answer: Answer) -> Answer:
     return quiet if holds(problem, quiet) else answer
 
 
-# Of bodies, in the order in which they are listed; those that are registered follow.
-NAMES = ("tresca", "aclm", "newton", "nsgs", "ppa", "admm", *TAKEN)
 DEFAULT_METHOD = "active-set"
 
 
@@ -210,8 +208,8 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
     InvalidProblem
         There is no such algorithm.
     """
-    if algorithm is not None and algorithm not in (*NAMES, *ALGORITHMS):
-        known = ", ".join(dict.fromkeys((*NAMES, *ALGORITHMS)))
+    if algorithm is not None and algorithm not in (*ALGORITHMS, *TAKEN):
+        known = ", ".join((*ALGORITHMS, *TAKEN))
         raise InvalidProblem(f"algorithm: expected one of {known} or None, got {algorithm!r}")
     _refuse_iterated(problem)
     meter = Meter(problem)
@@ -223,43 +221,43 @@ def run_friction(problem: ContactProblem, method: Method, settings: Settings, al
         return _only(problem)
     if algorithm is None or ALGORITHMS[algorithm].convex:
         _refuse_method(method)
-    if _in_space(problem) or algorithm not in (None, "tresca", "newton"):
-        convex = algorithm is None and method.name != DEFAULT_METHOD
-        return _on_contacts(problem, method, settings, meter, "aclm" if convex else algorithm)
-    try:
-        if algorithm == "newton":
-            return _by_newton(problem, settings, meter)
-        if algorithm == "tresca":
-            return _by_tresca(problem, method, settings, meter)
-    except NotConverged:
-        refuse_conflict(problem, condense(problem))
-        raise
+    if algorithm is not None:
+        return _by(ALGORITHMS[algorithm], problem, method, settings, meter)
+    if _in_space(problem):
+        convex = ALGORITHMS["aclm"] if method.name != DEFAULT_METHOD else None
+        return _by(convex, problem, method, settings, meter)
     return _by_any(problem, method, settings, meter)
 
 
 def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
+    """Return the first answer that is found in the plane: from a start by Newton's method, else by the others."""
     if settings.warm_start is not None:
         with suppress(NotConverged):
-            return _by_newton(problem, settings, meter)
+            return _by(ALGORITHMS["newton"], problem, method, settings, meter)
     try:
-        return _by_tresca(problem, method, settings, meter)
+        return _by(ALGORITHMS["tresca"], problem, method, settings, meter)
     except NotConverged as error:
-        refuse_conflict(problem, condense(problem))
         with suppress(NotConverged):
-            return _on_contacts(problem, method, settings, meter, None)
+            return _by(None, problem, method, settings, meter)
         if problem.contacts > MOST_CONTACTS:
             raise error from None
     return _listed(problem)[0]
 
 
-def _on_contacts(
-    problem: ContactProblem, method: Method, settings: Settings, meter: Meter, algorithm: str | None
+def _by(
+    algorithm: Algorithm | None, problem: ContactProblem, method: Method, settings: Settings, meter: Meter
 ) -> FrictionRun:
+    """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
+    condensation = condense(problem)
     with meter.running():
         try:
-            found = solve_on_contacts(problem, condense(problem), method, settings, algorithm)
+            if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
+                found: Any = algorithm.on_bodies(problem, condensation, method, settings)
+            else:
+                name = None if algorithm is None else algorithm.name
+                found = solve_on_contacts(problem, condensation, method, settings, name)
         except NotConverged:
-            refuse_conflict(problem, condense(problem))
+            refuse_conflict(problem, condensation)
             raise
     return FrictionRun(problem, found.answer, found.name, meter, found.history, found.iterations)
 
@@ -335,14 +333,6 @@ def _described(problem: ContactProblem, run: FrictionRun) -> str:
     return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
 
 
-def _by_newton(problem: ContactProblem, settings: Settings, meter: Meter) -> FrictionRun:
-    with meter.running():
-        found = solve_newton(
-            problem, condense(problem), settings.warm_start, settings.max_iter, time_limit=settings.time_limit
-        )
-    return FrictionRun(problem, found.answer, "newton", meter, iterations=found.steps)
-
-
 def _refuse_method(method: Method) -> None:
     if not method.exact:
         raise Unsupported(
@@ -352,12 +342,6 @@ def _refuse_method(method: Method) -> None:
         raise Unsupported(
             f"{method.name}: the convex steps of Coulomb friction have a singular stiffness; try active-set"
         )
-
-
-def _by_tresca(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
-    with meter.running():
-        found = solve_tresca(problem, condense(problem), method, settings)
-    return FrictionRun(problem, found.answer, f"tresca with {method.name}", meter, found.changes)
 
 
 def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:

@@ -13,10 +13,10 @@ from contactqp.linalg.extended import velocity_of
 from contactqp.linalg.runtime import THREADS_PAY, on_one_thread
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
+from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.solving.friction.conic import refuse_unbalanced
 from contactqp.solving.friction.exact_enumeration import MOST_PROVEN, has_local_equilibrium
 from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
 from contactqp.solving.friction.local_enumeration import enumerated, not_enumerated
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import POLYGON_OPTIONS, Settings, find, refuse_arguments

@@ -14,7 +14,7 @@ from contactqp.analysis.motion.schemes import SCHEMES
 from contactqp.distributed.environment import RECIPE
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.solving import methods
-from contactqp.solving.friction.local_algorithms import ALGORITHMS
+from contactqp.solving.friction.algorithms import ALGORITHMS
 from tests.block_registry import registered_blocks
 from tests.docs.blocks import ROOT, Block, blocks, pages
 from tests.docs.running import PageRun, same_lines

@@ -14,11 +14,11 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Fr
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
+from contactqp.solving.friction.algorithms import ALGORITHMS, run_algorithm, run_any
 from contactqp.solving.friction.conic import balancing_forces
 from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
 from contactqp.solving.friction.iterate import Deadline, Iterate
-from contactqp.solving.friction.local_algorithms import ALGORITHMS, run_algorithm, run_any
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Method, Settings
 
@@ -44,7 +44,7 @@ class LocalAnswer:
 def solve_on_contacts(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, algorithm: str | None
 ) -> LocalAnswer:
-    """Coulomb's answer by `algorithm`, a name of `local_algorithms.ALGORITHMS`; None tries one after another.
+    """Coulomb's answer by `algorithm`, a name of `algorithms.ALGORITHMS`; None tries one after another.
 
     Raises
     ------

@@ -9,9 +9,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.model.coulomb_cone import natural_map
+from contactqp.solving.friction.algorithms import ALGORITHMS, Algorithm, register
 from contactqp.solving.friction.convex_steps import ConvexSteps
 from contactqp.solving.friction.iterate import Iterate
-from contactqp.solving.friction.local_algorithms import ALGORITHMS, Algorithm, register
 from contactqp.solving.friction.local_form import LocalForm
 from tests.examples import truss
 
@@ -45,7 +45,7 @@ def test_it_solves_bodies_and_local_problems_by_its_name() -> None:
 
 @pytest.mark.usefixtures("_registered")
 def test_an_unknown_name_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(cq.InvalidProblem, match="associated, damped or None, got 'dampd'"):
+    with pytest.raises(cq.InvalidProblem, match="damped, enumeration, associated or None, got 'dampd'"):
         cq.solve(truss(tangent=[[1.0, 0.0]], friction=0.3), algorithm="dampd")
 
 

@@ -1,4 +1,4 @@
-"""Coulomb's law on a local form: the algorithms by name, when they stop, and what is tried where none is asked for."""
+"""The algorithms of Coulomb friction by name: one table, when an algorithm stops, and what is tried by default."""
 
 from __future__ import annotations
 
@@ -6,20 +6,35 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
+from contactqp.linalg.condensation import Condensation
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
 from contactqp.solving.friction.iterate import Deadline, Iterate
 from contactqp.solving.friction.local_form import LocalForm
+from contactqp.solving.friction.newton import solve_newton
+from contactqp.solving.friction.tresca import solve_tresca
 from contactqp.solving.methods import Method, Settings, find
 
 Accepted = Callable[[Iterate], bool]
 
 
+@dataclass(frozen=True, eq=False)
+class FoundOnBodies:
+    """What an algorithm found on the bodies themselves, without their local form."""
+
+    answer: Answer
+    name: str  # of the algorithm, and of the convex method where it takes steps of one
+    history: tuple[float, ...] = ()  # the algorithm's measure of progress, one number an iteration
+    iterations: int | None = None  # where these are not one more than the history has
+
+
 @dataclass(frozen=True)
 class Algorithm:
-    """One way to Coulomb's law."""
+    """One algorithm of Coulomb friction: `solve`, problems in local form and ranks of MPI read this table."""
 
     name: str
     iterates: Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]
@@ -27,6 +42,9 @@ class Algorithm:
     limit: int  # iterations, where nothing else is said
     patience: int  # iterates that may come to nothing; then the later half must be better than the earlier
     about: str
+    # On bodies in the plane, where it needs no local form.
+    on_bodies: Callable[[ContactProblem, Condensation, Method, Settings], FoundOnBodies] | None = None
+    on_ranks: bool = False  # whether ranks of MPI can take it
 
 
 def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
@@ -45,17 +63,50 @@ def _with_steps(
     return iterates
 
 
+def _tresca_on_bodies(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+) -> FoundOnBodies:
+    found = solve_tresca(problem, condensation, method, settings)
+    return FoundOnBodies(found.answer, f"tresca with {method.name}", found.changes)
+
+
+def _newton_on_bodies(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+) -> FoundOnBodies:
+    del method
+    limits = settings.max_iter, settings.time_limit
+    found = solve_newton(problem, condensation, settings.warm_start, limits[0], time_limit=limits[1])
+    return FoundOnBodies(found.answer, "newton", iterations=found.steps)
+
+
 ALGORITHMS = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("newton", _newton_only, False, 1, 2, "semismooth Newton (Alart and Curnier), regularised"),
+        Algorithm(
+            "newton",
+            _newton_only,
+            False,
+            1,
+            2,
+            "semismooth Newton (Alart and Curnier), regularised",
+            on_bodies=_newton_on_bodies,
+        ),
         Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, 200, "nonsmooth Gauss-Seidel"),
         Algorithm(
             "ppa", lambda form, _, start: proximal_points(form, start), False, 300, 300, "proximal points by Newton"
         ),
         Algorithm("admm", lambda form, _, start: admm(form, start), False, 20000, 60, "ADMM, the shift from the dual"),
         Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, 40, "convex problems over shifted cones"),
-        Algorithm("tresca", _with_steps(tresca_fixed_point), True, 100, 40, "convex problems of given friction bounds"),
+        Algorithm(
+            "tresca",
+            _with_steps(tresca_fixed_point),
+            True,
+            100,
+            40,
+            "convex problems of given friction bounds",
+            on_bodies=_tresca_on_bodies,
+            on_ranks=True,
+        ),
     )
 }
 # Names that `solve` gives another meaning.
