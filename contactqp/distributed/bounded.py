@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.environment import given, held_in_rows, petsc
 from contactqp.distributed.iteration import stacked
-from contactqp.distributed.preconditioner import AUTO, FACTORISED
+from contactqp.distributed.preconditioner import AUTO, FACTORISED, MUMPS
 from contactqp.distributed.problem import DistributedProblem, said_of_first
 from contactqp.distributed.rows import Rows
 from contactqp.errors import BackendFailed, NoEquilibrium, Unsupported
@@ -234,7 +234,7 @@ METHODS = (*NEWTON, *TRUST_REGION)
 CHANGES_MATRIX = ("vinewtonssls",)
 # What solves their linear systems, for symmetric ones; UNSYMMETRIC has what the semismooth method's need.
 SOLVERS: dict[str, dict[str, Any]] = {
-    "mumps": {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
+    "mumps": {"ksp_type": "preonly", **MUMPS},
     "hypre": {"ksp_type": "cg", "pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
     "asm": {"ksp_type": "cg", "pc_type": "bjacobi", "sub_pc_type": "icc"},
 }

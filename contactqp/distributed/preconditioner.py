@@ -132,12 +132,13 @@ def _whole(ranks: Ranks, matrix: Any) -> sp.csr_matrix:
     return sp.csr_matrix((ranks.gathered(values), columns, whole), shape=matrix.getSize())
 
 
+# Twice the memory that MUMPS expects to need: what it needs depends on the order in which messages come.
+MUMPS: dict[str, Any] = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100}
 # Names of `solver`, and what PETSc calls them. Its own options come after: -contactqp_pc_type, -contactqp_pc_gamg_...
 SOLVERS: dict[str, dict[str, Any]] = {
     "gamg": smoothed_aggregation.OPTIONS,
     "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
-    # Twice the memory that MUMPS expects to need: what it needs depends on the order in which messages come.
-    "mumps": {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100},
+    "mumps": MUMPS,
 }
 # Types of PETSc's that keep nothing of the matrix that they were made of; others may hold places in it.
 APART = ("hypre", "cholesky")

@@ -6,6 +6,6 @@ bound of the step before, `newton` goes from one combination of open, stick and 
 suggests, `enumeration` tries every one. On the forces of a local problem (`local_form`; `contact_form` makes one of a
 contact problem), in the plane and in space: `alart_curnier`, `gauss_seidel`, `admm`, and the fixed points over
 `convex_steps`; `algorithms` lists and runs them. All end with the linear system of their combination, solved to the
-last digits (`contactqp.linalg.friction_states`). `associated` is the convex relaxation, which is another law; `contact_springs` makes of the penalty
-method an exact problem for all of these.
+last digits (`contactqp.linalg.friction_states`). `associated` is the convex relaxation, which is another law;
+`contact_springs` makes of the penalty method an exact problem for all of these.
 """
