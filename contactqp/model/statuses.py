@@ -1,16 +1,32 @@
-"""What a contact with friction in the plane can do, as numbers: its product with mu l_N is the friction of a slip."""
+"""The states of contacts: one coding for all that solves, enumerates, follows and proves them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from enum import IntEnum
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-# A contact is open, sticks, or slips with s < 0 or s > 0.
-OPEN, STICK, SLIP_BACK, SLIP_ON = 0, 2, -1, 1
+
+class ContactState(IntEnum):
+    """What a contact does; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
+
+    The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
+    friction, where sticking and slipping are not told apart.
+    """
+
+    SLIP_BACK = -1
+    OPEN = 0
+    SLIP_ON = 1
+    STICK = 2
+    CLOSED = 3
+
+
+OPEN, STICK, CLOSED = ContactState.OPEN, ContactState.STICK, ContactState.CLOSED
+SLIP_BACK, SLIP_ON = ContactState.SLIP_BACK, ContactState.SLIP_ON
 Status = NDArray[np.int8]
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.local_problem import LocalProblem
+from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.solve import solve
 
-OPEN, STICK, SLIP_ON, SLIP_BACK = 0, 1, 2, 3
 States = NDArray[np.int8]  # (m,)
 
 # Changes of states; they settle in two or three, and what cycles is left to an algorithm that cannot.
@@ -115,7 +115,7 @@ def _by_states(W: Array, c: Vector, friction: Vector, start: States) -> Array | 
         opens = closed & (force[:, 0] < 0)
         closes = ~closed & (u[:, 0] < -size[:, 0])
         slips = (state == STICK) & (abs(force[:, 1]) > bound) & ~opens
-        sticks = (state >= SLIP_ON) & (friction > 0) & (sign * u[:, 1] < -size[:, 1]) & ~opens
+        sticks = (abs(state) == SLIP_ON) & (friction > 0) & (sign * u[:, 1] < -size[:, 1]) & ~opens
         if not np.any(opens | closes | slips | sticks):
             return force
         state[opens], state[closes] = OPEN, slides[closes]
