@@ -59,7 +59,7 @@ MOST_TRIED = 4096
 # Steps of the quick search.
 QUICK_STEPS = 40
 NAMES_IN_A_MESSAGE = 8
-WORDS = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
+WORDS: dict[int, str] = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 
 
 @dataclass(frozen=True, eq=False)

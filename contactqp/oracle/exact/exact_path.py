@@ -78,7 +78,7 @@ def _transposed(columns: list[list[Fraction]], rows: int) -> list[list[Fraction]
 
 
 # Closed without friction, beside the states of contacts with friction.
-WORDS = {OPEN: "open", CLOSED: "closed", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
+WORDS: dict[int, str] = {OPEN: "open", CLOSED: "closed", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 SLIPPING = (SLIP_BACK, SLIP_ON)
 MOST_TRIED = 4096
 EVENTS_A_CONTACT = 40
