@@ -34,9 +34,9 @@ from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, answer_in
 from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.coulomb import plane_states
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
-from contactqp.model.statuses import plane_states
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 

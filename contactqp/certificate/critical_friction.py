@@ -23,9 +23,9 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import ContactCompliance, contact_compliance
 from contactqp.linalg.iteration import iterated
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point
+from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.statuses import OPEN, STICK, Status, all_combinations
 
 # Beyond these, dense operators of all contacts cost more than a certificate should.
 MOST_CONTACTS = 300

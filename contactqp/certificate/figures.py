@@ -14,7 +14,7 @@ on the body and u = (g - E_N u, E_T u - slip_origin). The law is
 
     n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
 
-(De Saxce and Feng 1998; `contactqp.model.coulomb_cone`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
+(De Saxce and Feng 1998; `contactqp.model.coulomb`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
 meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
 dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
 
@@ -53,7 +53,7 @@ from contactqp.linalg.measures import (
     without_rigid_part,
 )
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import Vectors, directions, lengths, natural_map
+from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Answer, Nothing, Violations
 

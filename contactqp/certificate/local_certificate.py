@@ -36,7 +36,7 @@ from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBL
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.linalg.extended import velocity_of
 from contactqp.model.arrays import Array, Vector, own_floating_point
-from contactqp.model.coulomb_cone import directions, lengths, natural_map
+from contactqp.model.coulomb import directions, lengths, natural_map
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array

@@ -35,11 +35,10 @@ from contactqp.linalg.factorization import inverse_root
 from contactqp.linalg.measures import HELD_BY_DOUBLES, row_sizes
 from contactqp.linalg.saddle import saddle_point
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions as directions_of
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import directions as directions_of
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES_ALONE, STATE, Answer, Violations
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState

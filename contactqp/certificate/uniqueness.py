@@ -33,10 +33,9 @@ from contactqp.certificate.critical_friction import (
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import OPEN, STICK, directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Violations
-from contactqp.model.statuses import OPEN, STICK
 
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5

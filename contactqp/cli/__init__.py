@@ -13,8 +13,16 @@ from typing import NoReturn
 import click
 
 from contactqp.cli.judging import check_command, explain_command, oracle_command
-from contactqp.cli.output import BAD_INPUT, INTERRUPTED, NOT_INSTALLED, NOT_MET
-from contactqp.cli.ranks import Ending, explained, leave_to_the_first, speakers
+from contactqp.cli.output import (
+    BAD_INPUT,
+    INTERRUPTED,
+    NOT_INSTALLED,
+    NOT_MET,
+    Ending,
+    explained,
+    leave_to_the_first,
+    speakers,
+)
 from contactqp.cli.solving import run_command
 from contactqp.cli.surveying import gallery_command, methods_command, report_command
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, Unsupported

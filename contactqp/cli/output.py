@@ -1,4 +1,10 @@
-"""What commands print, and the codes that they end with."""
+"""What commands print and the codes that they end with, on one process and on several ranks.
+
+On ranks one of them prints, all end with one code, and what ends one ends all. A rank that fails while the others
+wait for it in some exchange would leave them waiting. Each rank comes to `settle` at its end; one that has failed
+waits there a moment for the others, who may have failed with it. If they do not come, it says why it failed and has
+MPI end them.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +12,20 @@ import io
 import json
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
+from contactqp.model.engines import SERIAL
+
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from contactqp.distributed.ranks import Ranks
 
 # Columns of a table that nobody looks at through a window.
 WIDE = 200
@@ -46,3 +60,126 @@ def print_json(data: Any) -> None:
 def complain(message: str) -> None:
     """One line on the standard error."""
     click.echo(f"contactqp: {' '.join(message.split())}", err=True)
+
+
+T = TypeVar("T")
+# Seconds that ranks which fail together may be apart; later ones wait longer, so that one of them speaks.
+GRACE, APART, MOST_APART = 2.0, 0.1, 10
+# Between two looks at whether all have come.
+PAUSE = 0.01
+# PETSc's code for memory that it does not get, and the function that asks for it, whatever code it fails with.
+PETSC_MEMORY, PETSC_ALLOCATION = 55, "PetscMalloc"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How one rank ends: its exit code, and what is to be said of it, if anything."""
+
+    code: int
+    message: str = ""
+    traceback: str = ""  # of a bug
+
+
+class Speakers:
+    """The ranks of this run, once an engine that has several is asked for."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Another command begins: it is of this process alone until it asks for an engine."""
+        self.asked = False
+        self._ranks: Ranks | None = None
+        self._closing: Any = None  # for the end alone: no exchange of the solvers meets it
+
+    def start(self, engine: str) -> None:
+        """Have MPI started if the engine needs it.
+
+        Raises
+        ------
+        BackendMissing
+        """
+        if engine == SERIAL:
+            return
+        self.asked = True
+        from contactqp.distributed.ranks import Ranks
+
+        self._ranks = Ranks()
+        self._closing = self._ranks.comm.Dup()
+
+    @property
+    def speaks(self) -> bool:
+        """Whether this process prints and writes what all of them have found."""
+        return self._ranks is None or self._ranks.rank == 0
+
+    def together(self) -> AbstractContextManager[None]:
+        """What one rank refuses meanwhile, all refuse."""
+        return nullcontext() if self._ranks is None else self._ranks.together()
+
+    def by_first(self, action: Callable[[], T]) -> T:
+        """What an action finds, once and for all ranks; what it refuses, all refuse."""
+        return action() if self._ranks is None else cast(T, self._ranks.told(self._ranks.by_first(action)))
+
+    def settle(self, ending: Ending) -> int:
+        """Say what is to be said once, and return the exit code of all ranks; or end them, where they do not come."""
+        if self._ranks is None:
+            self._settle_unstarted(ending)
+            return ending.code
+        self.meet(ending)
+        endings: list[Ending] = self._closing.allgather(ending)
+        failed = [number for number, other in enumerate(endings) if other.message]
+        if not failed:
+            return max(other.code for other in endings)
+        if self._ranks.rank == failed[0]:
+            same = all(other.message == ending.message for other in endings)
+            _say(ending, None if same else failed[0])
+        return endings[failed[0]].code
+
+    def meet(self, ending: Ending) -> None:
+        """Wait for all ranks; one that has something to say ends them instead, where they do not come soon."""
+        if self._ranks is None:
+            return
+        rank, arrived = self._ranks.rank, self._closing.Ibarrier()
+        until = time.monotonic() + GRACE + APART * min(rank, MOST_APART)
+        while not arrived.Test():
+            if ending.message and time.monotonic() > until:
+                _say(ending, rank)
+                self._ranks.comm.Abort(ending.code)
+            time.sleep(PAUSE)
+
+    def _settle_unstarted(self, ending: Ending) -> None:
+        """Without MPI ranks cannot agree, and as a rule they fail alike."""
+        rank = leave_to_the_first() if self.asked else 0
+        if ending.message:
+            _say(ending, rank or None)
+
+
+def leave_to_the_first() -> int:
+    """Wait, on other ranks than the first, until the launcher has ended them with it; return the rank if it has not."""
+    rank = launched_rank() or 0
+    if rank:
+        time.sleep(GRACE)
+    return rank
+
+
+def explained(error: Exception) -> str:
+    """One line about an error that is none of contactqp's own."""
+    lines = str(error).strip().splitlines()
+    if type(error).__module__.startswith("petsc4py"):
+        reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost stands last, after its rank
+        full = getattr(error, "ierr", None) == PETSC_MEMORY or PETSC_ALLOCATION in str(error)
+        return f"out of memory: PETSc, {reason}" if full else f"PETSc: {reason}"
+    if isinstance(error, MemoryError):
+        return "out of memory" + (f": {lines[0]}" if lines else "")
+    return f"{type(error).__name__}: {lines[0] if lines else 'no reason given'}"
+
+
+def _say(ending: Ending, rank: int | None) -> None:
+    if ending.traceback:
+        print(ending.traceback, file=sys.stderr)
+    complain(ending.message if rank is None else f"rank {rank}: {ending.message}")
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+
+
+speakers = Speakers()

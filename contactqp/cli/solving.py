@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from contactqp.cli.output import NOT_MET, complain, console, print_json
-from contactqp.cli.ranks import Ending, speakers
+from contactqp.cli.output import NOT_MET, Ending, complain, console, print_json, speakers
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.engines import ENGINES, SERIAL
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contactqp.distributed.iteration import DistributedIteration
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import directions, lengths
 
 # What each contact of a rank does under friction: Alart and Curnier's trial forces, contact by contact.
 #

@@ -33,7 +33,7 @@ from contactqp.linalg.measures import (
     vector_measure,
 )
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Nothing, Violations
 
 

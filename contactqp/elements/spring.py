@@ -1,4 +1,4 @@
-"""The spring: a stiffness along one direction, between two nodes or from a node to the ground."""
+"""Springs between two nodes or from a node to the ground, and point masses: a weight, in dynamics an inertia too."""
 
 from __future__ import annotations
 
@@ -43,3 +43,19 @@ def force(constant: Number, direction: Any, relative: Any) -> Number:
     d = np.asarray(direction)
     value: Number = constant * np.dot(d, np.asarray(relative)) / square_root(squared_length(d))
     return value
+
+
+def weight(mass: Number, gravity: Any) -> Numbers:
+    """Return f = m g, (dimension,) [force]; `gravity` is the vector of acceleration, downwards where it points down.
+
+    >>> weight(2.0, [0.0, -9.81]).tolist()
+    [0.0, -19.62]
+    """
+    f: Numbers = mass * np.asarray(gravity)
+    return f
+
+
+def inertia(mass: Number, dimension: int) -> Numbers:
+    """Return M = m I, (dimension, dimension) [mass]."""
+    M: Numbers = mass * np.eye(dimension, dtype=int)
+    return M

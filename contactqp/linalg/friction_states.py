@@ -37,15 +37,15 @@ from contactqp.linalg.extended import (
 from contactqp.linalg.measures import imbalance
 from contactqp.linalg.saddle import BALANCED, independent_rows
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions as directions_of
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import OPEN as OPEN
+from contactqp.model.coulomb import SLIP_BACK as SLIP_BACK
+from contactqp.model.coulomb import SLIP_ON as SLIP_ON
+from contactqp.model.coulomb import STICK as STICK
+from contactqp.model.coulomb import Status as Status
+from contactqp.model.coulomb import directions as directions_of
+from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.model.statuses import OPEN as OPEN
-from contactqp.model.statuses import SLIP_BACK as SLIP_BACK
-from contactqp.model.statuses import SLIP_ON as SLIP_ON
-from contactqp.model.statuses import STICK as STICK
-from contactqp.model.statuses import Status as Status
 
 
 class FrictionalRows:

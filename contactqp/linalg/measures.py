@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, RigidMotions, connected_parts
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.errors import InvalidProblem, Unsupported, refuse_other
 from contactqp.model.arrays import Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Answer

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.elements import node_contact, point_mass
+from contactqp.elements import node_contact, spring
 from contactqp.elements.obstacle import Plane
 from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
@@ -199,7 +199,7 @@ def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
     gravity = np.array([scene.value(g) for g in scene.gravity])
     for _, element in scene.elements:
         for node, mass in element.weights(scene):
-            yield from zip(scene.displacements(node), point_mass.weight(mass, gravity), strict=True)
+            yield from zip(scene.displacements(node), spring.weight(mass, gravity), strict=True)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:

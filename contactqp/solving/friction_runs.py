@@ -22,7 +22,7 @@ from contactqp.linalg.friction_states import OPEN, SLIP_BACK, SLIP_ON, STICK, Fr
 from contactqp.linalg.iteration import iterated
 from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
 from contactqp.model.arrays import Array
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm

@@ -7,7 +7,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.motion import step_friction
-from contactqp.analysis.motion.step_friction import OPEN, SLIP_BACK, SLIP_ON, STICK, frictional_forces, states_of
+from contactqp.analysis.motion.step_friction import frictional_forces, states_of
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 
 ONE = np.array([[1.0, 0.5], [0.5, 2.0]])  # u_N, u_T of r_N, r_T
 
@@ -40,7 +41,7 @@ def test_states_find_what_the_algorithms_find(seed: int) -> None:
     root = rng.normal(size=(2 * m, 8))
     W, c = root @ root.T / 8 + np.eye(2 * m), rng.normal(size=2 * m)
     coefficient = rng.choice([0.0, 0.1, 0.3], size=m)
-    start = rng.integers(0, 4, size=m).astype(np.int8)
+    start = rng.integers(SLIP_BACK, STICK + 1, size=m).astype(np.int8)
     normal, friction = frictional_forces(W, c, coefficient, start, "active-set", {})
     local = cq.LocalProblem(delassus=W, offset=c, friction=coefficient, dimension=2)
     known = cq.solve(local)

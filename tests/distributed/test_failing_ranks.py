@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactqp.cli.ranks import explained
+from contactqp.cli.output import explained
 from tests.distributed.cases import path_case
 from tests.distributed.conftest import SCRIPTS
 

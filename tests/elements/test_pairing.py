@@ -16,7 +16,7 @@ import contactqp as cq
 from contactqp.elements.node_contact import against_plane, between_nodes
 from contactqp.elements.obstacle import Plane, tangents
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.point_mass import inertia, weight
+from contactqp.elements.spring import inertia, weight
 from contactqp.errors import InvalidProblem
 
 DIRECTION = st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1)

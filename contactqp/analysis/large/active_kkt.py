@@ -16,8 +16,8 @@ from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.factorization import DENSE_SIZE, factorise
 from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 
 # Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
 ZERO = 1e-12

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, row_sizes
 from contactqp.model.arrays import Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")

@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.motion.step_friction import OPEN, correction, frictional_forces, states_of
+from contactqp.analysis.motion.step_friction import correction, frictional_forces, states_of
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.factorization import DenseCholesky
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.model.local_problem import LocalProblem
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.solve import solve
 
 States = NDArray[np.int8]  # (m,)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.model.arrays import Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import directions, lengths
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import Evidence, Explanation, Finding, unit_of
 from contactqp.oracle.foreign.judged_contacts import slips

@@ -23,7 +23,7 @@ from flint import fmpq, fmpq_mat
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.exact_algebra import Polyhedron, dot
 from contactqp.linalg.rational import beside, fraction, is_zero, null_space, stack, take, zeros
-from contactqp.model.statuses import CLOSED, OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
+from contactqp.model.coulomb import CLOSED, OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
 from contactqp.oracle.exact.closed_set import Combination, System, system_of
 from contactqp.oracle.exact.exact_problem import RationalAnswer, RationalProblem, wrong
 from contactqp.oracle.exact.exact_solution import ExactEvent

@@ -34,7 +34,7 @@ from contactqp.linalg.measures import lengths_that_meet, tangential_lengths
 from contactqp.linalg.refinement import answer_on, shift_to_least_norm
 from contactqp.linalg.saddle import free_motions, saddle_point
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import directions, lengths
+from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer

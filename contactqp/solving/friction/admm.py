@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
-from contactqp.model.coulomb_cone import lengths, onto_cone
+from contactqp.model.coulomb import lengths, onto_cone
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import JOINT_REGULARISATION, BlockSystem, LocalForm
 

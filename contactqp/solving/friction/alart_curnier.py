@@ -27,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import lengths
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import BlockSystem, LocalForm
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths, onto_cone
+from contactqp.model.coulomb import lengths, onto_cone
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

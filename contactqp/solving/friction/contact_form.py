@@ -26,7 +26,7 @@ from contactqp.linalg.friction_states import (
     compliance_of,
 )
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths
+from contactqp.model.coulomb import lengths
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -26,7 +26,7 @@ from contactqp.errors import InvalidProblem, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.scaling import nondimensional
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import lengths, onto_discs
+from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic

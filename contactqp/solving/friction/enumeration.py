@@ -33,9 +33,9 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.friction_states import FrictionalRows, answer_in
 from contactqp.model.arrays import Array, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
-from contactqp.model.statuses import OPEN, STICK, Status, all_combinations
 
 # 4^8 systems take seconds.
 MOST_CONTACTS = 8

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arrays import own_floating_point
+from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.statuses import OPEN, STICK, all_combinations
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
 ROUNDED = 1e-9

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import de_saxce, lengths, onto_cone
+from contactqp.model.coulomb import de_saxce, lengths, onto_cone
 from contactqp.solving.friction.iterate import Iterate
 from contactqp.solving.friction.local_form import LocalForm
 

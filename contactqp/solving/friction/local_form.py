@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb_cone import natural_map
+from contactqp.model.coulomb import natural_map
 from contactqp.model.local_problem import LocalProblem
 
 # Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.

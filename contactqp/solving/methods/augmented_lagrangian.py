@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.measures import lengths_that_meet, ratio
 from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
-from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.penalty import frictional_penalty_loop, penalty_loop

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 
 from contactqp.model.arrays import Indices, Mask
+from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.model.statuses import Status
 from contactqp.solving.methods.criss_cross import Step
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop

@@ -18,9 +18,9 @@ import scipy.sparse as sp
 
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, status_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.model.statuses import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, status_names
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.stick_and_slip import (
     FrictionalEnforcement,

@@ -18,8 +18,8 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Indices, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem, Matrix
-from contactqp.model.statuses import OPEN, STICK, Status
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.textbook_algebra import contact_stiffness, independent_rows, refuse_contradiction, spread
 

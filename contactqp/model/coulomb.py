@@ -1,4 +1,4 @@
-"""Coulomb's cone K = {|r_T| <= mu r_N}: projections, De Saxce's velocity, and the residual of the law as an equation.
+"""Coulomb's law: the states of contacts, projections onto the cone K = {|r_T| <= mu r_N}, and the law as an equation.
 
 With De Saxce's velocity u + mu |u_T| e_N the law of Signorini and Coulomb is K* contains it, K contains r, and the two
 are orthogonal (De Saxce and Feng 1998), that is r = P_K(r - rho (u + mu |u_T| e_N)) for any rho > 0.
@@ -7,10 +7,53 @@ Vectors are (m, d), normal component first.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from enum import IntEnum
+from itertools import product
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.model.arrays import Vector
+
+
+class ContactState(IntEnum):
+    """What a contact does; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
+
+    The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
+    friction, where sticking and slipping are not told apart.
+    """
+
+    SLIP_BACK = -1
+    OPEN = 0
+    SLIP_ON = 1
+    STICK = 2
+    CLOSED = 3
+
+
+OPEN, STICK, CLOSED = ContactState.OPEN, ContactState.STICK, ContactState.CLOSED
+SLIP_BACK, SLIP_ON = ContactState.SLIP_BACK, ContactState.SLIP_ON
+Status = NDArray[np.int8]
+
+
+def plane_states(friction: Any) -> tuple[int, ...]:
+    """Return the states that a contact in the plane can be in, its coefficient of friction a float or a Fraction.
+
+    Without friction a closed contact neither sticks nor slips: SLIP_ON, whose friction is zero, stands for it.
+    """
+    return (OPEN, STICK, SLIP_BACK, SLIP_ON) if friction > 0 else (OPEN, SLIP_ON)
+
+
+def all_combinations(friction: Iterable[Any]) -> Iterator[tuple[int, ...]]:
+    """Return every combination of the states of contacts in the plane, of coefficients of floats or Fractions (m,)."""
+    return product(*(plane_states(mu) for mu in friction))
+
+
+def status_names(status: Status) -> NDArray[np.str_]:
+    """(m,) of open, stick, slip."""
+    return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")
+
 
 Vectors = NDArray[np.float64]  # (m, d)
 
