@@ -88,7 +88,7 @@ def report_command(
 
         code = report(cases, output, running)
     if stability and code < OF_SIGNAL:  # one Ctrl-C stops both
-        from contactqp.study.stability.report import report_stability
+        from contactqp.study.stability.stability_report import report_stability
 
         code = max(code, report_stability(output, running))
     sys.exit(code)

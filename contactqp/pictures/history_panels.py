@@ -102,7 +102,7 @@ def history_fields(history: History) -> HistoryFields:
     if len(history) == 0:
         raise InvalidProblem("draw_history: expected a history of one instant or more, got none")
     if isinstance(history, MotionHistory):
-        return _of_motion(history)
+        return _motion_fields(history)
     solutions = list(history)
     rubbing = [solution.friction_force for solution in solutions]
     frictional = any(solution.problem.frictional for solution in solutions)
@@ -122,7 +122,7 @@ def history_fields(history: History) -> HistoryFields:
     )
 
 
-def _of_motion(history: MotionHistory) -> HistoryFields:
+def _motion_fields(history: MotionHistory) -> HistoryFields:
     problem, u = history.motion.scheme.body.problem, history.displacements
     with np.errstate(over="ignore", invalid="ignore"):  # a motion that failed may have left all numbers
         energies = _energies(history.energies, ENERGIES)
@@ -184,24 +184,24 @@ class Panel:
 
 def time_panels(fields: HistoryFields, time_unit: str) -> list[Panel]:
     """Displacements, velocities, gaps, forces and energies against time; what a history has none of is left out."""
-    units, contacts = fields.problem.units, telling_contacts(fields)
+    units, contacts = fields.problem.units, chosen_contacts(fields)
     length, force = style.length_unit(units), style.force_unit(units)
-    unknowns = telling_unknowns(fields, contacts)
+    unknowns = chosen_unknowns(fields, contacts)
     moved, pushed = (_largest(values) for values in (fields.displacement, fields.normal_force))
-    panels = [Panel(f"displacement [{length}]", _of_unknowns(fields, fields.displacement, unknowns), moved)]
+    panels = [Panel(f"displacement [{length}]", _unknown_curves(fields, fields.displacement, unknowns), moved)]
     if fields.velocity is not None:
         label = f"velocity [{length}/{time_unit or 'time'}]"
-        panels.append(Panel(label, _of_unknowns(fields, fields.velocity, unknowns)))
+        panels.append(Panel(label, _unknown_curves(fields, fields.velocity, unknowns)))
     if fields.problem.contacts:
-        panels.append(Panel(f"gap [{length}]", _of_contacts(fields, fields.gap, contacts, "smallest"), moved))
+        panels.append(Panel(f"gap [{length}]", _contact_curves(fields, fields.gap, contacts, "smallest"), moved))
         panels.append(
-            Panel(f"normal force [{force}]", _of_contacts(fields, fields.normal_force, contacts, "sum"), pushed)
+            Panel(f"normal force [{force}]", _contact_curves(fields, fields.normal_force, contacts, "sum"), pushed)
         )
     if fields.friction_force is not None:
         in_plane = fields.friction_force.shape[2] == 1
         values = fields.friction_force[:, :, 0] if in_plane else np.linalg.norm(fields.friction_force, axis=2)
         label = "friction force" if in_plane else "friction force, size"
-        panels.append(Panel(f"{label} [{force}]", _of_contacts(fields, values, contacts, "sum"), pushed))
+        panels.append(Panel(f"{label} [{force}]", _contact_curves(fields, values, contacts, "sum"), pushed))
     energies = tuple(Curve(name, value, ENERGIES.index(name)) for name, value in fields.energies.items())
     panels.append(Panel(f"energy [{style.energy_unit(units)}]", energies))
     return [panel for panel in panels if panel.curves]
@@ -214,7 +214,7 @@ def time_label(fields: HistoryFields, time_unit: str) -> str:
     return "load factor" if fields.proportional else "pseudo-time"
 
 
-def telling_contacts(fields: HistoryFields) -> Index:
+def chosen_contacts(fields: HistoryFields) -> Index:
     """Return, of many contacts, those that push hardest, then those that come nearest."""
     with np.errstate(invalid="ignore"):
         push = np.nanmax(abs(fields.normal_force), axis=0, initial=0.0)
@@ -223,7 +223,7 @@ def telling_contacts(fields: HistoryFields) -> Index:
     return np.sort(order)
 
 
-def telling_unknowns(fields: HistoryFields, contacts: Index) -> Index:
+def chosen_unknowns(fields: HistoryFields, contacts: Index) -> Index:
     """Return the unknowns whose loads do most work on a load path, or those of contacts that move most."""
     moved, candidates = _moved(fields), np.arange(fields.displacement.shape[1])
     tells = moved
@@ -268,11 +268,11 @@ def ranked(unknowns: Index, tells: Vector) -> Index:
     return unknowns[order[tells[order] > TELLS * np.max(tells, initial=0.0)]]
 
 
-def _of_unknowns(fields: HistoryFields, values: Array, unknowns: Index) -> tuple[Curve, ...]:
+def _unknown_curves(fields: HistoryFields, values: Array, unknowns: Index) -> tuple[Curve, ...]:
     return tuple(Curve(fields.problem.dof_name(int(j)), values[:, j], i) for i, j in enumerate(unknowns))
 
 
-def _of_contacts(fields: HistoryFields, values: Array, contacts: Index, whole: str) -> tuple[Curve, ...]:
+def _contact_curves(fields: HistoryFields, values: Array, contacts: Index, whole: str) -> tuple[Curve, ...]:
     """One curve each; where some are left out, one of them all."""
     names = fields.problem.contact_name
     curves = [Curve(names(int(i)), values[:, i], place) for place, i in enumerate(contacts)]

@@ -57,7 +57,7 @@ def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
     """
     path = check_vtu(file)
     meshlane: Any = importlib.import_module("meshlane")
-    data = _of_bodies(fields) if isinstance(fields, ContactFields) else _of_frame(fields)
+    data = _body_data(fields) if isinstance(fields, ContactFields) else _frame_data(fields)
     mesh = meshlane.Mesh(data.points, data.cells, point_data=data.at_points, cell_data=data.at_cells)
     write_whole(path, lambda beside: mesh.write(beside, file_format="vtu"))
 
@@ -90,7 +90,7 @@ class _Contacts:
     status: Index
 
 
-def _of_bodies(fields: ContactFields) -> _Data:
+def _body_data(fields: ContactFields) -> _Data:
     first = np.cumsum([0, *[len(body.points) for body in fields.bodies]])
     cells: dict[str, list[tuple[int, Index]]] = {}
     for number, body in enumerate(fields.bodies):
@@ -122,7 +122,7 @@ def _of_bodies(fields: ContactFields) -> _Data:
     )
 
 
-def _of_frame(fields: FrameFields) -> _Data:
+def _frame_data(fields: FrameFields) -> _Data:
     count, axes = len(fields.nodes), ["xyz".index(axis) for axis in fields.axes]
     pairs = [pair for member in fields.members for pair in zip(member.nodes[:-1], member.nodes[1:], strict=True)]
     cells = [("line", np.array(pairs, dtype=np.int64))] if pairs else []

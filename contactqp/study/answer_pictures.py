@@ -21,7 +21,7 @@ from contactqp.pictures.contact_fields import HELD, ContactFields, contact_field
 from contactqp.pictures.drawing import figure
 from contactqp.pictures.frame_drawing import FrameContact, FrameFields, Member, structure_figure
 from contactqp.pictures.history_drawing import draw_history, history_figure
-from contactqp.pictures.membrane_drawing import MembraneFields, membrane_figure
+from contactqp.pictures.space_drawing import MembraneFields, membrane_figure
 from contactqp.pictures.style import check_picture, save, small_png
 from contactqp.pictures.vtu import check_vtu, write_vtu
 from contactqp.scene.body_geometry import obstacle

@@ -31,7 +31,7 @@ from contactqp.study import rows
 from contactqp.study.rows import Row
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Truth
 
-# What a study tries: each method with each value of its knob, one rung of a ladder after the other.
+# What a study tries: each method with each value of its knob, one setting of a ladder after the other.
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.
@@ -40,13 +40,13 @@ TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 # Of solve() itself.
 DEFAULT_TOLERANCE = 1e-9
 UZAWA_ITERATIONS = (1, 2, 4, 8, 16)
-# What is tried on all unknowns where the contact unknowns alone would do: every rung, where that takes away so many and
-# leaves a dense solver its pace; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
+# What is tried on all unknowns where the contact unknowns alone would do: every setting, where condensation takes away
+# so many unknowns of at most so many; beyond, the default of methods that keep matrices sparse, up to so many unknowns.
 WORTH_A_LADDER, WHOLE_LADDER, WHOLE_DEFAULT = 10, 1_000, 10_000
 
 
 @dataclass(frozen=True)
-class Rung:
+class Setting:
     """One method with one value of its knob."""
 
     method: Method
@@ -96,10 +96,12 @@ def chosen_methods(names: Sequence[str] | None) -> tuple[Method, ...]:
     return tuple(known.values()) if names is None else tuple(known.get(name) or find(name) for name in names)
 
 
-def single_rungs(problem: ContactProblem, method: Method, values: Sequence[float] | None = None) -> Iterator[Rung]:
+def single_settings(
+    problem: ContactProblem, method: Method, values: Sequence[float] | None = None
+) -> Iterator[Setting]:
     """The method as `solve` runs it, over the values of its knob if it has no default or if values are given."""
     if not method.installed:
-        yield Rung(method)
+        yield Setting(method)
     elif values is not None:
         yield from ladder(method, method.knob or "", values)
     elif method.required:
@@ -107,15 +109,15 @@ def single_rungs(problem: ContactProblem, method: Method, values: Sequence[float
     elif method.knob == "tolerance":
         yield from ladder(method, "tolerance", [DEFAULT_TOLERANCE])
     else:
-        yield Rung(method, knob=method.knob or "")
+        yield Setting(method, knob=method.knob or "")
 
 
-def all_rungs(
+def all_settings(
     problem: ContactProblem,
     method: Method,
     tolerances: Sequence[float] = TOLERANCES,
     stated: Sequence[tuple[str, str, Sequence[float]]] = (),
-) -> Iterator[Rung]:
+) -> Iterator[Setting]:
     """Every variant of a method over its knob.
 
     Parameters
@@ -126,7 +128,7 @@ def all_rungs(
         Ladders that the case states for this method; they take the place of the default ones.
     """
     if not method.installed:
-        yield Rung(method)
+        yield Setting(method)
         return
     for variant, knob, values in stated:
         yield from ladder(method, knob, values, variant)
@@ -138,26 +140,26 @@ def all_rungs(
         yield from () if named else ladder(method, "tolerance", tolerances, "polished")
         yield from ladder(method, "tolerance", named[0] if named else tolerances, "raw")
         return
-    yield Rung(method, knob=method.knob or "")
+    yield Setting(method, knob=method.knob or "")
     if method.polish and method.kind != "active set":
-        yield Rung(method, "raw", options={"polish": False})
+        yield Setting(method, "raw", options={"polish": False})
     if "update" in method.options:
         yield from ladder(method, "iterations", UZAWA_ITERATIONS, "uzawa")
 
 
-def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Rung]:
-    """One rung for each value."""
+def ladder(method: Method, knob: str, values: Sequence[float], variant: str = "") -> Iterator[Setting]:
+    """One setting for each value."""
     variant = variant or ("polished" if method.polish else "")
     for value in values:
         option = {"max_iter": int(value)} if knob == "iterations" else {knob: float(value)}
-        yield Rung(method, variant, knob, float(value), option | _OF_VARIANTS.get(variant, {}))
+        yield Setting(method, variant, knob, float(value), option | _OF_VARIANTS.get(variant, {}))
 
 
 _OF_VARIANTS: Mapping[str, dict[str, Any]] = {"raw": {"polish": False}, "uzawa": {"update": "uzawa"}}
 
 
-def on_all_unknowns(problem: ContactProblem, rungs: Iterable[Rung]) -> Iterator[Rung]:
-    """Yield the rungs that are tried on the whole problem too, marked so.
+def on_all_unknowns(problem: ContactProblem, settings: Iterable[Setting]) -> Iterator[Setting]:
+    """Yield the settings that are tried on the whole problem too, marked so.
 
     All are where condensation takes away ten unknowns or more of at most 1000. With fewer to take away both ways are
     much the same, and each method's default, or 1e-9, is enough. Beyond 1000 unknowns a dense solver takes minutes: up
@@ -166,13 +168,13 @@ def on_all_unknowns(problem: ContactProblem, rungs: Iterable[Rung]) -> Iterator[
     """
     n = problem.dimension
     ladder_pays = n <= WHOLE_LADDER and n - len(_touched(problem)) >= WORTH_A_LADDER
-    for rung in rungs:
-        usual = rung.value in (None, DEFAULT_TOLERANCE) and (n <= WHOLE_LADDER or rung.method.sparse)
-        if (ladder_pays or (usual and n <= WHOLE_DEFAULT)) and condensable(problem, rung.method):
-            yield replace(rung, options={**rung.options, "condense": False})
+    for setting in settings:
+        usual = setting.value in (None, DEFAULT_TOLERANCE) and (n <= WHOLE_LADDER or setting.method.sparse)
+        if (ladder_pays or (usual and n <= WHOLE_DEFAULT)) and condensable(problem, setting.method):
+            yield replace(setting, options={**setting.options, "condense": False})
 
 
-def left_out_of_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
+def note_on_all_unknowns(problem: ContactProblem, methods: Iterable[Method]) -> str:
     """What `on_all_unknowns` leaves out of a problem, in words; empty where it leaves out nothing."""
     n, inside = problem.dimension, problem.dimension - len(_touched(problem))
     if not any(condensable(problem, method) for method in methods):
@@ -217,7 +219,7 @@ ENOUGH = 0.05
 # What a case expects that a solution misses; None where nothing was compared.
 Judge = Callable[[Solution], Sequence[str] | None]
 # From a problem, a method's name and its options to the last solution of a load path.
-Walk = Callable[..., Solution]
+FollowHistory = Callable[..., Solution]
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,36 +239,41 @@ class Timing:
     repeats: int  # 0: one call, which was its own warm-up
 
 
-def attempt(problem: ContactProblem, rung: Rung, truth: Truth | None, repeats: int = 1) -> Row:
-    """The row of one rung, answered and timed in this process."""
-    row = answer(problem, rung, truth)
+def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None, repeats: int = 1) -> Row:
+    """The row of one setting, answered and timed in this process."""
+    row = answer(problem, setting, truth)
     if row.seconds is None or row.seconds >= LONG or not repeats:
         return row
-    return timed(row, timing(problem, rung, row.seconds, repeats))
+    return timed(row, timing(problem, setting, row.seconds, repeats))
 
 
 def answer(
     problem: ContactProblem,
-    rung: Rung,
+    setting: Setting,
     truth: Truth | None,
     case: str = "",
     judge: Judge | None = None,
-    walk: Walk | None = None,
+    follow: FollowHistory | None = None,
 ) -> Row:
-    """The row of one rung by its first call, whose time may have imports in it, or what else the machine did.
+    """The row of one setting by its first call, whose time may have imports in it, or what else the machine did.
 
     Every call gets a fresh problem, so that nobody lives off another's factorisation. Where the answer depends on the
-    way to it, with friction, `walk` is called in place of solve.
+    way to it, with friction, `follow` is called in place of solve.
     """
-    outcome = call(problem, rung, walk)
+    outcome = call(problem, setting, follow)
     unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
-    return _row(problem, rung, outcome, truth, case, unmet)
+    return _row(problem, setting, outcome, truth, case, unmet)
 
 
 def timing(
-    problem: ContactProblem, rung: Rung, first: float, repeats: int, walk: Walk | None = None, warm: bool = True
+    problem: ContactProblem,
+    setting: Setting,
+    first: float,
+    repeats: int,
+    follow: FollowHistory | None = None,
+    warm: bool = True,
 ) -> Timing:
-    """The time of one rung: the median of so many calls, fewer where they are long, or one very long call.
+    """The time of one setting: the median of so many calls, fewer where they are long, or one very long call.
 
     Parameters
     ----------
@@ -276,12 +283,12 @@ def timing(
         Whether what the method imports is here already; else one call is not timed.
     """
     if first >= LONG or not repeats:
-        return Timing(call(problem, rung, walk).seconds, 0)
+        return Timing(call(problem, setting, follow).seconds, 0)
     if not warm:
-        call(problem, rung, walk)
+        call(problem, setting, follow)
     times: list[float] = []
     while len(times) < repeats and sum(times) < ENOUGH:
-        times.append(call(problem, rung, walk).seconds)
+        times.append(call(problem, setting, follow).seconds)
     return Timing(statistics.median(times), len(times))
 
 
@@ -290,27 +297,27 @@ def timed(row: Row, time: Timing) -> Row:
     return replace(row, seconds=time.seconds, repeats=time.repeats)
 
 
-def crashed(problem: ContactProblem, rung: Rung, case: str, message: str) -> Row:
-    """The row of a rung whose process died, or that never came to an end."""
-    return Row(**_of_rung(problem, rung, case), verdict=rows.CRASHED, message=message)
+def crashed(problem: ContactProblem, setting: Setting, case: str, message: str) -> Row:
+    """The row of a setting whose process died, or that never came to an end."""
+    return Row(**_setting_columns(problem, setting, case), verdict=rows.CRASHED, message=message)
 
 
-def call(problem: ContactProblem, rung: Rung, walk: Walk | None = None) -> Outcome:
-    """One timed call of solve, or of `walk`. Errors of contactqp are outcomes; all others are bugs and are not caught.
+def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None = None) -> Outcome:
+    """Call solve once, or `follow`, and time it.
 
-    The time is that to the answer; certifying it, and the raw answer behind it, is not the method's. That of a walk has
-    the certificates of its steps in it.
+    Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] is that to the answer: the
+    certificate and the raw answer are not counted, except in `follow`, where each step is certified on the way.
     """
     fresh = _fresh(problem)
     solution: Solution | None = None
     error: ContactQPError | None = None
     started = time.perf_counter()
     try:
-        solution = (walk or solve)(fresh, rung.method.name, **rung.options)
+        solution = (follow or solve)(fresh, setting.method.name, **setting.options)
     except ContactQPError as raised:
         solution, error = getattr(raised, "solution", None), raised
     seconds = time.perf_counter() - started
-    if solution is not None and walk is None:
+    if solution is not None and follow is None:
         seconds = solution.seconds - solution.certify_seconds
     return Outcome(solution, error, seconds)
 
@@ -323,14 +330,14 @@ def _fresh(problem: ContactProblem) -> ContactProblem:
 
 def _row(
     problem: ContactProblem,
-    rung: Rung,
+    setting: Setting,
     outcome: Outcome,
     truth: Truth | None,
     case: str,
     unmet: Sequence[str] | None,
 ) -> Row:
     solution = outcome.solution
-    known = _of_rung(problem, rung, case)
+    known = _setting_columns(problem, setting, case)
     if not isinstance(outcome.error, BackendMissing | Unsupported):
         known |= dict(seconds=outcome.seconds)
     errors = raw_errors = None
@@ -339,29 +346,29 @@ def _row(
         if truth is not None:
             errors = truth.errors(solution.displacement, solution.normal_force, solution.tie_force)
             raw_errors = truth.errors(raw.displacement, raw.normal_force, raw.tie_force) if raw else None
-        known |= _of_certificate(solution.certificate) | _of_work(solution)
-    claimed = _claimed(rung, outcome)
-    known |= _of_errors(errors, raw_errors)
+        known |= _certificate_columns(solution.certificate) | _work_columns(solution)
+    claimed = _claimed(setting, outcome)
+    known |= _error_columns(errors, raw_errors)
     if errors is not None:
-        known |= dict(error_asked=_asked(rung, errors))
-    known |= dict(claimed=claimed, flag_wrong=_flag_wrong(rung, claimed, raw_errors or errors))
+        known |= dict(error_asked=_asked(setting, errors))
+    known |= dict(claimed=claimed, flag_wrong=_flag_wrong(setting, claimed, raw_errors or errors))
     if unmet is not None:
         known |= dict(expectations_unmet=len(unmet))
     message = _message(outcome, unmet)
-    return Row(**known, verdict=_verdict(rung, outcome, errors), message=message)
+    return Row(**known, verdict=_verdict(setting, outcome, errors), message=message)
 
 
-def _of_rung(problem: ContactProblem, rung: Rung, case: str) -> dict[str, Any]:
-    method = rung.method
+def _setting_columns(problem: ContactProblem, setting: Setting, case: str) -> dict[str, Any]:
+    method = setting.method
     known: dict[str, Any] = dict(case=case, method=method.name, kind=method.kind, promises_exact=method.exact)
-    known |= dict(variant=rung.variant, knob=rung.knob, knob_value=rung.value)
-    return known | dict(condensed=_condensed(problem, rung), unknowns=problem.dimension, contacts=problem.contacts)
+    known |= dict(variant=setting.variant, knob=setting.knob, knob_value=setting.value)
+    return known | dict(condensed=_condensed(problem, setting), unknowns=problem.dimension, contacts=problem.contacts)
 
 
-def _condensed(problem: ContactProblem, rung: Rung) -> str:
-    if rung.whole:
+def _condensed(problem: ContactProblem, setting: Setting) -> str:
+    if setting.whole:
         return rows.WHOLE
-    return rows.CONDENSED if condensable(problem, rung.method) else ""
+    return rows.CONDENSED if condensable(problem, setting.method) else ""
 
 
 _OF_ERRORS = (
@@ -373,34 +380,34 @@ _OF_ERRORS = (
 )
 
 
-def _verdict(rung: Rung, outcome: Outcome, errors: Errors | None) -> str:
+def _verdict(setting: Setting, outcome: Outcome, errors: Errors | None) -> str:
     if outcome.error is not None:
         return next(verdict for kind, verdict in _OF_ERRORS if isinstance(outcome.error, kind))
     if outcome.solution is None or not outcome.solution.certificate.passed:
-        return rows.REFUSED if rung.method.exact else rows.APPROXIMATE
+        return rows.REFUSED if setting.method.exact else rows.APPROXIMATE
     return rows.RIGHT if errors is None or errors.small else rows.WRONG
 
 
-def _claimed(rung: Rung, outcome: Outcome) -> bool | None:
+def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
     """Whether the method itself called its answer solved; the active set has no answer but the refined one."""
     solution = outcome.solution
-    if solution is None or rung.method.kind == "active set":
+    if solution is None or setting.method.kind == "active set":
         return None
     return solution.raw.claimed if solution.raw else not isinstance(outcome.error, NotConverged)
 
 
-def _flag_wrong(rung: Rung, claimed: bool | None, errors: Errors | None) -> bool | None:
+def _flag_wrong(setting: Setting, claimed: bool | None, errors: Errors | None) -> bool | None:
     """Claimed, and worse than both the certificate's error tolerance and what was asked of the method, generously."""
-    if claimed is None or errors is None or not rung.method.exact:
+    if claimed is None or errors is None or not setting.method.exact:
         return None
-    return claimed and errors.judged > _asked(rung, errors)
+    return claimed and errors.judged > _asked(setting, errors)
 
 
-def _asked(rung: Rung, errors: Errors) -> float:
-    return max(ERROR_TOLERANCE, GENEROSITY * rung.tolerance) + errors.allowance
+def _asked(setting: Setting, errors: Errors) -> float:
+    return max(ERROR_TOLERANCE, GENEROSITY * setting.tolerance) + errors.allowance
 
 
-def _of_certificate(certificate: Certificate) -> dict[str, Any]:
+def _certificate_columns(certificate: Certificate) -> dict[str, Any]:
     worst = max(FIGURES, key=lambda name: float(getattr(certificate, name)))
     return dict(
         certificate_passed=certificate.passed,
@@ -413,7 +420,7 @@ def _of_certificate(certificate: Certificate) -> dict[str, Any]:
     )
 
 
-def _of_work(solution: Solution) -> dict[str, Any]:
+def _work_columns(solution: Solution) -> dict[str, Any]:
     work = solution.work
     return dict(
         iterations=work.iterations,
@@ -423,7 +430,7 @@ def _of_work(solution: Solution) -> dict[str, Any]:
     )
 
 
-def _of_errors(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
+def _error_columns(errors: Errors | None, raw: Errors | None) -> dict[str, Any]:
     known: dict[str, Any] = {}
     if errors is not None:
         known |= dict(error_displacement=_finite(errors.displacement))

@@ -1,4 +1,4 @@
-"""One case made ready for a report: its problem, its truth, its rungs, and what it says of its answers."""
+"""One case made ready for a report: its problem, its truth, its settings, and what it says of its answers."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from contactqp.scene.units import Quantity
 from contactqp.solving.methods import Method
 from contactqp.study.attempt import (
     TOLERANCES,
-    Rung,
+    FollowHistory,
+    Setting,
     Timing,
-    Walk,
-    all_rungs,
+    all_settings,
     answer,
-    left_out_of_all_unknowns,
+    note_on_all_unknowns,
     on_all_unknowns,
     timing,
 )
 from contactqp.study.rows import Row
 from contactqp.study.running.journal import digest
-from contactqp.study.truth import Truth, of_solution, proven_solution
+from contactqp.study.truth import Truth, proven_solution, truth_of_solution
 
 # Expected values that are stated less exactly than this are no truth to measure errors against.
 EXACT = Fraction(1, 10**12)
@@ -48,7 +48,7 @@ class CaseStudy:
     name: str
     scene: Scene
     problem: ContactProblem
-    rungs: tuple[Rung, ...]
+    settings: tuple[Setting, ...]
     left_out: tuple[str, ...] = ()  # of all that could be tried, in words
 
     @cached_property
@@ -57,8 +57,11 @@ class CaseStudy:
         return FullLoad(self.scene)
 
     @cached_property
-    def way(self) -> Walk | None:
-        """With friction, in a motion or at large deformations the answer is where the way leads."""
+    def follow(self) -> FollowHistory | None:
+        """What follows the whole history to its last solution; None where one solve has the answer.
+
+        The answer depends on the history with friction on a load path, in a motion and at large deformations.
+        """
         turns = self.scene.path is not None and self.problem.frictional
         if not (turns or self.scene.motion is not None or self.scene.large):
             return None
@@ -71,14 +74,14 @@ class CaseStudy:
         file = self.scene.file
         return digest(b"" if file is None else file.read_bytes(), self.problem)
 
-    def answer(self, rung: Rung, truth: Truth | None) -> Row:
-        """The row of a rung, not timed yet."""
-        judge = self.expected.unmet if rung.stands_for_exactness else None
-        return answer(self.problem, rung, truth, self.name, judge, self.way)
+    def answer(self, setting: Setting, truth: Truth | None) -> Row:
+        """The row of a setting, not timed yet."""
+        judge = self.expected.unmet if setting.stands_for_exactness else None
+        return answer(self.problem, setting, truth, self.name, judge, self.follow)
 
-    def timing(self, rung: Rung, first: float, repeats: int, warm: bool) -> Timing:
-        """The time of a rung; see `contactqp.study.attempt.timing`."""
-        return timing(self.problem, rung, first, repeats, self.way, warm)
+    def timing(self, setting: Setting, first: float, repeats: int, warm: bool) -> Timing:
+        """The time of a setting; see `contactqp.study.attempt.timing`."""
+        return timing(self.problem, setting, first, repeats, self.follow, warm)
 
     def truth(self) -> Truth | None:
         """What the case states exactly, and the proven solution where it states nothing.
@@ -96,7 +99,7 @@ class CaseStudy:
         if own is None:
             whole = count == size
             return Truth(self.problem, displacement, normal_force, None, "the case's exact values") if whole else None
-        proven = of_solution(own)
+        proven = truth_of_solution(own)
         if not count:
             return proven
         rest = "" if count == size else f" ({count} of {size} numbers; the others: {proven.source})"
@@ -161,7 +164,7 @@ def _refuse_twins(paths: Sequence[Path]) -> None:
 def load_studies(
     files: Iterable[str | Path], methods: Sequence[Method], tolerances: Sequence[float] = TOLERANCES
 ) -> tuple[CaseStudy, ...]:
-    """The cases with their rungs; all files are read before anything is solved.
+    """The cases with their settings; all files are read before anything is solved.
 
     Raises
     ------
@@ -181,17 +184,17 @@ def load_studies(
         limit = report_methods(scene)
         tried = tuple(method for method in methods if limit is None or method.name in limit[0])
         name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}-{path.stem}"
-        rungs = tuple(rung for method in tried for rung in _rungs(scene, problem, method, tolerances))
-        left_out = report_note(scene), left_out_of_all_unknowns(problem, tried)
-        studies.append(CaseStudy(name, scene, problem, rungs, tuple(filter(None, left_out))))
+        settings = tuple(setting for method in tried for setting in _settings(scene, problem, method, tolerances))
+        left_out = report_note(scene), note_on_all_unknowns(problem, tried)
+        studies.append(CaseStudy(name, scene, problem, settings, tuple(filter(None, left_out))))
     return tuple(studies)
 
 
-def _rungs(scene: Scene, problem: ContactProblem, method: Method, tolerances: Sequence[float]) -> Iterator[Rung]:
-    rungs = tuple(all_rungs(problem, method, tolerances, stated_ladders(scene, method)))
-    yield from rungs
+def _settings(scene: Scene, problem: ContactProblem, method: Method, tolerances: Sequence[float]) -> Iterator[Setting]:
+    settings = tuple(all_settings(problem, method, tolerances, stated_ladders(scene, method)))
+    yield from settings
     if scene.motion is None and not scene.large:  # whose steps are problems of their own
-        yield from on_all_unknowns(problem, rungs)
+        yield from on_all_unknowns(problem, settings)
 
 
 def stated_ladders(scene: Scene, method: Method) -> list[tuple[str, str, list[float]]]:

@@ -10,9 +10,9 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.study.attempt import attempt, chosen_methods, single_rungs
+from contactqp.study.attempt import attempt, chosen_methods, single_settings
 from contactqp.study.rows import Row, as_dicts, text_table, to_csv
-from contactqp.study.truth import Reference, given, truth_of
+from contactqp.study.truth import Reference, truth_of, truth_of_reference
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ def compare(
     if (rows := acting_rows(problem)) is not None and rows.met:
         problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
     truth = truth_of(problem, reference)
-    rungs = (rung for method in chosen for rung in single_rungs(problem, method, values.get(method.name)))
+    settings = (setting for method in chosen for setting in single_settings(problem, method, values.get(method.name)))
     source = "nothing, as the active-set method proves no answer" if truth is None else truth.source
-    return Comparison(tuple(attempt(problem, rung, truth) for rung in rungs), source)
+    return Comparison(tuple(attempt(problem, setting, truth) for setting in settings), source)
 
 
 def _on_acting_rows(rows: ActingRows, reference: Reference) -> Reference:
     """What a reference of the whole problem says of the rows that constrain something."""
-    whole = given(rows.whole, reference)
+    whole = truth_of_reference(rows.whole, reference)
     ties = () if whole.tie_force is None else (whole.tie_force[rows.ties],)
     return (whole.displacement, whole.normal_force[rows.contacts], *ties)

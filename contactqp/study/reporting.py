@@ -15,11 +15,11 @@ from contactqp.errors import SceneError
 from contactqp.scene.judging import case_files
 from contactqp.study.attempt import ENOUGH, STIFFENINGS, TOLERANCES, UZAWA_ITERATIONS, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
-from contactqp.study.charts.comparison import case_charts, overview_charts
+from contactqp.study.collecting import Collector
+from contactqp.study.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.render import missing_packages, render
-from contactqp.study.report.collecting import Collector
-from contactqp.study.report.delivery import deliver, machine, report_folder, unfinished, versions, workshop, write
-from contactqp.study.report.report_data import ReportData, Summary, as_json, summarise
+from contactqp.study.report_charts import case_charts, overview_charts
+from contactqp.study.report_data import ReportData, Summary, as_json, summarise
 from contactqp.study.rows import CRASHED, Row, aligned, to_csv
 from contactqp.study.running.journal import source_digest
 from contactqp.study.running.runner import Running, Stopped, progress, stopped_by_signals, workers_of

@@ -67,7 +67,7 @@ def compared_cases(all_rows: Iterable[Row]) -> tuple[str, ...]:
 class RouteTimes:
     """One route over the compared cases; the clock is that of its fastest right answer, by whichever value of the knob.
 
-    A case counts as unsupported if the method said so of every rung, else as failed if no answer is right.
+    A case counts as unsupported if the method said so of every setting, else as failed if no answer is right.
     """
 
     route: Route
@@ -120,7 +120,7 @@ def shifted_geometric_mean(seconds: Iterable[float], shift: float = SHIFT, limit
     return float(np.exp(np.mean(np.log(times + shift))) - shift)
 
 
-# The median over cases of error and run time, for each rung that all cases share.
+# The median over cases of error and run time, for each setting that all cases share.
 
 
 def median_cases(all_rows: Sequence[Row]) -> tuple[str, ...]:
@@ -140,8 +140,8 @@ def median_rows(all_rows: Sequence[Row]) -> tuple[Row, ...]:
     shared = [row for row in shared if row.verdict != rows.MISSING]
     tried = dict.fromkeys((Route.of(row), row.variant, row.knob, row.knob_value) for row in shared)
     found = []
-    for route, *rung in tried:
-        group = [row for row in shared if route.takes(row) and [row.variant, row.knob, row.knob_value] == rung]
+    for route, *setting in tried:
+        group = [row for row in shared if route.takes(row) and [row.variant, row.knob, row.knob_value] == setting]
         if {row.case for row in group} == set(cases):
             found.append(_median_row(route, group))
     return tuple(found)

@@ -183,8 +183,8 @@ def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Tru
     """
     own = proven_solution(problem)
     if reference is None:
-        return None if own is None else of_solution(own)
-    truth = given(problem, reference)
+        return None if own is None else truth_of_solution(own)
+    truth = truth_of_reference(problem, reference)
     if own is None:
         return truth
     return replace(truth, unique_forces=_unique(own), free=bool(own.free_motions))
@@ -199,7 +199,7 @@ def proven_solution(problem: ContactProblem) -> Solution | None:
     return solution if solution.certificate.passed and solution.certificate.proven else None
 
 
-def of_solution(solution: Solution) -> Truth:
+def truth_of_solution(solution: Solution) -> Truth:
     """A solution whose errors are proven small."""
     bound = solution.certificate.energy_error, solution.certificate.force_error
     return Truth(
@@ -218,7 +218,7 @@ def _unique(solution: Solution) -> bool:
     return not saddle_point(condense(solution.problem), closed).redundant
 
 
-def given(problem: ContactProblem, reference: Reference) -> Truth:
+def truth_of_reference(problem: ContactProblem, reference: Reference) -> Truth:
     """A reference as a truth.
 
     Raises

@@ -53,7 +53,9 @@ def test_ctrl_c_is_one_line(place, arguments, monkeypatch, capsys, tmp_path):
 def test_a_report_that_was_stopped_begins_no_study_of_stability(code, monkeypatch):
     begun = []
     monkeypatch.setattr("contactqp.study.reporting.report", lambda *_: code)
-    monkeypatch.setattr("contactqp.study.stability.report.report_stability", lambda *_: begun.append("study") or 0)
+    monkeypatch.setattr(
+        "contactqp.study.stability.stability_report.report_stability", lambda *_: begun.append("study") or 0
+    )
     with pytest.raises(SystemExit) as exit_:
         main(["report", "--stability", WALL])
     assert exit_.value.code == code

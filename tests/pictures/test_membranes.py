@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.pictures.membrane_drawing import DOTS, membrane_figure
+from contactqp.pictures.space_drawing import DOTS, membrane_figure
 from contactqp.study.answer_pictures import fields_of_membranes
 
 pytest.importorskip("matplotlib")

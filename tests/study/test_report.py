@@ -20,7 +20,7 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import reporting as report
 from contactqp.study import rows
-from contactqp.study.attempt import Rung, chosen_methods
+from contactqp.study.attempt import Setting, chosen_methods
 from contactqp.study.case_study import CaseStudy, load_studies
 from contactqp.study.rows import Row
 from contactqp.study.running.runner import Running
@@ -180,11 +180,11 @@ def test_a_report_that_ends_early_leaves_what_it_found(tmp_path: Path, monkeypat
     answered: list[str] = []
     ends: list[type[BaseException]] = [KeyboardInterrupt, cq.SceneError]
 
-    def fail_twice(study: CaseStudy, rung: Rung, truth: Truth | None) -> Row:
+    def fail_twice(study: CaseStudy, setting: Setting, truth: Truth | None) -> Row:
         if study.name == "bar_wall" and answered == ["two_bars"] and ends:
             raise ends.pop()("in the middle")
         answered.append(study.name)
-        return honest(study, rung, truth)
+        return honest(study, setting, truth)
 
     monkeypatch.setattr(CaseStudy, "answer", fail_twice)
     for kind, said in ((cq.SceneError, "in the middle"), (KeyboardInterrupt, "1 of 2 rows answered, 0 timed")):

@@ -17,11 +17,10 @@ import pytest
 
 from contactqp.cli import main
 from contactqp.errors import SceneError
+from contactqp.study import collecting, report_data, rows
 from contactqp.study import reporting as report
-from contactqp.study import rows
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.footprint import Footprint
-from contactqp.study.report import collecting, report_data
 from contactqp.study.rows import Row, from_csv
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.runner import Running

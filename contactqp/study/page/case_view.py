@@ -11,10 +11,10 @@ from typing import Any
 from contactqp.scene.explaining import shortened
 from contactqp.scene.tables import MOST_ROWS, shown, written
 from contactqp.study import rows
-from contactqp.study.charts.curves import Chart, variant_name
+from contactqp.study.curves import Chart, variant_name
 from contactqp.study.footprint import footprint_lines, footprint_outcome, share_text
 from contactqp.study.page.formulation import Formulation, formulation
-from contactqp.study.report.report_data import CaseRecord
+from contactqp.study.report_data import CaseRecord
 from contactqp.study.rows import READABLE, Row, readable, shortened_text
 from contactqp.study.statistics import Route
 

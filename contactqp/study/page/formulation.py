@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from contactqp.study.report.report_data import CaseRecord
+from contactqp.study.report_data import CaseRecord
 
 # The equations by which each scheme takes a step in time, as the schemes' own modules state them.
 
@@ -130,7 +130,7 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
     yield Symbol("K", f"{kind}; numbers that are not zero: {size.nonzeros}", rf"{n} \times {n}", stiffness)
     if TIME in blocks:
         yield Symbol("M", "mass", rf"{n} \times {n}", f"{case.force}·s²/{case.length}")
-        yield from _of_steps(case)
+        yield from _step_symbols(case)
     if NEWTON in blocks:
         yield Symbol(r"\mathrm{U}", "elastic energy", "1", f"{case.force}·{case.length}")
         yield Symbol(r"\Delta", "change of u in a step of Newton", f"{n}", f"{case.length}{turning}")
@@ -155,7 +155,7 @@ def _symbols(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Symbol]:
         yield Symbol(r"\nu", "tie forces", f"{k}", case.force)
 
 
-def _of_steps(case: CaseRecord) -> Iterator[Symbol]:
+def _step_symbols(case: CaseRecord) -> Iterator[Symbol]:
     """What the equations of the case's scheme have besides."""
     sizes = {"n": case.sizes.unknowns, "m": case.sizes.contacts, "1": 1}
     yield Symbol("v", "velocities", f"{case.sizes.unknowns}", f"{case.length}/s")
@@ -176,12 +176,12 @@ def _formulas(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
         yield Formula(
             "Condensation",
             r"\bar{K} = K_{cc} - K_{ci} K_{ii}^{-1} K_{ic}, \quad \bar{f} = f_c - K_{ci} K_{ii}^{-1} f_i",
-            f"c are the unknowns that rows touch, i the others, which one factorisation{_of_what(blocks)} eliminates: "
-            f"{blocks[CONDENSATION]}",
+            f"c are the unknowns that rows touch, i the others, which one factorisation{_condensed_matrix(blocks)} "
+            f"eliminates: {blocks[CONDENSATION]}",
         )
 
 
-def _of_what(blocks: dict[str, str]) -> str:
+def _condensed_matrix(blocks: dict[str, str]) -> str:
     """Return which matrix is condensed: that of the steps where they have one of their own."""
     return " of the matrix of a step" if TIME in blocks or NEWTON in blocks else ""
 

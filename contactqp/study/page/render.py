@@ -14,7 +14,7 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any, Protocol
 
-from contactqp.study.charts.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
+from contactqp.study.curves import ALL_UNKNOWNS, FINAL, RAW, UZAWA, Chart
 from contactqp.study.page.case_view import (
     FACETS,
     CaseView,
@@ -26,7 +26,7 @@ from contactqp.study.page.case_view import (
     plain_table,
     table_of_chart,
 )
-from contactqp.study.report.report_data import ReportData
+from contactqp.study.report_data import ReportData
 from contactqp.study.rows import COLUMNS, VERDICTS
 
 # Formulas for a page: LaTeX becomes MathML, which browsers set without any library.
@@ -141,7 +141,7 @@ def render(
         One of `NEEDED` is not installed; `missing_packages` says so before.
     """
     shared, views = items("all", overview), tuple(_views(data, by_case or {}))
-    return filled(
+    return fill_template(
         "page.html",
         [*shared, *(item for _, charts in views for item in charts)],
         data=data,
@@ -159,7 +159,7 @@ def render(
     )
 
 
-def filled(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
+def fill_template(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
     """A template with its values, the style, the script, Plotly and the figures of the charts that are on it."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -173,12 +173,12 @@ def filled(template: str, drawn: Iterable[ChartItem], **values: object) -> str:
         lstrip_blocks=True,
     )
     templates.filters["mathml"] = lambda latex, display="inline": Markup(mathml(latex, display))
-    whole = dict(css=Markup(_own("page.css")), script=Markup(_own("page.js")))
+    whole = dict(css=Markup(_page_file("page.css")), script=Markup(_page_file("page.js")))
     whole |= dict(plotly=Markup(packed(get_plotlyjs())), figures=Markup(packed(_figures(drawn))))
     return templates.get_template(template).render(**whole, **values)
 
 
-def _own(name: str) -> str:
+def _page_file(name: str) -> str:
     return (files("contactqp.study.page") / name).read_text(encoding="utf-8")
 
 
@@ -316,7 +316,7 @@ def render_study(
         A package is not installed; `contactqp.study.page.render.missing_packages` says so before.
     """
     views = tuple(_study_views(sections))
-    return filled(
+    return fill_template(
         "study.html",
         [item for view in views for item in view.charts],
         sections=views,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.study.running.child import Death, Late, Raised
 from contactqp.study.running.journal import Cell, Crash, Journal, Result, refuse_twins
-from contactqp.study.running.workers import Crew, Processes, ThisProcess, Workers
+from contactqp.study.running.workers import Pool, Processes, ThisProcess, Workers
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -190,7 +190,7 @@ class Watcher(Protocol):
 
 def run_cells(
     cells: Sequence[Cell],
-    crew: Crew,
+    pool: Pool,
     journal: Journal | None = None,
     *,
     watcher: Watcher | None = None,
@@ -205,8 +205,8 @@ def run_cells(
     Parameters
     ----------
     cells : sequence of Cell
-    crew : Crew
-        Who runs them: ``with Processes(2).side_by_side() as crew``, or ``alone()`` for what is timed.
+    pool : Crew
+        Who runs them: ``with Processes(2).side_by_side() as pool``, or ``alone()`` for what is timed.
     journal : Journal, optional
         Where results are kept, each as soon as there is one.
     watcher : Watcher, optional
@@ -223,22 +223,22 @@ def run_cells(
     found = {cell.key: result for cell in cells if journal and (result := journal.find(cell)) is not None}
     left = [cell for cell in cells if cell.key not in found]
     watcher.begin(cells, found)
-    for cell, result in _Run(crew, watcher, time_limit).results(left):
+    for cell, result in _Run(pool, watcher, time_limit).results(left):
         found[cell.key] = journal.write(cell, result) if journal else result
         watcher.done(cell, found[cell.key])
     return {cell.key: found[cell.key] for cell in cells}
 
 
 class _Run:
-    """Cells run by one crew."""
+    """Cells run by one pool."""
 
-    def __init__(self, crew: Crew, watcher: Watcher, limit: float) -> None:
-        self._crew, self._watcher, self._limit = crew, watcher, limit
+    def __init__(self, pool: Pool, watcher: Watcher, limit: float) -> None:
+        self._pool, self._watcher, self._limit = pool, watcher, limit
 
     def results(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Result]]:
         """Yield the results of all cells as they come; those whose process died are run again at the end."""
         suspects = []
-        for cell, result in self._once(cells, self._crew.size):
+        for cell, result in self._once(cells, self._pool.size):
             if isinstance(result, Death):
                 suspects.append(cell)
             else:
@@ -252,7 +252,7 @@ class _Run:
         while waiting or running:
             while waiting and len(running) < size:
                 cell = waiting.popleft()
-                running[self._crew.start(cell.function, cell.arguments, self._limit)] = cell
+                running[self._pool.start(cell.function, cell.arguments, self._limit)] = cell
             done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
             self._watcher.tick()
             for future in done:
@@ -262,7 +262,7 @@ class _Run:
         if future.cancelled():
             raise InvalidProblem("the cluster was lost; the same command goes on from there")
         error = future.exception()
-        if isinstance(error, self._crew.deaths):
+        if isinstance(error, self._pool.deaths):
             return Death(str(error))
         result = future.result() if error is None else Raised(error)
         if isinstance(result, Raised):

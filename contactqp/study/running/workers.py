@@ -25,7 +25,7 @@ Ask = Callable[[Callable[..., Any], tuple[Any, ...], float], Any]
 
 
 @dataclass(frozen=True)
-class Crew:
+class Pool:
     """An executor, how many cells it runs at a time, and what it runs for each."""
 
     executor: Executor
@@ -44,10 +44,10 @@ class Workers(Protocol):
     notes: tuple[str, ...]  # for the user
     how: str  # cells run, as far as results depend on it
 
-    def side_by_side(self) -> AbstractContextManager[Crew]:
+    def side_by_side(self) -> AbstractContextManager[Pool]:
         """For answers. No process is left at the end, whatever happens."""
 
-    def alone(self) -> AbstractContextManager[Crew]:
+    def alone(self) -> AbstractContextManager[Pool]:
         """One cell at a time in one process, for what is timed."""
 
     def ask(self, function: Callable[[], Any]) -> Any:
@@ -61,8 +61,8 @@ class ThisProcess:
     how = "in one process"
 
     @contextmanager
-    def side_by_side(self) -> Iterator[Crew]:
-        yield Crew(_AtOnce(), 1, _here)
+    def side_by_side(self) -> Iterator[Pool]:
+        yield Pool(_AtOnce(), 1, _here)
 
     alone = side_by_side
 
@@ -96,27 +96,27 @@ class Processes:
         self.jobs = jobs
 
     @contextmanager
-    def side_by_side(self) -> Iterator[Crew]:
+    def side_by_side(self) -> Iterator[Pool]:
         """With one thread each."""
-        with _crew(self.jobs, ONE_THREAD) as crew:
-            yield crew
+        with _process_pool(self.jobs, ONE_THREAD) as pool:
+            yield pool
 
     @contextmanager
-    def alone(self) -> Iterator[Crew]:
+    def alone(self) -> Iterator[Pool]:
         """With as many threads as everybody gets here."""
-        with _crew(1, {}) as crew:
-            yield crew
+        with _process_pool(1, {}) as pool:
+            yield pool
 
     def ask(self, function: Callable[[], Any]) -> Any:
         return function()
 
 
 @contextmanager
-def _crew(size: int, environment: Mapping[str, str]) -> Iterator[Crew]:
+def _process_pool(size: int, environment: Mapping[str, str]) -> Iterator[Pool]:
     """Threads that have a process each."""
     executor, children = ThreadPoolExecutor(size), Children()
     try:
-        yield Crew(executor, size, partial(children.ask, environment=environment))
+        yield Pool(executor, size, partial(children.ask, environment=environment))
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
         children.close()
@@ -228,24 +228,24 @@ class Cluster:
         self.notes: tuple[str, ...] = (f"run by {len(threads)} workers of Dask with {self._threads} threads",)
 
     @contextmanager
-    def side_by_side(self) -> Iterator[Crew]:
+    def side_by_side(self) -> Iterator[Pool]:
         """On any worker."""
-        with self._crew(self._threads, ONE_THREAD) as crew:
-            yield crew
+        with self._pool(self._threads, ONE_THREAD) as pool:
+            yield pool
 
     @contextmanager
-    def alone(self) -> Iterator[Crew]:
+    def alone(self) -> Iterator[Pool]:
         """On one worker; on any other one should that be lost."""
-        with self._crew(1, {}, workers=[self._first], allow_other_workers=True) as crew:
-            yield crew
+        with self._pool(1, {}, workers=[self._first], allow_other_workers=True) as pool:
+            yield pool
 
     @contextmanager
-    def _crew(self, size: int, environment: Mapping[str, str], **where: Any) -> Iterator[Crew]:
+    def _pool(self, size: int, environment: Mapping[str, str], **where: Any) -> Iterator[Pool]:
         from distributed import KilledWorker
 
         executor = self._client.get_executor(pure=False, **where)
         try:
-            yield Crew(executor, size, partial(in_child, environment=environment), (KilledWorker,))
+            yield Pool(executor, size, partial(in_child, environment=environment), (KilledWorker,))
         finally:
             executor.shutdown(wait=False)  # and cancelled, what has not begun
             self._client.run(stop_children, on_error="ignore")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.model.problem import ContactProblem
-from contactqp.study.stability.posed import Axis, Posed, posed_with_closed, powers_of_two
+from contactqp.study.stability.axis_problem import Axis, AxisProblem, powers_of_two, problem_with_closed
 
 Matrix = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def rows(n: int, *entries: dict[int, float]) -> Matrix:
 # A small gap between bodies that travel far, and a wide one.
 
 
-def pose_gap_ratio(gap: float) -> Posed:
+def pose_gap_ratio(gap: float) -> AxisProblem:
     """Two chains of unit springs; their ends travel by 1 + g and by 1 and meet with a force of 1/2.
 
     u = (1/2, 1 + g, 1, 1/2) gives f = (-g, 1 + g, 0, 0). From g = 2^-53 on 1 + g is no double, and the problem is the
@@ -61,7 +61,7 @@ def pose_gap_ratio(gap: float) -> Posed:
     """
     right = chain([1.0, 1.0])[::-1, ::-1]  # held at its far end
     load = [-gap, 1.0 + gap, 0.0, 0.0]
-    return posed_with_closed(
+    return problem_with_closed(
         ContactProblem(blocks(chain([1.0, 1.0]), right), load, rows(4, {1: 1.0, 2: -1.0}), [gap]), [0]
     )
 
@@ -83,7 +83,7 @@ FIRST_GAP, FIRST_LOAD = 0.25, 4.0
 # A contact that is nearly open, and one that is nearly closed.
 
 
-def pose_grazing(distance: float) -> Posed:
+def pose_grazing(distance: float) -> AxisProblem:
     """A chain whose first node is pressed on a stop; its end reaches for a wall with the load P = P_c (1 + δ).
 
     Springs 5 and 7 from the first node at 1/4 to the wall at 1: P_c = (3/4) / (1/5 + 1/7) = 35/16. The force at the
@@ -96,7 +96,7 @@ def pose_grazing(distance: float) -> Posed:
         rows(3, {0: 1.0}, {2: 1.0}),
         [FIRST_GAP, GAP],
     )
-    return posed_with_closed(problem, [0, 1] if touching * (1.0 + distance) > touching else [0])
+    return problem_with_closed(problem, [0, 1] if touching * (1.0 + distance) > touching else [0])
 
 
 GRAZING = Axis(
@@ -120,13 +120,13 @@ LOAD_RATIO_GAP = 0.25
 TOUCHING = LOAD_RATIO_GAP / 2
 
 
-def pose_load_ratio(load: float) -> Posed:
+def pose_load_ratio(load: float) -> AxisProblem:
     """Two chains of two unit springs, 1/4 apart, one of them pulled onto the other."""
     right = chain([1.0, 1.0])[::-1, ::-1]
     problem = ContactProblem(
         blocks(chain([1.0, 1.0]), right), [0.0, load, 0.0, 0.0], rows(4, {1: 1.0, 2: -1.0}), [LOAD_RATIO_GAP]
     )
-    return posed_with_closed(problem, [0] if load > TOUCHING else [])
+    return problem_with_closed(problem, [0] if load > TOUCHING else [])
 
 
 LOAD_RATIO = Axis(
@@ -144,7 +144,7 @@ LOAD_RATIO = Axis(
 COUNT = 8
 
 
-def pose_mass_ratio(ratio: float) -> Posed:
+def pose_mass_ratio(ratio: float) -> AxisProblem:
     """Seven masses of 1 under one of r fall at a speed of 1 onto a floor that sinks at 1/4: M v + E'p = M v_free.
 
     All fall at 1/4 afterwards, and the impulse between two of them is 3/4 of the mass above.
@@ -154,7 +154,7 @@ def pose_mass_ratio(ratio: float) -> Posed:
     joints = [{0: -1.0}, *({i: 1.0, i + 1: -1.0} for i in range(COUNT - 1))]
     gap = np.zeros(COUNT)
     gap[0] = 0.25
-    return posed_with_closed(ContactProblem(np.diag(mass), -mass, rows(COUNT, *joints), gap), list(range(COUNT)))
+    return problem_with_closed(ContactProblem(np.diag(mass), -mass, rows(COUNT, *joints), gap), list(range(COUNT)))
 
 
 MASS_RATIO = Axis(
@@ -175,7 +175,7 @@ MASS_RATIO = Axis(
 ELEMENTS = 10
 
 
-def pose_mesh_grading(grading: float) -> Posed:
+def pose_mesh_grading(grading: float) -> AxisProblem:
     """A bar of ten elements, the shortest 1/grading of the longest: springs from 1 to grading, each a power of two.
 
     It is pulled at its middle and at its end, which meets a wall. Neighbouring springs add up to doubles while their
@@ -185,7 +185,7 @@ def pose_mesh_grading(grading: float) -> Posed:
     springs = [2.0 ** round(exponent * i / (ELEMENTS - 1)) for i in range(ELEMENTS)]
     load = [0.0] * ELEMENTS
     load[ELEMENTS // 2], load[-1] = 1.0, 2.0
-    return posed_with_closed(ContactProblem(chain(springs), load, rows(ELEMENTS, {ELEMENTS - 1: 1.0}), [0.5]), [0])
+    return problem_with_closed(ContactProblem(chain(springs), load, rows(ELEMENTS, {ELEMENTS - 1: 1.0}), [0.5]), [0])
 
 
 MESH_GRADING = Axis(
@@ -201,13 +201,13 @@ MESH_GRADING = Axis(
 # A body on a support that softens until the body floats.
 
 
-def pose_singular_stiffness(support: float) -> Posed:
+def pose_singular_stiffness(support: float) -> AxisProblem:
     """Five nodes, unit springs, a ground spring ε, a wall: u is of size 1 and the wall carries all but ε of the load.
 
     From ε = 2^-53 on, 1 + ε is 1: K is singular, the body floats, and the wall holds it.
     """
     problem = ContactProblem(chain([support, 1.0, 1.0, 1.0, 1.0]), [0.0, 0.0, 1.0, 0.0, 2.0], rows(5, {4: 1.0}), [4.0])
-    return posed_with_closed(problem, [0])
+    return problem_with_closed(problem, [0])
 
 
 SINGULAR_STIFFNESS = Axis(
@@ -223,13 +223,13 @@ SINGULAR_STIFFNESS = Axis(
 # Soft and stiff springs in turn.
 
 
-def pose_stiffness_contrast(contrast: float) -> Posed:
+def pose_stiffness_contrast(contrast: float) -> AxisProblem:
     """Springs 1, c, 1, c in a row; stops at the far ends of the stiff ones. Forces stay of size 1 whatever c is.
 
     What a stiff spring carries is c times a difference of displacements of size 1/c: their rounding shows c times.
     The last value is 2^53 - 1: beyond it 1 + c is no double, and K with its rounded entries is no stiffness any more.
     """
-    return posed_with_closed(
+    return problem_with_closed(
         ContactProblem(
             stiffness=chain([1.0, contrast, 1.0, contrast]),
             load=[0.0, 4.0, 0.0, 8.0],

@@ -12,7 +12,7 @@ import numpy as np
 
 from contactqp.linalg.exact_algebra import ZERO, Row, dot, inverse_of, solutions
 from contactqp.solving.methods import Method
-from contactqp.study.stability.posed import Posed, Rows, fractions, rows_of
+from contactqp.study.stability.axis_problem import AxisProblem, Rows, exact_rows, fractions
 
 PLAIN, SADDLE = "K", "[K Eᵀ; E 0]"
 PENALTY, PERTURBED, AUGMENTED = "K+EᵀβE", "[K Eᵀ; E -1/κ]", "[K+EᵀβE Eᵀ; E 0]"
@@ -121,13 +121,13 @@ class Prediction:
         return None if self.rounding is None else self.rounding + (self.modelling or 0.0)
 
 
-def predict(posed: Posed, method: Method, variant: str, stiffness: float | None) -> Prediction:
+def predict(posed: AxisProblem, method: Method, variant: str, stiffness: float | None) -> Prediction:
     """For the right set of closed contacts; `stiffness` is β or κ of a method that has one, and 0 if it is None."""
     return _predict(posed, system_of(method, variant), variant == "" and not method.exact, stiffness or 0.0)
 
 
 @lru_cache(maxsize=128)
-def _predict(posed: Posed, system: str, approximate: bool, stiffness: float) -> Prediction:
+def _predict(posed: AxisProblem, system: str, approximate: bool, stiffness: float) -> Prediction:
     size = posed.problem.dimension + len(posed.closed)
     if posed.held is None or posed.pushed is None or size > SMALL:
         return Prediction(system, missing=f"{size} rows are too many for an inverse in rational numbers")
@@ -140,13 +140,13 @@ def _predict(posed: Posed, system: str, approximate: bool, stiffness: float) -> 
     inverse = inverse_of(matrix)
     if inverse is None:
         return Prediction(system, missing="it is singular")
-    return Prediction(system, _norm(matrix) * _norm(inverse), **_of_forces(blocks, system, approximate, beta))
+    return Prediction(system, _norm(matrix) * _norm(inverse), **_force_errors(blocks, system, approximate, beta))
 
 
-def _blocks(posed: Posed) -> Blocks:
+def _blocks(posed: AxisProblem) -> Blocks:
     problem, u = posed.problem, fractions(posed.truth.displacement)
-    held, pushed = rows_of(posed.held), rows_of(posed.pushed)
-    return Blocks(rows_of(problem.stiffness), held, pushed, fractions(problem.load), [dot(row, u) for row in held])
+    held, pushed = exact_rows(posed.held), exact_rows(posed.pushed)
+    return Blocks(exact_rows(problem.stiffness), held, pushed, fractions(problem.load), [dot(row, u) for row in held])
 
 
 def _norm(matrix: Rows) -> float:
@@ -156,7 +156,7 @@ def _norm(matrix: Rows) -> float:
     return float(np.linalg.norm(scaled, 2)) * float(largest)
 
 
-def _of_forces(blocks: Blocks, system: str, approximate: bool, beta: Fraction) -> dict[str, Any]:
+def _force_errors(blocks: Blocks, system: str, approximate: bool, beta: Fraction) -> dict[str, Any]:
     """Skeel's condition number, modelling and rounding; those of the saddle point system for methods that solve it in
     steps."""
     exact = _solved(blocks, SADDLE, beta)

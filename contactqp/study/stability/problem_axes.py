@@ -9,14 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.model.problem import ContactProblem
-from contactqp.study.stability.posed import (
+from contactqp.study.stability.axis_problem import (
     Axis,
+    AxisProblem,
     ExactAnswer,
-    Posed,
     SweptTruth,
-    posed_with_answers,
-    posed_with_closed,
     powers_of_two,
+    problem_with_answers,
+    problem_with_closed,
 )
 
 # Five nodes over a floor in 1: two of them lie on it. Few bits, so that K u and K u + E'λ are exact in doubles.
@@ -31,31 +31,31 @@ COUNTS = (1.0, 10.0, 100.0, 1_000.0, 10_000.0, 100_000.0)
 EXAMINED = 100
 
 
-def pose_contact_count(count: float, *, pressed: int | None) -> Posed:
+def pose_contact_count(count: float, *, pressed: int | None) -> AxisProblem:
     """Strings of five nodes beside each other, each node over the floor; `pressed` of the strings, or all, lie on it.
 
     One contact is a single node. λ* and u* are chosen, and f = K u* + E'λ* has few bits.
     """
     m = int(count)
     if m == 1:
-        return _posed(sp.csr_array([[2.0]]), np.array([-1.0]), np.array([3.0]), np.array([FLOOR]))
+        return _constructed(sp.csr_array([[2.0]]), np.array([-1.0]), np.array([3.0]), np.array([FLOOR]))
     strings = m // BLOCK
     lying = strings if pressed is None else min(pressed, strings)
     one = sp.diags([-np.ones(BLOCK - 1), 2 * np.ones(BLOCK), -np.ones(BLOCK - 1)], [-1, 0, 1])
     u = np.concatenate([np.tile(PRESSED, lying), np.tile(LOOSE, strings - lying)])
     force = np.concatenate([np.tile(FORCE, lying), np.zeros(BLOCK * (strings - lying))])
     gap = np.repeat([FLOOR, FAR], [BLOCK * lying, BLOCK * (strings - lying)])
-    return _posed(sp.csr_array(sp.kron(sp.identity(strings), one)), u, force, gap)
+    return _constructed(sp.csr_array(sp.kron(sp.identity(strings), one)), u, force, gap)
 
 
-def _posed(K: sp.csr_array, u: np.ndarray, force: np.ndarray, gap: np.ndarray) -> Posed:
+def _constructed(K: sp.csr_array, u: np.ndarray, force: np.ndarray, gap: np.ndarray) -> AxisProblem:
     E = -sp.identity(len(u), format="csr")
     problem = ContactProblem(K if len(u) > BLOCK else K.toarray(), K @ u + E.T @ force, E, gap)
     closed = np.flatnonzero(force)
     source = "constructed of numbers of few bits: f = K u* + E'λ* is exact"
     truth = SweptTruth(problem, u, force, np.zeros(0), source, held=True)
     rows = E[closed].toarray() if len(u) <= EXAMINED else None
-    return Posed(problem, truth, (), tuple(int(i) for i in closed), rows, rows)
+    return AxisProblem(problem, truth, (), tuple(int(i) for i in closed), rows, rows)
 
 
 CONTACTS = Axis(
@@ -84,7 +84,7 @@ CLOSED_CONTACTS = Axis(
 CRITICAL = Fraction(1, 2)  # K11 / |K12|
 
 
-def pose_friction(ratio: float) -> Posed:
+def pose_friction(ratio: float) -> AxisProblem:
     """Klarbring's node, K = [[1, -2], [-2, 5]], on a rough floor, with μ = ratio / 2 and the push P = (μ + 1/2) / 2.
 
     Sliding, u_x = (P - μ) / (1 - 2 μ) = 1/4 and λ_N = 1/2 whatever μ is. Beyond the critical 1/2 the node may also
@@ -104,7 +104,7 @@ def pose_friction(ratio: float) -> Posed:
     sticks = ExactAnswer((Fraction(0), Fraction(0)), (Fraction(1),), (push,))
     lifted = ExactAnswer((5 * push - 2, 2 * push - 1), (Fraction(0),), (Fraction(0),))
     answers = [slides, sticks, lifted] if friction > CRITICAL else [slides]
-    return posed_with_answers(problem, answers, np.array([[0.0, -1.0]]), np.array([[float(friction), -1.0]]))
+    return problem_with_answers(problem, answers, np.array([[0.0, -1.0]]), np.array([[float(friction), -1.0]]))
 
 
 FRICTION = Axis(
@@ -131,7 +131,7 @@ SLOPE = Fraction(3, 4)  # tan α
 NORMAL, TANGENT = [[3.0, -4.0]], [[4.0, 3.0]]  # along (-3, 4) / 5 and along the plane, five times as long
 
 
-def pose_incline(ratio: float) -> Posed:
+def pose_incline(ratio: float) -> AxisProblem:
     """A rigid block of weight 25 without any spring on an incline of slope 3/4, μ = ratio × 3/4.
 
     It is held by λ_N = 4 and λ_T = -3 (forces of rows of length 5: 20 and 15 N) wherever μ >= 3/4.
@@ -140,7 +140,7 @@ def pose_incline(ratio: float) -> Posed:
     problem = ContactProblem(np.zeros((2, 2)), [0.0, -25.0], NORMAL, [0.0], tangent=TANGENT, friction=float(friction))
     held = ExactAnswer((Fraction(0), Fraction(0)), (Fraction(4),), (Fraction(-3),))
     rows = np.array([*NORMAL, *TANGENT])
-    return posed_with_answers(problem, [held] if friction >= SLOPE else [], rows, rows)
+    return problem_with_answers(problem, [held] if friction >= SLOPE else [], rows, rows)
 
 
 INCLINE = Axis(
@@ -182,9 +182,9 @@ def closed_form() -> ExactAnswer:
     return ExactAnswer((ux, -g), (k12 * ux - k22 * g - fz,))
 
 
-def pose_penalty_stiffness(_: float) -> Posed:
+def pose_penalty_stiffness(_: float) -> AxisProblem:
     """The same problem for every β."""
-    return posed_with_closed(truss(), [0])
+    return problem_with_closed(truss(), [0])
 
 
 PENALTY_STIFFNESS = Axis(
@@ -204,7 +204,7 @@ PENALTY_STIFFNESS = Axis(
 # Two contacts whose normals differ by a small angle.
 
 
-def pose_redundancy(angle: float) -> Posed:
+def pose_redundancy(angle: float) -> AxisProblem:
     """A node held by springs, pressed into the corner of (0, -1) and (θ, -1): u = (0, -1), λ = (3, 5) while θ > 2^-50.
 
     f = K u + E'λ = (1 + 5 θ, -13): what tells the two forces apart is the angle, 5 θ beside 1. From θ = 2^-51 on it
@@ -213,7 +213,7 @@ def pose_redundancy(angle: float) -> Posed:
     problem = ContactProblem(
         [[4.0, -1.0], [-1.0, 5.0]], [1.0 + 5.0 * angle, -13.0], [[0.0, -1.0], [angle, -1.0]], [1.0, 1.0]
     )
-    return posed_with_closed(problem, [0, 1])
+    return problem_with_closed(problem, [0, 1])
 
 
 REDUNDANCY = Axis(
@@ -261,7 +261,7 @@ def in_metres() -> tuple[list[list[float]], tuple[float, ...], tuple[float, ...]
     return K, LOADS, GAPS
 
 
-def pose_unit_systems(index: float) -> Posed:
+def pose_unit_systems(index: float) -> AxisProblem:
     """The beam on two stops in the units of this place in the list; slopes keep their numbers."""
     length, force = list(UNITS.values())[int(index)]
     K, f, g = in_metres()
@@ -275,7 +275,7 @@ def pose_unit_systems(index: float) -> Posed:
         [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
         [x * length for x in g],
     )
-    return posed_with_closed(problem, [0, 1])
+    return problem_with_closed(problem, [0, 1])
 
 
 UNIT_SYSTEMS = Axis(

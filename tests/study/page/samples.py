@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from contactqp.study.attempt import chosen_methods
 from contactqp.study.case_study import load_studies
-from contactqp.study.charts.curves import Chart
+from contactqp.study.curves import Chart
 from contactqp.study.page.case_view import facets_of
-from contactqp.study.report.report_data import CaseRecord, ReportData, record, summarise, unjudged
+from contactqp.study.report_data import CaseRecord, ReportData, record, summarise, unjudged
 from contactqp.study.rows import Row
 
 CASES = Path(__file__).parents[3] / "cases"
@@ -27,7 +27,7 @@ def data_of(*names: str) -> ReportData:
     cases, rows = [], []
     for study in studies:
         truth = study.truth()
-        rows += [study.answer(rung, truth) for rung in study.rungs]
+        rows += [study.answer(setting, truth) for setting in study.settings]
         cases.append(record(study, truth))
     return report_of(cases, rows)
 

@@ -13,7 +13,7 @@ from html.parser import HTMLParser
 import pytest
 
 from contactqp.study import rows
-from contactqp.study.charts.curves import Chart, variant_name
+from contactqp.study.curves import Chart, variant_name
 from contactqp.study.footprint import Footprint, StageTime
 from contactqp.study.page import render as pages
 from contactqp.study.page.case_view import MARKS, marked, table_of_rows

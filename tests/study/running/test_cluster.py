@@ -53,9 +53,9 @@ def workers(address: str) -> Iterator[Cluster]:
 def test_cells_run_there_and_a_crash_costs_its_own(workers: Cluster) -> None:
     halves = [Cell(str(i), do.half, (i,), Number) for i in range(6)]
     bad = [Cell("segfault", do.segfault, (), Number), Cell("hangs", do.hangs, (), Number)]
-    with workers.side_by_side() as crew:
-        assert crew.size == 2
-        found = run_cells([*halves[:3], *bad, *halves[3:]], crew, time_limit=3.0)
+    with workers.side_by_side() as pool:
+        assert pool.size == 2
+        found = run_cells([*halves[:3], *bad, *halves[3:]], pool, time_limit=3.0)
     assert found.pop("segfault") == Crash("the process died of a segmentation fault (SIGSEGV)")
     assert found.pop("hangs") == Crash("stopped after 3 s without an answer")
     assert list(found.values()) == [Number(i / 2) for i in range(6)]
@@ -63,9 +63,9 @@ def test_cells_run_there_and_a_crash_costs_its_own(workers: Cluster) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_timed_runs_alone_in_one_process_of_a_worker(workers: Cluster, tmp_path: Path) -> None:
-    with workers.alone() as crew:
-        found = run_cells([Cell(str(i), do.overlap, (tmp_path,), Number) for i in range(4)], crew)
-        places = run_cells([Cell(str(i), do.where, (), Number) for i in range(3)], crew)
+    with workers.alone() as pool:
+        found = run_cells([Cell(str(i), do.overlap, (tmp_path,), Number) for i in range(4)], pool)
+        places = run_cells([Cell(str(i), do.where, (), Number) for i in range(3)], pool)
     assert {result.value for result in found.values()} == {1}
     assert len({result.value for result in places.values()}) == 1
     assert workers.ask(os.getpid) != os.getpid()

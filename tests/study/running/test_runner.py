@@ -31,8 +31,8 @@ def _cell(key: str, function: Callable[..., Number], *arguments: Any, digest: st
 
 
 def run_cells(cells: list[Cell], workers: Workers, *rest: Any, alone: bool = False, **options: Any) -> dict[str, Any]:
-    with workers.alone() if alone else workers.side_by_side() as crew:
-        return runner.run_cells(cells, crew, *rest, **options)
+    with workers.alone() if alone else workers.side_by_side() as pool:
+        return runner.run_cells(cells, pool, *rest, **options)
 
 
 def _halves(count: int) -> list[Cell]:

@@ -11,16 +11,15 @@ import pytest
 import contactqp as cq
 from contactqp.solving.methods import find
 from contactqp.study.stability import problem_axes
-from contactqp.study.stability.axes import find_axis
-from contactqp.study.stability.cells import stability_row
 from contactqp.study.stability.condition import predict
-from contactqp.study.stability.penalty_valley import of_truss
-from contactqp.study.stability.study import safe_ranges
+from contactqp.study.stability.stability_cells import find_axis, stability_row
+from contactqp.study.stability.stability_charts import best_penalty_of_truss
+from contactqp.study.stability.stability_report import safe_ranges
 
 
 def test_21684_is_one_ulp_of_the_gap_times_beta() -> None:
     exact = Fraction(100000000000000000000, 4611686018427387904)
-    assert of_truss().quantum(1e20) == exact
+    assert best_penalty_of_truss().quantum(1e20) == exact
     assert np.spacing(problem_axes.GAP) == 2.0**-62
     solution = cq.solve(problem_axes.truss(), method="penalty", penalty=1e20)
     assert Fraction(float(solution.normal_force[0])) == exact
@@ -30,7 +29,7 @@ def test_21684_is_one_ulp_of_the_gap_times_beta() -> None:
 
 
 def test_the_best_beta_is_the_predicted_one() -> None:
-    best = of_truss()
+    best = best_penalty_of_truss()
     assert best.penalty == pytest.approx(math.sqrt(76650.7811 * 30.2549928 / 2.0**-62), rel=1e-6)
     assert best.error == pytest.approx(best.error_at(best.penalty), rel=1e-6)
     rows = [stability_row("penalty", beta, "penalty") for beta in problem_axes.VALUES if 1e8 <= beta <= 1e17]

@@ -24,10 +24,10 @@ from contactqp.study import rows as report_rows
 from contactqp.study.attempt import condensable
 from contactqp.study.running.journal import Crash
 from contactqp.study.running.runner import Stopped
-from contactqp.study.stability import cells as cells_module
-from contactqp.study.stability import report as report_module
-from contactqp.study.stability.axes import AXES, find_axis
-from contactqp.study.stability.cells import (
+from contactqp.study.stability import stability_cells as cells_module
+from contactqp.study.stability import stability_report as report_module
+from contactqp.study.stability.stability_cells import (
+    AXES,
     COLUMNS,
     CUT_OFF,
     STATED,
@@ -35,12 +35,21 @@ from contactqp.study.stability.cells import (
     StabilityRow,
     cells,
     digits_lost,
+    find_axis,
     row_of,
     stability_row,
 )
-from contactqp.study.stability.charts import LETTERS
-from contactqp.study.stability.report import page_of, stability_charts, stability_sections, write_stability
-from contactqp.study.stability.study import StabilityStudy, grouped, lines, safe_ranges
+from contactqp.study.stability.stability_charts import LETTERS
+from contactqp.study.stability.stability_report import (
+    StabilityStudy,
+    grouped,
+    page_of,
+    safe_ranges,
+    stability_charts,
+    stability_sections,
+    terminal_lines,
+    write_stability,
+)
 
 ROOT = Path(__file__).parents[3]
 FEW = ("active-set", "penalty", "lagrange-multiplier", "pyqpmad")
@@ -144,7 +153,7 @@ def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tm
     study, _, _ = write_stability(tmp_path, [axis], ["liar"])
     assert [row.verdict for row in study.rows] == [report_rows.WRONG]
     assert study.exit_code == 1
-    assert any("WRONG BUT PASSED" in line for line in lines(study))
+    assert any("WRONG BUT PASSED" in line for line in terminal_lines(study))
 
 
 def test_ranges_follow_the_rows() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.study.stability import problem_axes
-from contactqp.study.stability.axes import AXES, find_axis
-from contactqp.study.stability.posed import NO_EQUILIBRIUM, ExactAnswer, answer_with_closed, refuse_wrong
+from contactqp.study.stability.axis_problem import NO_EQUILIBRIUM, ExactAnswer, answer_with_closed, refuse_wrong
 from contactqp.study.stability.problem_axes import UNITS
+from contactqp.study.stability.stability_cells import AXES, find_axis
 
 
 @pytest.mark.parametrize("axis", AXES, ids=lambda axis: axis.name)

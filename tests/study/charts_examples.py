@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from contactqp.scene.explaining import Explanation
 from contactqp.study import rows
-from contactqp.study.report.report_data import CaseRecord, ReportData, Sizes, summarise
+from contactqp.study.report_data import CaseRecord, ReportData, Sizes, summarise
 from contactqp.study.rows import Row
-from tests.study.statistics.examples import gave_up, right, wrong
+from tests.study.statistics_examples import gave_up, right, wrong
 
 LIMIT = 1e-4  # seconds
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.study.report.collecting import linear_solve, linear_solve_seconds
+from contactqp.study.collecting import linear_solve, linear_solve_seconds
 from tests.examples import two_bars
 
 

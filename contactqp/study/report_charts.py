@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.study import rows
-from contactqp.study.charts.curves import (
+from contactqp.study.curves import (
     BLUE,
     FLOOR,
     GREEN,
@@ -26,7 +26,7 @@ from contactqp.study.charts.curves import (
     cells,
     curves,
     error_text,
-    keys,
+    key_traces,
     layout,
     legend,
     log_axis,
@@ -39,12 +39,12 @@ from contactqp.study.charts.curves import (
     percent,
     plural,
     rounded,
+    route_key,
     traces,
     variant_name,
     vertical_line,
-    way_key,
 )
-from contactqp.study.report.report_data import CaseRecord, ReportData
+from contactqp.study.report_data import CaseRecord, ReportData
 from contactqp.study.rows import Row
 from contactqp.study.statistics import (
     LIMIT,
@@ -170,7 +170,7 @@ def work_precision(
         legend=legend("Methods"),
         legend2=legend("Lines and marks", y=1.02, yanchor="bottom", itemclick=False, itemdoubleclick=False),
     )
-    return dict(data=traces(drawn, quantity.column, stiffness) + keys(drawn), layout=arranged)
+    return dict(data=traces(drawn, quantity.column, stiffness) + key_traces(drawn), layout=arranged)
 
 
 def _rounding(unit: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -398,7 +398,7 @@ def means_chart(found: Overview) -> Chart:
     shown = list(zip(found.times, found.means, strict=True))
     data = [_mean_point(times, mean) for times, mean in shown]
     ways = dict.fromkeys((times.route.variant, times.route.whole) for times, _ in shown)
-    keyed = [way_key(*way) for way in ways]
+    keyed = [route_key(*way) for way in ways]
     methods = dict(type="category", categoryorder="array", categoryarray=order[::-1], automargin=True)
     axis = log_axis("shifted geometric mean of the run times [ms]", [1e3 * mean for _, mean in shown])
     return Chart(

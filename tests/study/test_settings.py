@@ -30,10 +30,10 @@ def _chain(size: int) -> ContactProblem:
     return ContactProblem(stiffness=chain, load=-np.ones(size), normal=row, gap=[0.0])
 
 
-def test_where_there_is_an_interior_every_rung_is_tried_on_all_unknowns_too() -> None:
+def test_where_there_is_an_interior_every_setting_is_tried_on_all_unknowns_too() -> None:
     study = _study("patch_two_blocks", "active-set", "osqp", "penalty")
-    whole = [rung for rung in study.rungs if rung.whole]
-    usual = [rung for rung in study.rungs if not rung.whole]
+    whole = [setting for setting in study.settings if setting.whole]
+    usual = [setting for setting in study.settings if not setting.whole]
     assert [(r.method.name, r.variant, r.value) for r in whole] == [
         (r.method.name, r.variant, r.value) for r in usual if r.method.name != "active-set"
     ]
@@ -42,7 +42,7 @@ def test_where_there_is_an_interior_every_rung_is_tried_on_all_unknowns_too() ->
 
 def test_a_small_interior_is_worth_the_default_alone() -> None:
     study = _study("cantilever_stop", "active-set", "osqp", "penalty", "lagrange-multiplier")
-    whole = [rung for rung in study.rungs if rung.whole]
+    whole = [setting for setting in study.settings if setting.whole]
     assert [(r.method.name, r.variant, r.value) for r in whole] == [
         ("osqp", "polished", 1e-9),
         ("osqp", "raw", 1e-9),
@@ -54,7 +54,11 @@ def test_a_small_interior_is_worth_the_default_alone() -> None:
 def test_rows_say_on_which_unknowns() -> None:
     study = _study("cantilever_stop", "active-set", "osqp")
     truth = study.truth()
-    active, osqp, whole = study.rungs[0], study.rungs[1], next(rung for rung in study.rungs if rung.whole)
+    active, osqp, whole = (
+        study.settings[0],
+        study.settings[1],
+        next(setting for setting in study.settings if setting.whole),
+    )
     row = attempt.attempt(study.problem, whole, truth)
     assert (row.condensed, row.verdict, row.unknowns, row.contacts) == ("no", "right", 3, 1)
     assert attempt.attempt(study.problem, osqp, truth).condensed == "yes"
@@ -63,11 +67,11 @@ def test_rows_say_on_which_unknowns() -> None:
 
 @pytest.mark.parametrize("name", ["two_bars", "klarbring_slides_back", "bar_impact"])
 def test_where_nothing_is_condensed_there_is_no_second_way(name: str) -> None:
-    assert not any(rung.whole for rung in _study(name, "active-set", "osqp").rungs)
+    assert not any(setting.whole for setting in _study(name, "active-set", "osqp").settings)
 
 
 def test_bodies_that_float_are_condensed_where_nothing_lies_inside() -> None:
-    assert any(rung.whole for rung in _study("tie_beam_section", "osqp").rungs)
+    assert any(setting.whole for setting in _study("tie_beam_section", "osqp").settings)
 
 
 def test_large_problems_are_left_out_in_the_open() -> None:
@@ -75,9 +79,9 @@ def test_large_problems_are_left_out_in_the_open() -> None:
     values = {}
     for size in (3, 30, 1100, 10100):
         problem = _chain(size)
-        tried = [rung for method in methods for rung in attempt.all_rungs(problem, method)]
+        tried = [setting for method in methods for setting in attempt.all_settings(problem, method)]
         values[size] = [(r.method.name, r.value) for r in attempt.on_all_unknowns(problem, tried)]
-        assert bool(attempt.left_out_of_all_unknowns(problem, methods)) == (size != 30)
+        assert bool(attempt.note_on_all_unknowns(problem, methods)) == (size != 30)
     assert values[3] == [("clarabel", 1e-9), ("clarabel", 1e-9), ("daqp", 1e-9), ("daqp", 1e-9)]
     assert len(values[30]) == 16
     assert values[1100] == [("clarabel", 1e-9), ("clarabel", 1e-9)]
@@ -95,4 +99,4 @@ def test_a_study_says_what_it_leaves_out() -> None:
 def test_a_missing_method_is_asked_once() -> None:
     missing = [method for method in cq.methods() if not method.installed]
     for method in missing:
-        assert [rung.whole for rung in _study("cantilever_stop", method.name).rungs] == [False]
+        assert [setting.whole for setting in _study("cantilever_stop", method.name).settings] == [False]

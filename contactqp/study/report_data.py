@@ -193,7 +193,7 @@ class Summary:
 
 def summarise(all_rows: Sequence[Row], unmet: Iterable[str], contradicted: Iterable[str] = ()) -> Summary:
     """Counts by method. A raw answer is counted once: on its own row where it has one, else on that of the method."""
-    methods = tuple(_of_method(rates, all_rows) for rates in method_rates(all_rows))
+    methods = tuple(_method_summary(rates, all_rows) for rates in method_rates(all_rows))
     of_rows = (f"{row.case}: {row.method}: {row.message}" for row in all_rows if row.expectations_unmet)
     return Summary(
         methods=methods,
@@ -204,7 +204,7 @@ def summarise(all_rows: Sequence[Row], unmet: Iterable[str], contradicted: Itera
     )
 
 
-def _of_method(rates: Rates, all_rows: Sequence[Row]) -> MethodSummary:
+def _method_summary(rates: Rates, all_rows: Sequence[Row]) -> MethodSummary:
     verdicts = [row.verdict for row in all_rows if row.method == rates.method]
     failed = (rows.REFUSED, rows.NOT_CONVERGED, rows.BACKEND_FAILED, rows.CRASHED, rows.UNSUPPORTED)
     return MethodSummary(

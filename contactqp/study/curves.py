@@ -330,24 +330,24 @@ def marker(colour: str, symbol: str, variant: str, whole: bool) -> dict[str, Any
     return dict(color=colour, symbol=symbol + FILLINGS.get(variant, ""), size=SIZES[whole])
 
 
-def keys(drawn: Sequence[Curve]) -> list[dict[str, Any]]:
+def key_traces(drawn: Sequence[Curve]) -> list[dict[str, Any]]:
     """What the lines and marks mean, as far as they are there: entries of a second legend."""
     routes = {(curve.route.variant, curve.route.whole) for curve in drawn}
     verdicts = {row.verdict for curve in drawn for row in curve.points}
     shown = [
-        way_key(*way) | dict(mode="lines+markers", line=line(GREY, *way), legend="legend2")
-        for way in _WAYS
+        route_key(*way) | dict(mode="lines+markers", line=line(GREY, *way), legend="legend2")
+        for way in _ROUTES
         if way in routes
     ]
     marks = [
         _key(f"{MARKS[verdict]} {words}") | dict(mode="none", legend="legend2")
-        for verdict, words in _MARKED.items()
+        for verdict, words in _MARK_MEANINGS.items()
         if verdict in verdicts
     ]
     return shown + marks
 
 
-_WAYS: Mapping[tuple[str, bool], str] = {
+_ROUTES: Mapping[tuple[str, bool], str] = {
     ("", False): "final answer, polished where the method is",
     ("raw", False): "the method's raw answer",
     ("uzawa", False): "Uzawa's iteration",
@@ -355,16 +355,16 @@ _WAYS: Mapping[tuple[str, bool], str] = {
     ("raw", True): "raw answer, on all unknowns",
     ("uzawa", True): "Uzawa's iteration, on all unknowns",
 }
-_MARKED: Mapping[str, str] = {
+_MARK_MEANINGS: Mapping[str, str] = {
     rows.REFUSED: "refused: the certificate does not pass",
     rows.NOT_CONVERGED: "gave up: its last iterate",
     rows.WRONG: "wrong, and the certificate passes",
 }
 
 
-def way_key(variant: str, whole: bool) -> dict[str, Any]:
+def route_key(variant: str, whole: bool) -> dict[str, Any]:
     """An entry of a legend that says what hollow and small symbols mean."""
-    return _key(_WAYS[variant, whole]) | dict(mode="markers", marker=marker(GREY, "circle", variant, whole))
+    return _key(_ROUTES[variant, whole]) | dict(mode="markers", marker=marker(GREY, "circle", variant, whole))
 
 
 def _key(words: str) -> dict[str, Any]:

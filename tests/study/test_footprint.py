@@ -15,7 +15,7 @@ from contactqp.study.footprint import IMPORT, OPTIONAL, Footprint, measure
 from contactqp.study.footprint_child import ImportMeter, contact_count
 from tests.examples import PUSHED_OFF
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 CASES = ROOT / "cases"
 
 
@@ -79,7 +79,7 @@ def test_a_case_without_an_answer_is_said_in_one_line(tmp_path):
 
 def test_a_process_that_takes_too_long_or_dies_is_said_in_one_line(monkeypatch):
     assert measure(CASES / "bar_wall.toml", time_limit=0.01).failure == "stopped after 0.01 s"
-    monkeypatch.setattr("contactqp.study.footprint.CHILD", "tests.study.footprint.dying")
+    monkeypatch.setattr("contactqp.study.footprint.CHILD", "tests.study.dying")
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
     assert measure("kill").failure == "the process died of SIGKILL"
     assert measure("raise").failure == "the process ended early: ValueError: no such luck"

@@ -1,20 +1,31 @@
-"""Charts of an axis: curves of digits lost, and heat maps of methods by values."""
+"""Charts of an axis: curves of digits lost, and heat maps of methods by values.
+
+The penalty method's error over β: its valley, the best β as predicted, and 21.684 kN.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
+import numpy as np
+
 from contactqp.study import rows as report_rows
-from contactqp.study.charts.curves import Chart, method_style
-from contactqp.study.stability.cells import ALL_DIGITS, CUT_OFF, STATED, StabilityRow
-from contactqp.study.stability.posed import NEXT_TO_ONE, Axis
+from contactqp.study.curves import Chart, method_style
+from contactqp.study.stability import problem_axes
+from contactqp.study.stability.axis_problem import NEXT_TO_ONE, Axis
+from contactqp.study.stability.condition import UNIT_ROUNDOFF
+from contactqp.study.stability.problem_axes import GAP, STIFFNESS, closed_form
+from contactqp.study.stability.stability_cells import ALL_DIGITS, CUT_OFF, STATED, StabilityRow, digits_lost
 
 # Pixels between the words at an axis and its title.
 STANDOFF = 14
 
 
-def drawn(rows: Sequence[StabilityRow]) -> tuple[StabilityRow, ...]:
+def rows_drawn(rows: Sequence[StabilityRow]) -> tuple[StabilityRow, ...]:
     """Rows of methods that are installed."""
     return tuple(row for row in rows if row.verdict != report_rows.MISSING)
 
@@ -68,7 +79,7 @@ HEIGHT = 560  # pixels
 
 def digits_curves(axis: Axis, rows: Sequence[StabilityRow]) -> Chart:
     """Digits lost in λ over the axis, a curve a method, and the predictions of the systems that they solve."""
-    shown = drawn(rows)
+    shown = rows_drawn(rows)
     traces = [_measured(axis, name, shown) for name in methods_of(shown)]
     systems = dict.fromkeys(row.system for row in shown if row.predicted_digits_lost is not None)
     traces += [_predicted(axis, name, shown, DASHES[i % len(DASHES)]) for i, name in enumerate(systems)]
@@ -210,7 +221,7 @@ class _Grid:
     """The rows of one axis in their places."""
 
     def __init__(self, axis: Axis, rows: Sequence[StabilityRow]) -> None:
-        self._axis, shown = axis, drawn(rows)
+        self._axis, shown = axis, rows_drawn(rows)
         self._methods = methods_of(shown)
         self._found = {(row.name, row.value): row for row in shown}
         self.labels = tuple(axis.label(value) for value in axis.values)
@@ -263,3 +274,135 @@ def _hint(row: StabilityRow) -> str:
     ):
         said += [f"{name} {value:.2g}"] if value is not None else []
     return "<br>".join(said)
+
+
+# The best penalty β: where what it leaves out and what it loses to rounding are together the least.
+#
+# In exact arithmetic the force is λ β / (S + β): the relative error S / (S + β), about S / β, falls with β. In doubles
+# λ = β (E u − g), a difference of lengths of the size of the gap: it is a multiple of β ulp(g), so that the relative
+# error β ulp(g) / λ rises with β. The sum S / β + β ulp(g) / λ is least where both are equal,
+#
+#     β = √(S λ / ulp(g)),    error = 2 √(S ulp(g) / λ)
+
+
+@dataclass(frozen=True)
+class BestPenalty:
+    """The best penalty of a single contact [force / length]."""
+
+    stiffness: float  # S, which the contact feels
+    force: float  # λ
+    last_place: float  # ulp(g), the spacing of doubles at the gap
+
+    @property
+    def penalty(self) -> float:
+        """√(S λ / ulp(g))."""
+        return math.sqrt(self.stiffness * self.force / self.last_place)
+
+    @property
+    def error(self) -> float:
+        """2 √(S ulp(g) / λ)."""
+        return 2 * math.sqrt(self.stiffness * self.last_place / self.force)
+
+    def error_at(self, penalty: float) -> float:
+        """S / (S + β) + β ulp(g) / λ."""
+        return self.stiffness / (self.stiffness + penalty) + penalty * self.last_place / self.force
+
+    def quantum(self, penalty: float) -> Fraction:
+        """β ulp(g), exactly: the forces that the textbook's λ = β (E u − g) can have are its multiples."""
+        return Fraction(penalty) * Fraction(self.last_place)
+
+
+def best_penalty_of_truss() -> BestPenalty:
+    """Return the best penalty of Example 2.10: S = K22 − K12² / K11."""
+    (k11, k12), (_, k22) = ((Fraction(x) for x in row) for row in STIFFNESS)
+    return BestPenalty(
+        stiffness=float(k22 - k12 * k12 / k11),
+        force=float(closed_form().normal_force[0]),
+        last_place=float(np.spacing(GAP)),
+    )
+
+
+# β of the last row of Table 2.1.
+TABLE_END = 1e20
+
+
+def penalty_valley(rows: Sequence[StabilityRow]) -> Chart:
+    """The error in λ over β and κ, of the methods that have them."""
+    shown, best = rows_drawn(rows), best_penalty_of_truss()
+    return Chart(
+        name="stability-penalty-valley",
+        title="The best penalty, and where 21.684 comes from",
+        caption=_valley_caption(best),
+        figure=dict(data=[*_valley_prediction(best), *_valley_curves(shown)], layout=_valley_layout(best)),
+        headings=("method", "β, κ [kN/m]", "λ [kN]", "error in λ", "predicted", "digits lost", "log₁₀ κ", "verdict"),
+        lines=tuple(_valley_line(row) for row in shown),
+    )
+
+
+def _valley_caption(best: BestPenalty) -> str:
+    return (
+        f"Relative error of the contact force of Example 2.10 (exact: {best.force:.6f} kN) over β and κ. Too soft, the "
+        "contact gives way: S/β. Too stiff, λ = β (E u - g) is a multiple of β times the last place of the gap: "
+        f"β ulp(g)/λ. At β = 1e20 one unit of it is {float(best.quantum(TABLE_END)):.3f} kN, the force that Table 2.1 "
+        "prints. Errors below 2⁻⁵³ are drawn there."
+    )
+
+
+def _valley_curves(rows: Sequence[StabilityRow]) -> list[dict[str, Any]]:
+    """What is drawn last lies on top: the penalty method itself."""
+    traces = []
+    for name in reversed(methods_of(rows)):
+        mine = [row for row in rows if row.name == name and row.error_force is not None]
+        errors = [max(row.error_force or 0.0, UNIT_ROUNDOFF) for row in mine]
+        traces.append(curve(problem_axes.PENALTY_STIFFNESS, name, mine, errors))
+    return traces
+
+
+def _valley_prediction(best: BestPenalty) -> list[dict[str, Any]]:
+    betas, nobody = list(problem_axes.VALUES), dict(method=None, variant=None)
+    line = dict(
+        type="scatter",
+        mode="lines",
+        name="predicted: S/(S+β) + β ulp(g)/λ",
+        x=betas,
+        y=[best.error_at(beta) for beta in betas],
+        line=dict(color=PREDICTED, dash=DASHES[0]),
+        meta=nobody,
+    )
+    star = dict(
+        type="scatter",
+        mode="markers",
+        name=f"predicted best β = √(Sλ/ulp(g)) = {best.penalty:.2g} kN/m, error {best.error:.1e}",
+        x=[best.penalty],
+        y=[best.error],
+        marker=dict(color=PREDICTED, symbol="star", size=16),
+        meta=nobody,
+    )
+    return [line, star]
+
+
+def _valley_layout(best: BestPenalty) -> dict[str, Any]:
+    error = 1.0 - float(best.quantum(TABLE_END)) / best.force
+    note = dict(
+        # On logarithmic axes annotations stand at logarithms.
+        x=math.log10(TABLE_END),
+        y=math.log10(error),
+        text=f"β = 1e20: λ is one ulp of the gap times β, {float(best.quantum(TABLE_END)):.3f} kN",
+        showarrow=True,
+        ax=0,
+        ay=90,
+    )
+    return dict(
+        xaxis=horizontal(problem_axes.PENALTY_STIFFNESS),
+        yaxis=dict(title=dict(text="relative error in λ [1]"), type="log", exponentformat="power"),
+        annotations=[note],
+        legend=LEGEND,
+        height=HEIGHT,
+    )
+
+
+def _valley_line(row: StabilityRow) -> tuple[str, ...]:
+    force = "" if row.largest_force is None else f"{row.largest_force:.9g}"
+    lost = short(digits_lost(row.error_force))
+    predicted = (short(row.predicted_error_force), lost, short(row.predicted_digits_lost))
+    return (row.name, f"{row.value:g}", force, short(row.error_force), *predicted, row.verdict)

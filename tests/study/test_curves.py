@@ -7,7 +7,7 @@ import importlib.util
 import pytest
 
 import contactqp as cq
-from contactqp.study.charts.curves import COLOURS, DASHES, STYLES, SYMBOLS, MethodStyle, method_style
+from contactqp.study.curves import COLOURS, DASHES, STYLES, SYMBOLS, MethodStyle, method_style
 
 
 def test_every_method_has_a_style_of_its_own() -> None:

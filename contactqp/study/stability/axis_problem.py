@@ -37,7 +37,7 @@ def fractions(values: Any) -> Row:
     return [Fraction(x) for x in np.asarray(values, dtype=float).ravel().tolist()]
 
 
-def rows_of(matrix: Any) -> Rows:
+def exact_rows(matrix: Any) -> Rows:
     """A matrix of doubles, dense or sparse, as it stands."""
     dense = matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, dtype=float)
     return [fractions(row) for row in dense]
@@ -53,7 +53,7 @@ def answer_with_closed(problem: ContactProblem, closed: Sequence[int]) -> ExactA
     ArithmeticError
         The system is singular, or these contacts are not those that are closed.
     """
-    K, E = rows_of(problem.stiffness), rows_of(problem.normal)
+    K, E = exact_rows(problem.stiffness), exact_rows(problem.normal)
     f, g = fractions(problem.load), fractions(problem.gap)
     n, count = len(K), len(closed)
     system = [[*row, *(E[i][j] for i in closed), f[j]] for j, row in enumerate(K)]
@@ -78,7 +78,7 @@ def refuse_wrong(problem: ContactProblem, answer: ExactAnswer) -> None:
         What does not hold.
     """
     u, force = list(answer.displacement), list(answer.normal_force)
-    gap = [g - dot(row, u) for g, row in zip(fractions(problem.gap), rows_of(problem.normal), strict=True)]
+    gap = [g - dot(row, u) for g, row in zip(fractions(problem.gap), exact_rows(problem.normal), strict=True)]
     if any(_residual(problem, answer)):
         raise ArithmeticError("the forces are not in equilibrium")
     if any(x < 0 for x in gap) or any(x < 0 for x in force):
@@ -90,11 +90,11 @@ def refuse_wrong(problem: ContactProblem, answer: ExactAnswer) -> None:
 
 
 def _residual(problem: ContactProblem, answer: ExactAnswer) -> Row:
-    rows, forces = rows_of(problem.normal), list(answer.normal_force)
+    rows, forces = exact_rows(problem.normal), list(answer.normal_force)
     if answer.friction_force:
-        rows, forces = [*rows, *rows_of(problem.tangent)], [*forces, *answer.friction_force]
+        rows, forces = [*rows, *exact_rows(problem.tangent)], [*forces, *answer.friction_force]
     pushed = [dot([row[j] for row in rows], forces) for j in range(problem.dimension)]
-    held = [dot(row, list(answer.displacement)) for row in rows_of(problem.stiffness)]
+    held = [dot(row, list(answer.displacement)) for row in exact_rows(problem.stiffness)]
     return [k + p - f for k, p, f in zip(held, pushed, fractions(problem.load), strict=True)]
 
 
@@ -104,7 +104,7 @@ def _obeys_coulomb(problem: ContactProblem, answer: ExactAnswer, i: int) -> bool
     assert problem.slip_origin is not None
     bound = Fraction(float(problem.friction[i])) * answer.normal_force[i]
     rubbing = answer.friction_force[i]
-    slip = dot(rows_of(problem.tangent)[i], list(answer.displacement)) - fractions(problem.slip_origin)[i]
+    slip = dot(exact_rows(problem.tangent)[i], list(answer.displacement)) - fractions(problem.slip_origin)[i]
     if slip == 0:
         return abs(rubbing) <= bound
     return rubbing == (bound if slip > 0 else -bound)
@@ -156,7 +156,7 @@ class SweptTruth(Truth):
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class AxisProblem:
     """One problem of an axis.
 
     `held` and `pushed` are the rows of the linear system of the right answer: E_N of the closed contacts, E_T of those
@@ -171,7 +171,7 @@ class Posed:
     pushed: NDArray[np.float64] | None  # (r, n)
 
 
-def posed_with_closed(problem: ContactProblem, closed: Sequence[int]) -> Posed:
+def problem_with_closed(problem: ContactProblem, closed: Sequence[int]) -> AxisProblem:
     """A frictionless problem whose closed contacts are known: its truth is solved for in rational numbers.
 
     Raises
@@ -181,10 +181,12 @@ def posed_with_closed(problem: ContactProblem, closed: Sequence[int]) -> Posed:
     """
     answer = answer_with_closed(problem, closed)
     rows = problem.normal.toarray()[list(closed)]
-    return Posed(problem, truth_of_fractions(problem, answer), (answer,), tuple(closed), rows, rows)
+    return AxisProblem(problem, truth_of_fractions(problem, answer), (answer,), tuple(closed), rows, rows)
 
 
-def posed_with_answers(problem: ContactProblem, answers: Sequence[ExactAnswer], held: Any, pushed: Any) -> Posed:
+def problem_with_answers(
+    problem: ContactProblem, answers: Sequence[ExactAnswer], held: Any, pushed: Any
+) -> AxisProblem:
     """A problem whose equilibria are known in closed form, each checked with no tolerance; without any, none exists.
 
     Raises
@@ -198,18 +200,20 @@ def posed_with_answers(problem: ContactProblem, answers: Sequence[ExactAnswer], 
     if not answers:
         nothing = np.zeros(problem.dimension), np.zeros(problem.contacts)
         truth = SweptTruth(problem, *nothing, None, "there is no equilibrium", exists=False)
-        return Posed(problem, truth, (), closed, held, pushed)
+        return AxisProblem(problem, truth, (), closed, held, pushed)
     first, *others = (truth_of_fractions(problem, answer) for answer in answers)
-    return Posed(problem, replace(first, others=tuple(others)), tuple(answers), closed, held, pushed)
+    return AxisProblem(problem, replace(first, others=tuple(others)), tuple(answers), closed, held, pushed)
 
 
 def truth_of_fractions(problem: ContactProblem, answer: ExactAnswer) -> SweptTruth:
     """The nearest doubles of an exact answer."""
     source = "rational numbers, from the problem's doubles as they stand"
-    return SweptTruth(problem, nearest(answer.displacement), nearest(answer.normal_force), np.zeros(0), source)
+    return SweptTruth(
+        problem, nearest_doubles(answer.displacement), nearest_doubles(answer.normal_force), np.zeros(0), source
+    )
 
 
-def nearest(values: Sequence[Fraction]) -> Vector:
+def nearest_doubles(values: Sequence[Fraction]) -> Vector:
     """The nearest doubles (Python divides integers of any size correctly rounded)."""
     return np.array([x.numerator / x.denominator for x in values], dtype=float)
 
@@ -220,7 +224,7 @@ def nearest(values: Sequence[Fraction]) -> Vector:
 ROUNDING = 1e-12
 
 
-def stated(truth: SweptTruth, solution: Solution) -> str:
+def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
     """What the certificate says of an answer that it passes and that is off by more than 1e-6; empty: nothing.
 
     That uniqueness was not examined, or that other answers are not excluded, says nothing of this one.
@@ -262,7 +266,7 @@ class Axis:
     title: str
     quantity: str  # what the values are, with its unit: the title of an axis of a chart
     values: tuple[float, ...]
-    pose: Callable[[float], Posed] = field(repr=False)
+    pose: Callable[[float], AxisProblem] = field(repr=False)
     about: str = ""  # what is swept, and why
     labels: tuple[str, ...] = ()  # of the values, where they are no numbers
     # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.

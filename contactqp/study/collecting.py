@@ -21,14 +21,14 @@ from contactqp.linalg.schur import LastBlock
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.scene import Scene
-from contactqp.study.attempt import ENOUGH, LONG, Rung, Timing, crashed, timed
+from contactqp.study.attempt import ENOUGH, LONG, Setting, Timing, crashed, timed
 from contactqp.study.case_study import CaseStudy
 from contactqp.study.footprint import Footprint, measure
-from contactqp.study.report.report_data import CaseRecord, record, unjudged
+from contactqp.study.report_data import CaseRecord, record, unjudged
 from contactqp.study.rows import CRASHED, Row
 from contactqp.study.running.journal import Cell, Crash, Journal, Result
 from contactqp.study.running.runner import Progress, run_cells
-from contactqp.study.running.workers import Crew, Workers
+from contactqp.study.running.workers import Pool, Workers
 from contactqp.study.truth import Truth
 
 # Solves timed at most, and the seconds of them after which a median is good enough.
@@ -82,7 +82,7 @@ def _positive(stiffness: Any) -> bool:
     return True
 
 
-# What a report does with one case, as cells: its truth, its record, and each of its rungs answered and timed.
+# What a report does with one case, as cells: its truth, its record, and each of its settings answered and timed.
 
 # Cases whose problems a process keeps: the one at hand, and the one before while others still work on it.
 KEPT = 2
@@ -131,7 +131,7 @@ class FoundTruth:
 
 @dataclass(frozen=True)
 class LinearSolve:
-    """What one linear solve takes; see `contactqp.study.report.collecting`."""
+    """What one linear solve takes; see `contactqp.study.collecting`."""
 
     seconds: float | None
 
@@ -151,10 +151,10 @@ def record_cell(study: CaseStudy, truth: FoundTruth) -> Cell:
     return replace(cell, cost=PICTURES + 2 * cell.cost)
 
 
-def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Rung, Cell]]:
-    """Each rung of a case answered, and held against the truth."""
-    for rung in study.rungs:
-        yield rung, _cell(study, _name(rung), find_answer, (ticket_of(study), truth, rung), Row)
+def answer_cells(study: CaseStudy, truth: FoundTruth) -> Iterator[tuple[Setting, Cell]]:
+    """Each setting of a case answered, and held against the truth."""
+    for setting in study.settings:
+        yield setting, _cell(study, _name(setting), find_answer, (ticket_of(study), truth, setting), Row)
 
 
 def footprint_cell(study: CaseStudy) -> Cell:
@@ -162,10 +162,10 @@ def footprint_cell(study: CaseStudy) -> Cell:
     return _cell(study, "footprint", take_footprint, (ticket_of(study),), Footprint)
 
 
-def timing_cell(study: CaseStudy, rung: Rung, first: float, repeats: int, cost: float) -> Cell:
-    """A rung timed, whose first call took so long."""
-    arguments = (ticket_of(study), rung, first, repeats)
-    return Cell(f"{study.name}/{_name(rung)}/time", take_time, arguments, Timing, study.digest, cost)
+def timing_cell(study: CaseStudy, setting: Setting, first: float, repeats: int, cost: float) -> Cell:
+    """A setting timed, whose first call took so long."""
+    arguments = (ticket_of(study), setting, first, repeats)
+    return Cell(f"{study.name}/{_name(setting)}/time", take_time, arguments, Timing, study.digest, cost)
 
 
 def limit_cell(study: CaseStudy) -> Cell:
@@ -178,10 +178,10 @@ def _cell(study: CaseStudy, name: str, function: Any, arguments: tuple[Any, ...]
     return Cell(f"{study.name}/{name}", function, arguments, result, study.digest, cost)
 
 
-def _name(rung: Rung) -> str:
+def _name(setting: Setting) -> str:
     """osqp/raw/tolerance=1e-06,polish=False: everything that solve is told."""
-    options = ",".join(f"{name}={value}" for name, value in rung.options.items())
-    return "/".join((rung.method.name, rung.variant, options or rung.knob))
+    options = ",".join(f"{name}={value}" for name, value in setting.options.items())
+    return "/".join((setting.method.name, setting.variant, options or setting.knob))
 
 
 def take_footprint(ticket: Ticket) -> Footprint:
@@ -197,17 +197,17 @@ def make_record(ticket: Ticket, truth: FoundTruth) -> CaseRecord:
     return record(study, truth.on(study))
 
 
-def find_answer(ticket: Ticket, truth: FoundTruth, rung: Rung) -> Row:
+def find_answer(ticket: Ticket, truth: FoundTruth, setting: Setting) -> Row:
     study = _study(ticket)
-    return study.answer(rung, truth.on(study))
+    return study.answer(setting, truth.on(study))
 
 
-def take_time(ticket: Ticket, rung: Rung, first: float, repeats: int) -> Timing:
+def take_time(ticket: Ticket, setting: Setting, first: float, repeats: int) -> Timing:
     """Warm from the second time on that this process has the method on this case."""
-    tried = (ticket.digest, rung.method.name)
+    tried = (ticket.digest, setting.method.name)
     warm = tried in _WARM
     _WARM.add(tried)
-    return _study(ticket).timing(rung, first, repeats, warm)
+    return _study(ticket).timing(setting, first, repeats, warm)
 
 
 def time_linear_solve(ticket: Ticket) -> LinearSolve:
@@ -219,7 +219,7 @@ _WARM: set[tuple[str, str]] = set()
 
 @lru_cache(maxsize=KEPT)
 def _study(ticket: Ticket) -> CaseStudy:
-    """The case in this process; its rungs come one by one."""
+    """The case in this process; its settings come one by one."""
     return CaseStudy(ticket.name, ticket.scene, ticket.scene.problem(), ())
 
 
@@ -229,10 +229,10 @@ OVERHEAD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Try:
-    """One rung of one case, with the cell that answers it."""
+    """One setting of one case, with the cell that answers it."""
 
     study: CaseStudy
-    rung: Rung
+    setting: Setting
     cell: Cell
 
 
@@ -246,7 +246,7 @@ class Collector:
     journal : Journal
     progress : Progress
     repeats : int
-        Timed calls of each rung, at most.
+        Timed calls of each setting, at most.
     time_limit : float
         Of each cell [s].
     """
@@ -262,7 +262,7 @@ class Collector:
     ) -> None:
         self._studies, self._workers, self._journal, self._progress = studies, workers, journal, progress
         self._repeats, self._time_limit = repeats, time_limit
-        self.rows = sum(len(study.rungs) for study in studies)
+        self.rows = sum(len(study.settings) for study in studies)
         self.answered = self.timed = 0
         self._changed: dict[str, None] = {}  # cases whose kept results are not theirs any more
         self._kept = 0
@@ -278,15 +278,15 @@ class Collector:
         """
         # The largest first: at the end no process waits for another one's long cell.
         studies = sorted(self._studies, key=lambda study: -study.problem.dimension)
-        with self._workers.side_by_side() as crew:
-            truths = self._truths(studies, crew)
+        with self._workers.side_by_side() as pool:
+            truths = self._truths(studies, pool)
             tries = [_Try(study, *each) for study in studies for each in answer_cells(study, truths[study.name])]
             told = {study.name: record_cell(study, truths[study.name]) for study in studies}
             answers = [*told.values(), *(one.cell for one in tries)]
-            found = self._run("answers", answers, crew, later=self._timing_left)
-        with self._workers.alone() as crew:
-            limits, footprints = self._limits(studies, crew), self._footprints(studies, crew)
-            rows = self._times(tries, {one.cell.key: _row(one, found[one.cell.key]) for one in tries}, crew)
+            found = self._run("answers", answers, pool, later=self._timing_left)
+        with self._workers.alone() as pool:
+            limits, footprints = self._limits(studies, pool), self._footprints(studies, pool)
+            rows = self._times(tries, {one.cell.key: _row(one, found[one.cell.key]) for one in tries}, pool)
         rows = {one.cell.key: replace(rows[one.cell.key], linear_solve_seconds=limits[one.study.name]) for one in tries}
         of_case = {study.name: [rows[one.cell.key] for one in tries if one.study is study] for study in studies}
         records = (
@@ -309,41 +309,41 @@ class Collector:
         said = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
         return (*said, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
-    def _truths(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, FoundTruth]:
+    def _truths(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, FoundTruth]:
         cells = {study.name: truth_cell(study) for study in studies}
-        found = self._run("truths", list(cells.values()), crew, later=None)
+        found = self._run("truths", list(cells.values()), pool, later=None)
         return {name: _truth(found[cell.key]) for name, cell in cells.items()}
 
-    def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], crew: Crew) -> dict[str, Row]:
+    def _times(self, tries: Sequence[_Try], rows: Mapping[str, Row], pool: Pool) -> dict[str, Row]:
         """The rows with their times; a method that crashes while it is timed has crashed."""
         cells = {
-            key: timing_cell(one.study, one.rung, row.seconds, self._repeats, self._expected(row))
+            key: timing_cell(one.study, one.setting, row.seconds, self._repeats, self._expected(row))
             for one in tries
             if (row := rows[key := one.cell.key]).seconds is not None
         }
-        found = self._run("times", list(cells.values()), crew, later=lambda: 0.0)
+        found = self._run("times", list(cells.values()), pool, later=lambda: 0.0)
         return {key: _timed(row, found[cells[key].key]) if key in cells else row for key, row in rows.items()}
 
-    def _footprints(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, Footprint]:
+    def _footprints(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, Footprint]:
         """What solving each case takes that has a file."""
         cells = {study.name: footprint_cell(study) for study in studies if study.scene.file is not None}
-        found = self._run("footprints", list(cells.values()), crew, later=self._timing_left)
+        found = self._run("footprints", list(cells.values()), pool, later=self._timing_left)
         results = ((name, found[cell.key]) for name, cell in cells.items())
         return {name: result for name, result in results if isinstance(result, Footprint)}
 
-    def _limits(self, studies: Sequence[CaseStudy], crew: Crew) -> dict[str, float | None]:
+    def _limits(self, studies: Sequence[CaseStudy], pool: Pool) -> dict[str, float | None]:
         """Seconds of one linear solve of each case; None where it crashed, as the case's rows will have too."""
         cells = {study.name: limit_cell(study) for study in studies}
-        found = self._run("linear solves", list(cells.values()), crew, later=self._timing_left)
+        found = self._run("linear solves", list(cells.values()), pool, later=self._timing_left)
         results = {name: found[cell.key] for name, cell in cells.items()}
         return {name: None if isinstance(one, Crash) else one.seconds for name, one in results.items()}
 
     def _run(
-        self, what: str, cells: Sequence[Cell], crew: Crew, later: Callable[[], float] | None
+        self, what: str, cells: Sequence[Cell], pool: Pool, later: Callable[[], float] | None
     ) -> dict[str, Result]:
         self._changed |= dict.fromkeys(cell.key.partition("/")[0] for cell in self._journal.changed(cells))
         self._progress.part(what, later)
-        return run_cells(cells, crew, self._journal, watcher=self, time_limit=self._time_limit)
+        return run_cells(cells, pool, self._journal, watcher=self, time_limit=self._time_limit)
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result]) -> None:
         for cell in cells:
@@ -386,7 +386,7 @@ def _record(study: CaseStudy, truth: FoundTruth, found: CaseRecord | Crash) -> C
 
 
 def _row(one: _Try, found: Row | Crash) -> Row:
-    return crashed(one.study.problem, one.rung, one.study.name, found.message) if isinstance(found, Crash) else found
+    return crashed(one.study.problem, one.setting, one.study.name, found.message) if isinstance(found, Crash) else found
 
 
 def _timed(row: Row, found: Timing | Crash) -> Row:

@@ -1,4 +1,7 @@
-"""The cells of the study, one method at one value of an axis, and the rows of its table that they become."""
+"""The table of the axes of stability.
+
+The cells of the study, one method at one value of an axis, and the rows of its table that they become.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,67 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import Method
 from contactqp.study import rows as report_rows
-from contactqp.study.attempt import DEFAULT_TOLERANCE, Rung, answer, chosen_methods, contact_stiffness
+from contactqp.study.attempt import DEFAULT_TOLERANCE, Setting, answer, chosen_methods, contact_stiffness
 from contactqp.study.rows import Row, as_dicts, column, columns_of
 from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
-from contactqp.study.stability.axes import AXES, find_axis
+from contactqp.study.stability.axis_problem import Axis, AxisProblem, certificate_statement
+from contactqp.study.stability.body_axes import (
+    GAP_RATIO,
+    GRAZING,
+    LOAD_RATIO,
+    MASS_RATIO,
+    MESH_GRADING,
+    SINGULAR_STIFFNESS,
+    STIFFNESS_CONTRAST,
+)
 from contactqp.study.stability.condition import UNIT_ROUNDOFF, Prediction, predict
-from contactqp.study.stability.posed import Axis, Posed, stated
+from contactqp.study.stability.problem_axes import (
+    CLOSED_CONTACTS,
+    CONTACTS,
+    FRICTION,
+    INCLINE,
+    PENALTY_STIFFNESS,
+    REDUNDANCY,
+    UNIT_SYSTEMS,
+)
 from contactqp.study.truth import ERROR_TOLERANCE
+
+AXES: tuple[Axis, ...] = (
+    PENALTY_STIFFNESS,
+    STIFFNESS_CONTRAST,
+    SINGULAR_STIFFNESS,
+    MESH_GRADING,
+    GAP_RATIO,
+    LOAD_RATIO,
+    GRAZING,
+    REDUNDANCY,
+    FRICTION,
+    INCLINE,
+    MASS_RATIO,
+    UNIT_SYSTEMS,
+    CONTACTS,
+    CLOSED_CONTACTS,
+)
+
+
+def find_axis(name: str) -> Axis:
+    """The axis of that name.
+
+    Raises
+    ------
+    InvalidProblem
+        There is none; the names are given.
+    """
+    for axis in AXES:
+        if axis.name == name:
+            return axis
+    raise InvalidProblem(f"stability: no axis is called {name!r}; expected {', '.join(axis.name for axis in AXES)}")
+
 
 CUT_OFF, STATED = "cut off", "stated"
 VERDICTS: Mapping[str, str] = {
@@ -193,25 +246,28 @@ def stability_row(axis: str, value: float, method: str, variant: str = "") -> St
     if chosen.installed and value > swept.largest:
         message = f"tried up to {swept.largest:.6g} {swept.quantity}: {swept.why_largest}"
         return StabilityRow(**known, verdict=CUT_OFF, message=message)
-    posed = _posed(axis, value)
-    rung = _rung(posed, swept, value, chosen, variant)
+    posed = _axis_problem(axis, value)
+    setting = _setting(posed, swept, value, chosen, variant)
     solutions: list[Solution] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # numbers overflow at the ends of some axes: that is swept
-        found = answer(posed.problem, rung, posed.truth, judge=solutions.append)
-    stiffness = None if rung.knob == "tolerance" else rung.value
+        found = answer(posed.problem, setting, posed.truth, judge=solutions.append)
+    stiffness = None if setting.knob == "tolerance" else setting.value
     prediction = predict(posed, chosen, variant, stiffness) if chosen.installed else Prediction("")
     return StabilityRow(
-        **known, **_of_problem(posed), **_of_attempt(found, posed, solutions), **_of_prediction(prediction)
+        **known,
+        **_problem_columns(posed),
+        **_attempt_columns(found, posed, solutions),
+        **_prediction_columns(prediction),
     )
 
 
 @lru_cache(maxsize=4)
-def _posed(axis: str, value: float) -> Posed:
+def _axis_problem(axis: str, value: float) -> AxisProblem:
     return find_axis(axis).pose(value)
 
 
-def _rung(posed: Posed, axis: Axis, value: float, method: Method, variant: str) -> Rung:
+def _setting(posed: AxisProblem, axis: Axis, value: float, method: Method, variant: str) -> Setting:
     options: dict[str, Any] = {}
     if method.knob == "tolerance" and "no time limit" not in method.note:
         options["time_limit"] = PATIENCE
@@ -219,20 +275,20 @@ def _rung(posed: Posed, axis: Axis, value: float, method: Method, variant: str) 
         options["update"] = variant
     knob = axis.knobs.get(method.name) or (method.required[0] if method.required else method.knob or "")
     if method.knob == "tolerance":
-        return Rung(method, "polished", knob, DEFAULT_TOLERANCE, options | {knob: DEFAULT_TOLERANCE})
+        return Setting(method, "polished", knob, DEFAULT_TOLERANCE, options | {knob: DEFAULT_TOLERANCE})
     if axis.knobs or method.required:
         size = value if axis.knobs else float(f"{STIFFENING * contact_stiffness(posed.problem):.1e}")
-        return Rung(method, variant, knob, size, options | {knob: size})
-    return Rung(method, variant, knob, None, options)
+        return Setting(method, variant, knob, size, options | {knob: size})
+    return Setting(method, variant, knob, None, options)
 
 
-def _of_problem(posed: Posed) -> dict[str, Any]:
+def _problem_columns(posed: AxisProblem) -> dict[str, Any]:
     rubs = posed.problem.frictional
     count = len(posed.exact) if rubs else None
     return dict(unknowns=posed.problem.dimension, contacts=posed.problem.contacts, equilibria=count)
 
 
-def _of_attempt(found: Row, posed: Posed, solutions: Sequence[Solution]) -> dict[str, Any]:
+def _attempt_columns(found: Row, posed: AxisProblem, solutions: Sequence[Solution]) -> dict[str, Any]:
     verdict, said = _verdict(found, posed, solutions)
     known: dict[str, Any] = dict(
         knob=found.knob,
@@ -260,19 +316,19 @@ def _of_attempt(found: Row, posed: Posed, solutions: Sequence[Solution]) -> dict
     return known
 
 
-def _verdict(found: Row, posed: Posed, solutions: Sequence[Solution]) -> tuple[str, str]:
+def _verdict(found: Row, posed: AxisProblem, solutions: Sequence[Solution]) -> tuple[str, str]:
     """The verdict, and what the certificate states of an error that it lets pass.
 
     Where there is no equilibrium, a refusal is the right answer.
     """
     if found.verdict == report_rows.REFUSED and not posed.truth.exists:
         return report_rows.RIGHT, ""
-    if found.verdict == report_rows.WRONG and (said := stated(posed.truth, solutions[0])):
+    if found.verdict == report_rows.WRONG and (said := certificate_statement(posed.truth, solutions[0])):
         return STATED, said
     return found.verdict, ""
 
 
-def _of_prediction(prediction: Prediction) -> dict[str, Any]:
+def _prediction_columns(prediction: Prediction) -> dict[str, Any]:
     return dict(
         system=prediction.system,
         condition=_finite(prediction.condition),

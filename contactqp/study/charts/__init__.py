@@ -1,1 +1,0 @@
-"""What a report draws: plain data for Plotly, with a caption and its numbers as a table."""
